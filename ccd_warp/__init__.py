@@ -1,0 +1,30 @@
+"""Batched, conservative continuous collision detection (CCD) for deforming triangle meshes, on NVIDIA Warp.
+
+CCD here means: every vertex moves on a straight line over a step, and the question is the earliest time of impact (toi)
+in [0, t_max]. A collision is never missed and never reported late.
+"""
+
+from ccd_warp._broad_phase import Candidates, find_candidates
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, vertex_face_ccd
+from ccd_warp._pipeline import collision_free_step, mesh_ccd
+from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._status import CCDStatus, PairKind
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "CCDStatus",
+    "Candidates",
+    "CollisionMesh",
+    "Contacts",
+    "MeshResult",
+    "PairKind",
+    "PairResult",
+    "__version__",
+    "collision_free_step",
+    "edge_edge_ccd",
+    "find_candidates",
+    "mesh_ccd",
+    "vertex_face_ccd",
+]

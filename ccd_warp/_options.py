@@ -1,0 +1,88 @@
+"""Options of every query, validated once, on construction."""
+
+import math
+import numbers
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._launch import default_num_threads
+
+DEFAULT_TOLERANCE = 1e-6
+DEFAULT_MAX_ITERATIONS = 10_000
+
+_PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Validated options; see any public function for their meaning."""
+
+    tolerance: float = DEFAULT_TOLERANCE
+    minimum_separation: float = 0.0
+    t_max: float = 1.0
+    max_iterations: int = DEFAULT_MAX_ITERATIONS
+    length_scale: float | None = None
+    precision: str = "float64"
+    device: Any = None
+    num_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_real("tolerance", self.tolerance, "a finite number above 0", lambda x: x > 0)
+        _check_real("minimum_separation", self.minimum_separation, "a finite number of at least 0", lambda x: x >= 0)
+        _check_real("t_max", self.t_max, "a number in [0, 1]", lambda x: 0 <= x <= 1)
+        _check_count("max_iterations", self.max_iterations, 2**31 - 1)
+        if self.length_scale is not None:
+            _check_real("length_scale", self.length_scale, "a finite length above 0, or None", lambda x: x > 0)
+        if self.precision not in _PRECISIONS:
+            raise ValueError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
+        if self.num_threads is not None:
+            _check_count("num_threads", self.num_threads, 2**31 - 1)
+
+    @property
+    def real(self) -> Any:
+        """Warp scalar type of the iteration."""
+        return _PRECISIONS[self.precision]
+
+    @property
+    def t_end(self) -> float:
+        """``t_max`` in the precision of the iteration, rounded up."""
+        if self.precision == "float64":
+            return float(self.t_max)
+        rounded = np.float32(self.t_max)
+        if float(rounded) < self.t_max:
+            rounded = np.nextafter(rounded, np.float32(2))
+        return float(rounded)
+
+    @property
+    def threads(self) -> int:
+        """Threads on the CPU."""
+        return default_num_threads() if self.num_threads is None else int(self.num_threads)
+
+
+def resolve_device(device: Any, of_arrays: Any = None) -> Any:
+    """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one."""
+    if device is None:
+        return wp.get_device() if of_arrays is None else of_arrays
+    try:
+        resolved = wp.get_device(device)
+    except Exception as error:
+        names = ", ".join(repr(d.alias) for d in wp.get_devices())
+        raise ValueError(f"device is {device!r}; expected one of {names}") from error
+    if of_arrays is not None and resolved != of_arrays:
+        raise ValueError(f"device is {device!r}; expected {of_arrays.alias!r}, where the arrays are, or None")
+    return resolved
+
+
+def _check_real(name: str, value: Any, expected: str, is_valid: Any) -> None:
+    is_real = isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_))
+    if not is_real or not math.isfinite(value) or not is_valid(value):
+        raise ValueError(f"{name} is {value!r}; expected {expected}")
+
+
+def _check_count(name: str, value: Any, largest: int) -> None:
+    is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
+    if not is_count or not 1 <= value <= largest:
+        raise ValueError(f"{name} is {value!r}; expected a positive integer")

@@ -1,0 +1,57 @@
+"""Results of the mesh functions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Pairs that touch: vertex-face before edge-edge, each in lexicographic order of its primitives.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
+        primitives: Vertex and face ids, or two edge ids, int32, shape [m, 2].
+        toi: Earliest time of impact in [0, t_max], float64, shape [m].
+        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
+        normal: Unit normal of the contact at toi, from the second primitive towards the side that the first comes from;
+            zero where nothing moves and no side gives a direction; float64, shape [m, 3].
+        status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
+    """
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int32]
+    toi: NDArray[np.float64]
+    parameters: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    status: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.toi)
+
+
+@dataclass(frozen=True)
+class MeshResult:
+    """Result of a step of meshes.
+
+    Attributes:
+        toi: Earliest time of impact of the scene in [0, t_max]; inf: certainly none.
+        vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
+        body_toi: The same for each body, float64, shape [B].
+        contacts: Every pair with a finite toi.
+        counts: Sizes of the scene and of each stage's output.
+        timings: Seconds of each stage, and their ``total``.
+    """
+
+    toi: float
+    vertex_toi: NDArray[np.float64]
+    body_toi: NDArray[np.float64]
+    contacts: Contacts
+    counts: dict[str, int]
+    timings: dict[str, float]
+
+    @property
+    def hit(self) -> bool:
+        """Whether any pair has a finite toi."""
+        return bool(np.isfinite(self.toi))

@@ -1,0 +1,82 @@
+"""Closest point of a convex patch to the origin: the direction that clips time best.
+
+Nothing here carries a guarantee: a direction only has to be good, never exact, because `inclusion` tests it at every
+corner. What matters is that the difference vector keeps its direction when the gap is many orders of magnitude smaller
+than the patch; therefore it is made orthogonal to its feature a second time, after the cancellation.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+
+@cache
+def make_closest_point(real) -> SimpleNamespace:
+    """Functions for one floating-point type."""
+    vec3 = wp.types.vector(length=3, dtype=real)
+
+    @wp.func
+    def closest_on_edge(a: vec3, ab: vec3):
+        """Closest point to the origin of the segment a + w·ab, and w."""
+        length_squared = wp.dot(ab, ab)
+        w = real(0.0)
+        if length_squared > real(0.0):
+            w = wp.clamp(-wp.dot(a, ab) / length_squared, real(0.0), real(1.0))
+        q = a + w * ab
+        if w > real(0.0) and w < real(1.0):
+            q = q - (wp.dot(q, ab) / length_squared) * ab
+        return q, w
+
+    @wp.func
+    def closest_on_triangle(a: vec3, b: vec3, c: vec3):
+        """Closest point q to the origin of the triangle, with its weights of b and c (Ericson 2005, section 5.1.5)."""
+        ab = b - a
+        ac = c - a
+        d1 = -wp.dot(ab, a)
+        d2 = -wp.dot(ac, a)
+        if d1 <= real(0.0) and d2 <= real(0.0):
+            return a, real(0.0), real(0.0)
+        d3 = -wp.dot(ab, b)
+        d4 = -wp.dot(ac, b)
+        if d3 >= real(0.0) and d4 <= d3:
+            return b, real(1.0), real(0.0)
+        d5 = -wp.dot(ab, c)
+        d6 = -wp.dot(ac, c)
+        if d6 >= real(0.0) and d5 <= d6:
+            return c, real(0.0), real(1.0)
+        vc = d1 * d4 - d3 * d2
+        if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0):
+            q, w = closest_on_edge(a, ab)
+            return q, w, real(0.0)
+        vb = d5 * d2 - d1 * d6
+        if vb <= real(0.0) and d2 >= real(0.0) and d6 <= real(0.0):
+            q, w = closest_on_edge(a, ac)
+            return q, real(0.0), w
+        va = d3 * d6 - d5 * d4
+        n = wp.cross(ab, ac)
+        n_squared = wp.dot(n, n)
+        if va <= real(0.0) or n_squared <= real(0.0):
+            q, w = closest_on_edge(b, c - b)
+            return q, real(1.0) - w, w
+        total = real(1.0) / (va + vb + vc)
+        return (wp.dot(n, a) / n_squared) * n, vb * total, vc * total
+
+    @wp.func
+    def closest_on_patch(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):
+        """Closest point of a flat convex patch: q, weights of its two neighbours, and whether they count from w11.
+
+        The patch is split along w01-w10; only a closest point on that diagonal sends the search to the other half.
+        """
+        q, wb, wc = closest_on_triangle(w00, w01, w10)
+        from_w11 = False
+        if not is_triangle and wb + wc >= real(0.999):
+            q2, wb2, wc2 = closest_on_triangle(w11, w01, w10)
+            if wp.dot(q2, q2) < wp.dot(q, q):
+                q = q2
+                wb = wb2
+                wc = wc2
+                from_w11 = True
+        return q, wb, wc, from_w11
+
+    return SimpleNamespace(closest_on_patch=closest_on_patch)

@@ -1,0 +1,128 @@
+"""Gather: contacts, and the earliest toi of every vertex and body, from the toi of the pairs."""
+
+import warp as wp
+
+from .patch import EDGE_EDGE
+from .rounding import inverse_power_of_two
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# Sine below which two sides count as parallel and their cross product as no direction.
+_PARALLEL = wp.constant(wp.float64(1.0e-12))
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+
+
+@wp.func
+def to_unit_size(a: wp.vec3d) -> wp.vec3d:
+    """A vector scaled by a power of two so that its products neither overflow nor underflow."""
+    return a * inverse_power_of_two(wp.max(wp.abs(a)))
+
+
+@wp.func
+def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
+    """Unit normal of two sides against the relative velocity of the first primitive; 0 where there is none.
+
+    Parallel or vanishing sides leave a choice: then it is the part of the velocity across the longer side.
+    """
+    a = to_unit_size(q)
+    b = to_unit_size(r)
+    w = to_unit_size(velocity)
+    n = wp.cross(a, b)
+    if wp.length(n) <= _PARALLEL * wp.length(a) * wp.length(b):
+        along = to_unit_size(q)
+        if wp.max(wp.abs(r)) > wp.max(wp.abs(q)):
+            along = to_unit_size(r)
+        n = w
+        if wp.dot(along, along) > _ZERO:
+            n = w - (wp.dot(w, along) / wp.dot(along, along)) * along
+    n = wp.normalize(n)
+    if wp.dot(n, w) > _ZERO:
+        n = -n
+    return n
+
+
+@wp.func
+def position(x_t0: wp.vec3d, x_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
+    return (_ONE - t) * x_t0 + t * x_t1
+
+
+@wp.kernel
+def flag_contacts(
+    begin: int,
+    # in
+    toi: wp.array[wp.float64],
+    # out
+    flag: wp.array[wp.int32],
+):
+    """1 for every pair with a finite toi."""
+    i = begin + wp.tid()
+    flag[i] = wp.where(wp.isfinite(toi[i]), 1, 0)
+
+
+@wp.kernel
+def write_contacts(
+    begin: int,
+    # in
+    kind: int,
+    first_slot: int,
+    pairs: wp.array[wp.vec2i],
+    toi: wp.array[wp.float64],
+    status: wp.array[wp.int32],
+    parameters: wp.array[wp.vec2d],
+    slots: wp.array[wp.int32],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertex_body: wp.array[wp.int32],
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    # out
+    kind_out: wp.array[wp.int32],
+    primitives_out: wp.array[wp.vec2i],
+    toi_out: wp.array[wp.float64],
+    status_out: wp.array[wp.int32],
+    parameters_out: wp.array[wp.vec2d],
+    normal_out: wp.array[wp.vec3d],
+    vertex_toi: wp.array[wp.float64],
+    body_toi: wp.array[wp.float64],
+):
+    """Write the contact of a pair to its slot and lower the toi of its vertices and bodies.
+
+    On the CPU this runs in one part: atomics are not atomic across threads there.
+    """
+    i = begin + wp.tid()
+    t = toi[i]
+    if wp.isfinite(t):
+        slot = first_slot + slots[i] - 1  # inclusive scan
+        first = first_corners[pairs[i][0]]
+        second = second_corners[pairs[i][1]]
+        uv = parameters[i]
+        a0 = position(x_t0[first[0]], x_t1[first[0]], t)
+        b0 = position(x_t0[second[0]], x_t1[second[0]], t)
+        b1 = position(x_t0[second[1]], x_t1[second[1]], t)
+        # motion of the two points in contact over the step
+        va = x_t1[first[0]] - x_t0[first[0]]
+        vb = x_t1[second[0]] - x_t0[second[0]]
+        vb1 = x_t1[second[1]] - x_t0[second[1]]
+        if kind == EDGE_EDGE:
+            q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
+            r = b1 - b0
+            va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
+            vb = (_ONE - uv[1]) * vb + uv[1] * vb1
+            wp.atomic_min(vertex_toi, first[1], t)
+        else:
+            q = b1 - b0
+            r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
+            vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
+            wp.atomic_min(vertex_toi, second[2], t)
+        wp.atomic_min(vertex_toi, first[0], t)
+        wp.atomic_min(vertex_toi, second[0], t)
+        wp.atomic_min(vertex_toi, second[1], t)
+        wp.atomic_min(body_toi, vertex_body[first[0]], t)
+        wp.atomic_min(body_toi, vertex_body[second[0]], t)
+        kind_out[slot] = kind
+        primitives_out[slot] = pairs[i]
+        toi_out[slot] = t
+        status_out[slot] = status[i]
+        parameters_out[slot] = uv
+        normal_out[slot] = contact_normal(q, r, va - vb)

@@ -1,0 +1,75 @@
+"""The rounding analysis of the narrow phase: every constant of every bound, derived here and nowhere else.
+
+Notation. u = 2^-53 (float64) or 2^-24 (float32) is the unit roundoff of the arithmetic, fl(·) a rounded operation,
+fl(x∘y) = (x∘y)(1+δ), |δ| ≤ u, plus an absolute error of half the smallest subnormal where a product underflows. An fma
+rounds once where the analysis counts twice, so every bound holds with and without contraction. V_i is the exact corner
+of a pair at one end of the step (a difference of two input points), W a corner of a sub-patch, k an axis. All lengths
+below are in the normalised units of step 2.
+
+1. **Differences.** x and y are the float64 numbers of the input, so they are exact. fl(x - y) = (x - y)(1 + δ) in
+   float64; no underflow error (a difference that is subnormal is exact). If it overflows, the axis is scaled by 1/4
+   first: exact up to 2^-1074, nothing beside the 2^1022 or more that overflowed.
+2. **Normalisation.** Axis k is multiplied by a power of two s_k with s_k·max|V_k| ≤ 1: exact but for underflow, and
+   that is part of the absolute term of step 5. In float32 the product is then rounded to float32: one more (1 + δ) with
+   u = 2^-24, beside which the 2^-53 of step 1 is lost in the slack of step 4. So |V̂_k - V_k| ≤ 1.001·u·|V̂_k|.
+3. **Corners of a sub-patch.** W = (1-u)·x + u·y, with x, y = (1-v)·V_a + v·V_b for u, v on a dyadic grid whose
+   1-u, 1-v are exact (MAX_SPLITS below). Each of the two levels rounds two products and one sum; the weights sum to one:
+   |Ŵ_k - W_k| ≤ (1 + 2·2)·1.001·u·M_k, M_k = max|V̂_k| over all corners and both ends of the step.
+   The root patch is V̂ itself and has only the error of step 2.
+4. **Projection.** a = fl(d·Ŵ): three products, two sums, any order, with or without fma:
+   |a - d·Ŵ| ≤ 3·1.001·u·Σ|d_k|·M_k for any vector d of floating-point numbers (d itself is no approximation of
+   anything, so it carries no error). With steps 2 and 3, |a - d·W| ≤ Σ|d_k|·E_k with
+   E_k = (1 + 3)·u·M_k → PROJECTION_ROOT = 4.25 u for the root and (5 + 3)·u·M_k → PROJECTION_PATCH = 8.25 u else;
+   the quarter covers the factors 1.001 and the roundings of E_k itself.
+5. **Underflow.** After normalisation every operand is at most 1 (directions at most 4), so an underflow adds at most a
+   few smallest subnormals. E_k gets the absolute term TINY, and a direction whose largest component is below
+   TINY_DIRECTION is never used: then Σ|d_k|·TINY ≥ TINY·TINY_DIRECTION exceeds all of them together.
+6. **Offset.** off = fl(Σ|d_k|·(E_k + separation_k)) is computed with at most five roundings; it is multiplied by
+   (1 + 8u), so it is an upper bound of the exact sum.
+7. **Time.** d·W(t) is linear in t for fixed (u, v), so d·W(t) ≥ (1-t)·a + t·b - Σ|d_k|·E_k for computed a (t = 0) and
+   b (t = 1). It exceeds Σ|d_k|·separation_k, that is, no point of the patch is in contact, while
+   (1-t)·a + t·b > off. For a > off ≥ b that holds up to (a-off)/(a-b): two differences and a quotient, three roundings,
+   so the quotient times (1 - 8u) is a lower bound (the product's own rounding included). For b > off ≥ a it holds from
+   (off-a)/(b-a) times (1 + 8u) on.
+8. **Inclusion box.** The hull of a box over its corners at t_0 and t_1 needs W at those times. W(t) is evaluated as
+   (1-t)·W(0) + t·W(1) with 1-t rounded: the weights carry u each, the products and the sum u each, on top of step 3:
+   |Ŵ_k(t) - W_k(t)| ≤ (5 + 3)·1.001·u·M_k → HULL = 8.25 u per axis; the comparison itself is exact.
+9. **Volume.** b are the Bernstein coefficients of f = P·(Q×R), P a corner, Q and R edges: each a single difference of
+   input points, (1 + δ) each, three in a product. With p, q, r the largest magnitudes per axis and T the permanent of
+   (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
+   a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
+   Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
+   of errors, and the roundings of T. A crossing of the hull is at most ten roundings of a fraction of the interval:
+   that fraction times (1 - 32u), and the sum with t times (1 - 8u), is a lower bound.
+
+Constants are in units of u.
+"""
+
+import warp as wp
+
+PROJECTION_ROOT = 4.25
+PROJECTION_PATCH = 8.25
+HULL = 8.25
+VOLUME = 25.0
+RELATIVE = 8.0
+
+# Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
+MAX_SPLITS = {wp.float64: 50, wp.float32: 21}
+UNIT_ROUNDOFF = {wp.float64: 2.0**-53, wp.float32: 2.0**-24}
+# Largest sum of magnitudes that is taken for finite; beyond it an axis is scaled down before its differences.
+LARGEST = wp.constant(wp.float64(2.0**1020))
+TINY = {wp.float64: 2.0**-900, wp.float32: 2.0**-90}
+TINY_DIRECTION = {wp.float64: 2.0**-150, wp.float32: 2.0**-50}
+
+_EXPONENT_MASK = wp.constant(wp.int64(0x7FF))
+_MANTISSA_BITS = wp.constant(wp.int64(52))
+_MIRRORED_EXPONENT = wp.constant(wp.int64(2045))
+
+
+@wp.func
+def inverse_power_of_two(x: wp.float64) -> wp.float64:
+    """Power of two s with 1/2 <= s·x < 1 for normal x (s·x < 1 for every finite x); exact, x >= 0."""
+    exponent = (wp.cast(x, wp.int64) >> _MANTISSA_BITS) & _EXPONENT_MASK
+    # biased exponent e means x < 2^(e-1022), so s = 2^(1022-e) has biased exponent 2045 - e
+    mirrored = wp.clamp(_MIRRORED_EXPONENT - exponent, wp.int64(1), _MIRRORED_EXPONENT)
+    return wp.cast(mirrored << _MANTISSA_BITS, wp.float64)

@@ -1,0 +1,151 @@
+"""Bisection of a patch in (u, v) with a stack of fixed depth: the backbone where single directions clip little."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from .advance import CONTACT, LIMIT, SLOW, make_advance
+from .patch import EDGE_EDGE, make_patch
+from .rounding import MAX_SPLITS
+
+STACK_DEPTH = 64
+
+# Status of a pair; ccd_warp.CCDStatus mirrors these.
+STATUS_NO_COLLISION = wp.constant(0)
+STATUS_COLLISION = wp.constant(1)
+STATUS_INITIAL_CONTACT = wp.constant(2)
+STATUS_ITERATION_LIMIT = wp.constant(3)
+STATUS_RESOLUTION_LIMIT = wp.constant(4)
+STATUS_INVALID = wp.constant(5)
+
+
+@cache
+def make_subdivide(real) -> SimpleNamespace:
+    """Functions for one floating-point type."""
+    vec3 = wp.types.vector(length=3, dtype=real)
+    box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
+    types = make_patch(real)
+    Patch = types.Patch
+    Problem = types.Problem
+    sub_corners = types.sub_corners
+    advance = make_advance(real).advance
+    narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
+    depth = wp.constant(STACK_DEPTH)
+
+    @wp.func
+    def longest(a: vec3) -> real:
+        return wp.max(wp.max(wp.abs(a[0]), wp.abs(a[1])), wp.abs(a[2]))
+
+    @wp.func
+    def parameters(
+        kind: int, u0: real, u1: real, v0: real, v1: real, wb: real, wc: real, from_w11: bool
+    ) -> wp.vec2d:
+        """Barycentric (u, v) of f1 and f2, or positions (u, v) along the edges, from weights on a sub-patch."""
+        uc = u0
+        vc = v0
+        if from_w11:
+            uc = u1
+            vc = v1
+        # the neighbours of the corner (uc, vc) are w01 = (u0, v1) and w10 = (u1, v0)
+        c = wp.vec2d(wp.float64(uc), wp.float64(vc))
+        b01 = wp.vec2d(wp.float64(u0), wp.float64(v1))
+        b10 = wp.vec2d(wp.float64(u1), wp.float64(v0))
+        if kind != EDGE_EDGE:
+            c = wp.vec2d((wp.float64(1.0) - c[0]) * c[1], c[0])
+            b01 = wp.vec2d((wp.float64(1.0) - b01[0]) * b01[1], b01[0])
+            b10 = wp.vec2d((wp.float64(1.0) - b10[0]) * b10[1], b10[0])
+        return c + wp.float64(wb) * (b01 - c) + wp.float64(wc) * (b10 - c)
+
+    @wp.func
+    def subdivide(kind: int, root: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int):
+        """Earliest contact of a patch that is free on [0, t_start): toi (2 if none), status, iterations, (u, v).
+
+        Invariant: every contact lies on a patch of the stack, or not before ``toi``. A patch is halved across its
+        longer side, and the half with the closest point comes first: its contact bounds the others'.
+        """
+        toi = real(2.0)
+        status = STATUS_NO_COLLISION
+        where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
+        iterations = int(0)
+        stack = box_stack()
+        stack[0] = t_start
+        stack[1] = real(0.0)
+        stack[2] = real(1.0)
+        stack[3] = real(0.0)
+        stack[4] = real(1.0)
+        top = int(1)
+        while top > 0:
+            top -= 1
+            t = stack[5 * top]
+            u0 = stack[5 * top + 1]
+            u1 = stack[5 * top + 2]
+            v0 = stack[5 * top + 3]
+            v1 = stack[5 * top + 4]
+            if t < toi:
+                patch = Patch()
+                patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
+                patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
+                patch.is_triangle = root.is_triangle and u1 == real(1.0)
+                t, outcome, n, wb, wc, from_w11 = advance(
+                    patch, problem, t, wp.min(toi, t_max), max_iterations - iterations
+                )
+                iterations += n
+                box_status = STATUS_COLLISION
+                if outcome == SLOW and t < toi:
+                    du = wp.max(longest(patch.t0.w10 - patch.t0.w00), longest(patch.t1.w10 - patch.t1.w00))
+                    du = wp.max(du, wp.max(longest(patch.t0.w11 - patch.t0.w01), longest(patch.t1.w11 - patch.t1.w01)))
+                    dv = wp.max(longest(patch.t0.w01 - patch.t0.w00), longest(patch.t1.w01 - patch.t1.w00))
+                    dv = wp.max(dv, wp.max(longest(patch.t0.w11 - patch.t0.w10), longest(patch.t1.w11 - patch.t1.w10)))
+                    split_u = (du >= dv and u1 - u0 > narrowest) or v1 - v0 <= narrowest
+                    if (u1 - u0 <= narrowest and v1 - v0 <= narrowest) or top + 2 > depth:
+                        outcome = CONTACT
+                        box_status = STATUS_RESOLUTION_LIMIT
+                    else:
+                        # lower half [u0, mu] × [v0, mv], upper half [nu, u1] × [nv, v1]
+                        mu = u1
+                        nu = u0
+                        mv = v1
+                        nv = v0
+                        closest = wb
+                        if from_w11:
+                            closest = real(1.0) - wc
+                        if split_u:
+                            mu = real(0.5) * (u0 + u1)
+                            nu = mu
+                            closest = wc
+                            if from_w11:
+                                closest = real(1.0) - wb
+                        else:
+                            mv = real(0.5) * (v0 + v1)
+                            nv = mv
+                        lower = 5 * top + 5
+                        upper = 5 * top
+                        if closest > real(0.5):
+                            lower = 5 * top
+                            upper = 5 * top + 5
+                        stack[lower] = t
+                        stack[lower + 1] = u0
+                        stack[lower + 2] = mu
+                        stack[lower + 3] = v0
+                        stack[lower + 4] = mv
+                        stack[upper] = t
+                        stack[upper + 1] = nu
+                        stack[upper + 2] = u1
+                        stack[upper + 3] = nv
+                        stack[upper + 4] = v1
+                        top += 2
+                elif outcome == LIMIT:
+                    # the smallest time still open is a lower bound of the toi
+                    for k in range(top):
+                        t = wp.min(t, stack[5 * k])
+                    outcome = CONTACT
+                    box_status = STATUS_ITERATION_LIMIT
+                    top = 0
+                if outcome == CONTACT and t < toi:
+                    toi = t
+                    status = box_status
+                    where = parameters(kind, u0, u1, v0, v1, wb, wc, from_w11)
+        return toi, status, iterations, where
+
+    return SimpleNamespace(subdivide=subdivide, parameters=parameters)
