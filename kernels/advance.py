@@ -15,6 +15,8 @@ from types import SimpleNamespace
 import warp as wp
 
 from .closest_point import make_closest_point
+from .contact_test import make_contact_test
+from .facets import make_facets
 from .inclusion import make_inclusion
 from .patch import make_patch
 from .volume import make_volume
@@ -37,36 +39,26 @@ def make_advance(real) -> SimpleNamespace:
     Patch = types.Patch
     Problem = types.Problem
     closest_on_patch = make_closest_point(real).closest_on_patch
+    Corners = types.Corners
+    reaches_box = make_contact_test(real).reaches_box
     clip = make_inclusion(real).clip
     advance_volume = make_volume(real).advance_volume
+    facets = make_facets(real)
+    corners_at = facets.corners_at
+    widest_facet = facets.widest_facet
+    advance_facets = facets.advance_facets
 
     @wp.func
     def is_within(d: vec3, size: vec3) -> bool:
         return wp.abs(d[0]) <= size[0] and wp.abs(d[1]) <= size[1] and wp.abs(d[2]) <= size[2]
 
     @wp.func
-    def clamp_to(q: vec3, box: vec3) -> vec3:
-        return vec3(
-            wp.clamp(q[0], -box[0], box[0]), wp.clamp(q[1], -box[1], box[1]), wp.clamp(q[2], -box[2], box[2])
-        )
-
-    @wp.func
-    def closest_pair(patch: Patch, t: real, separation: vec3):
-        """Vector from the separation box to the patch at time t, and where on the patch it ends."""
-        p00 = patch.t0.w00 + t * (patch.t1.w00 - patch.t0.w00)
-        p01 = patch.t0.w01 + t * (patch.t1.w01 - patch.t0.w01)
-        p10 = patch.t0.w10 + t * (patch.t1.w10 - patch.t0.w10)
-        p11 = patch.t0.w11 + t * (patch.t1.w11 - patch.t0.w11)
-        q, wb, wc, from_w11 = closest_on_patch(p00, p01, p10, p11, patch.is_triangle)
-        d = q
-        if separation[0] > real(0.0) or separation[1] > real(0.0) or separation[2] > real(0.0):
-            # alternate projections converge to the closest pair of the two convex sets
-            for _ in range(3):
-                c = clamp_to(q, separation)
-                d, wb, wc, from_w11 = closest_on_patch(p00 - c, p01 - c, p10 - c, p11 - c, patch.is_triangle)
-                q = d + c
-            d = q - clamp_to(q, separation)
-        return d, wb, wc, from_w11
+    def is_contact(c: Corners, size: vec3, wb: real, wc: real, from_w11: bool) -> bool:
+        """Whether a real point of the patch lies in [-size, size]: the closest one at hand, or else any."""
+        origin = c.w00
+        if from_w11:
+            origin = c.w11
+        return is_within(origin + wb * (c.w01 - origin) + wc * (c.w10 - origin), size) or reaches_box(c, size)
 
     @wp.func
     def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int):
@@ -75,8 +67,8 @@ def make_advance(real) -> SimpleNamespace:
         Invariant: the patch is free of contact on [t_start, t).
         Returns t, outcome, iterations, weights of w01 and w10 at t, whether they count from w11.
         """
-        margin = problem.error + problem.separation
         floor = real(8.0) * problem.error  # a smaller gap is beyond what rounding can tell apart
+        contact_size = problem.separation + problem.delta + floor
         t = t_start
         outcome = int(-1)
         iterations = int(0)
@@ -85,22 +77,31 @@ def make_advance(real) -> SimpleNamespace:
         wb = real(0.0)
         wc = real(0.0)
         from_w11 = bool(False)
+        use_facets = problem.has_separation
         while outcome < 0:
             if iterations >= max_iterations:
                 outcome = LIMIT
             else:
                 iterations += 1
                 start = t
-                t = advance_volume(problem.volume, problem.volume_bound, t, t_max)
+                t = advance_volume(problem, t, t_max)
                 if t > t_max:
                     outcome = FREE
                 else:
-                    d, wb, wc, from_w11 = closest_pair(patch, t, problem.separation)
-                    s = clip(d, margin, t, patch)
-                    new_gap = wp.dot(d, d)
+                    c = corners_at(patch, t)
+                    d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
+                    if use_facets:
+                        facet = widest_facet(c, patch.is_face, problem)
+                        s = advance_facets(patch, problem, facet, t, t_max)
+                        at_floor = facet.floor_excess <= real(0.0)
+                        new_gap = facet.slack * facet.slack
+                    else:
+                        s = clip(d, problem.error, t, patch)
+                        at_floor = is_within(d, floor)
+                        new_gap = wp.dot(d, d)
                     if s > t_max:
                         outcome = FREE
-                    elif is_within(d, floor):
+                    elif at_floor and is_contact(c, contact_size, wb, wc, from_w11):
                         outcome = CONTACT
                     else:
                         if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
@@ -109,9 +110,12 @@ def make_advance(real) -> SimpleNamespace:
                         if s <= t:
                             slow += _PATIENCE
                         if slow >= _PATIENCE:
-                            outcome = SLOW
-                            if is_within(d, problem.delta):
+                            if is_contact(c, contact_size, wb, wc, from_w11):
                                 outcome = CONTACT
+                            elif use_facets:
+                                outcome = SLOW
+                            use_facets = True
+                            slow = 0
                         t = s
         return t, outcome, iterations, wb, wc, from_w11
 

@@ -73,7 +73,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
     Corners64 = make_patch(wp.float64).Corners
     Corners = types.Corners
     advance = make_advance(real).advance
-    volume_coefficients = make_volume(real).volume_coefficients
+    with_volume = make_volume(real).with_volume
     subdivide = make_subdivide(real).subdivide
     parameters = make_subdivide(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
@@ -151,10 +151,10 @@ def make_narrow_phase(real) -> SimpleNamespace:
         sums = total(c0) + total(c1)
         pre = vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0))
         if not (sums[0] <= largest and sums[1] <= largest and sums[2] <= largest):
-            # an overflow, or no numbers at all: try again with the axes that overflowed at 1/64 of their size
+            # an overflow, or no numbers at all: try again with the axes that overflowed at 1/1024 of their size
             for k in range(3):
                 if not sums[k] <= largest:
-                    pre[k] = wp.float64(1.0 / 64.0)
+                    pre[k] = wp.float64(1.0 / 1024.0)
             c0 = corners(kind, scaled(x_t0, pre))
             c1 = corners(kind, scaled(x_t1, pre))
             sums = total(c0) + total(c1)
@@ -183,15 +183,13 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 length = wp.min(delta_length * pre[k] * s[k], wp.float64(8.0))
                 problem.delta[k] = real(length)
             problem.delta = problem.delta + real(2.0) * problem.error
+            problem.has_separation = separation_length > wp.float64(0.0)
             patch = Patch()
             patch.t0 = normalised(c0, s)
             patch.t1 = normalised(c1, s)
+            patch.is_face = kind == VERTEX_FACE
             patch.is_triangle = kind == VERTEX_FACE
-            volume, volume_bound = volume_coefficients(
-                patch.t0.w00, patch.t0.q, patch.t0.r, patch.t1.w00, patch.t1.q, patch.t1.r, problem.separation
-            )
-            problem.volume = volume
-            problem.volume_bound = volume_bound
+            problem = with_volume(problem, patch.t0, patch.t1)
 
             t, outcome, iterations, wb, wc, from_w11 = advance(patch, problem, real(0.0), t_end, max_iterations)
             if outcome == SLOW:

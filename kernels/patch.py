@@ -44,7 +44,8 @@ def make_patch(real) -> SimpleNamespace:
 
         t0: Corners
         t1: Corners
-        is_triangle: bool
+        is_face: bool  # its sides along u meet
+        is_triangle: bool  # they meet at u = 1, so w11 = w10
 
     @wp.struct
     class Problem:
@@ -52,6 +53,10 @@ def make_patch(real) -> SimpleNamespace:
 
         volume: vec4  # Bernstein coefficients of P·(Q×R)
         volume_bound: real  # magnitude below which the volume proves nothing
+        normal_t0: vec3  # Bernstein coefficients of Q×R
+        normal_mid: vec3
+        normal_t1: vec3
+        has_separation: bool
         error: vec3  # rounding bound E of a projection
         separation: vec3  # half sides of the separation box
         delta: vec3  # largest gap that counts as contact

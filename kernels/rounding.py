@@ -31,16 +31,21 @@ below are in the normalised units of step 2.
    (1-t)·a + t·b > off. For a > off ≥ b that holds up to (a-off)/(a-b): two differences and a quotient, three roundings,
    so the quotient times (1 - 8u) is a lower bound (the product's own rounding included). For b > off ≥ a it holds from
    (off-a)/(b-a) times (1 + 8u) on.
-8. **Inclusion box.** The hull of a box over its corners at t_0 and t_1 needs W at those times. W(t) is evaluated as
-   (1-t)·W(0) + t·W(1) with 1-t rounded: the weights carry u each, the products and the sum u each, on top of step 3:
-   |Ŵ_k(t) - W_k(t)| ≤ (5 + 3)·1.001·u·M_k → HULL = 8.25 u per axis; the comparison itself is exact.
+8. **Corners at a time.** W(t) is evaluated as (1-t)·W(0) + t·W(1) with 1-t rounded: the weights carry u each, the
+   products and the sum u each, on top of step 3: |Ŵ_k(t) - W_k(t)| ≤ (5 + 3)·1.001·u·M_k.
 9. **Volume.** b are the Bernstein coefficients of f = P·(Q×R), P a corner, Q and R edges: each a single difference of
    input points, (1 + δ) each, three in a product. With p, q, r the largest magnitudes per axis and T the permanent of
    (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
    a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
    Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
    of errors, and the roundings of T. A crossing of the hull is at most ten roundings of a fraction of the interval:
-   that fraction times (1 - 32u), and the sum with t times (1 - 8u), is a lower bound.
+   that fraction times (1 - 32u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
+   coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products.
+10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (again no
+   approximation of anything). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of
+   step 8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k a unit of direction, at most MOVING = 2 times the E_k
+   of step 4, for the root as for a sub-patch. |d_k| is convex in t, so the offsets of both ends interpolate to an upper
+   bound of the offset between them. Crossings are treated as in step 9.
 
 Constants are in units of u.
 """
@@ -49,7 +54,7 @@ import warp as wp
 
 PROJECTION_ROOT = 4.25
 PROJECTION_PATCH = 8.25
-HULL = 8.25
+MOVING = 2.0
 VOLUME = 25.0
 RELATIVE = 8.0
 

@@ -86,6 +86,7 @@ def make_subdivide(real) -> SimpleNamespace:
                 patch = Patch()
                 patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
                 patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
+                patch.is_face = root.is_face
                 patch.is_triangle = root.is_triangle and u1 == real(1.0)
                 t, outcome, n, wb, wc, from_w11 = advance(
                     patch, problem, t, wp.min(toi, t_max), max_iterations - iterations

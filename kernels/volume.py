@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .patch import make_patch
 from .rounding import RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
 
 
@@ -21,50 +22,54 @@ def make_volume(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    volume_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
+    types = make_patch(real)
+    Problem = types.Problem
+    Corners = types.Corners
+    unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
     third = wp.constant(real(1.0 / 3.0))
     half = wp.constant(real(0.5))
+    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
     fraction_down = wp.constant(real(1.0 - 4.0 * RELATIVE * UNIT_ROUNDOFF[real]))
 
     @wp.func
-    def permanent(p: vec3, q: vec3, r: vec3) -> real:
-        """Sum of the magnitudes of the six products of a determinant."""
-        return (
-            p[0] * (q[1] * r[2] + q[2] * r[1])
-            + p[1] * (q[0] * r[2] + q[2] * r[0])
-            + p[2] * (q[0] * r[1] + q[1] * r[0])
-        )
-
-    @wp.func
-    def max_abs(a: vec3, b: vec3) -> vec3:
-        return vec3(
-            wp.max(wp.abs(a[0]), wp.abs(b[0])),
-            wp.max(wp.abs(a[1]), wp.abs(b[1])),
-            wp.max(wp.abs(a[2]), wp.abs(b[2])),
-        )
-
-    @wp.func
-    def volume_coefficients(p0: vec3, q0: vec3, r0: vec3, p1: vec3, q1: vec3, r1: vec3, separation: vec3):
-        """Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing (rounding, step 9)."""
-        n0 = wp.cross(q0, r0)
-        n1 = wp.cross(q1, r1)
-        nm = half * (wp.cross(q0, r1) + wp.cross(q1, r0))
-        m0 = wp.dot(p0, nm)
-        m1 = wp.dot(p1, nm)
-        b = vec4(
-            wp.dot(p0, n0), third * (wp.dot(p1, n0) + m0 + m0), third * (wp.dot(p0, n1) + m1 + m1), wp.dot(p1, n1)
-        )
-        q = max_abs(q0, q1)
-        r = max_abs(r0, r1)
-        # |n_k| of the rounded coefficients is at most (1 + 8u) of these sums
+    def with_volume(problem: Problem, c0: Corners, c1: Corners) -> Problem:
+        """Set the Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing."""
+        n0 = wp.cross(c0.q, c0.r)
+        n1 = wp.cross(c1.q, c1.r)
+        nm = half * (wp.cross(c0.q, c1.r) + wp.cross(c1.q, c0.r))
+        m0 = wp.dot(c0.w00, nm)
+        m1 = wp.dot(c1.w00, nm)
+        b1 = third * (wp.dot(c1.w00, n0) + m0 + m0)
+        b2 = third * (wp.dot(c0.w00, n1) + m1 + m1)
+        problem.volume = vec4(wp.dot(c0.w00, n0), b1, b2, wp.dot(c1.w00, n1))
+        q = wp.max(wp.abs(c0.q), wp.abs(c1.q))
+        r = wp.max(wp.abs(c0.r), wp.abs(c1.r))
+        # the sums of the magnitudes of the products of Q×R, and of the determinant
         n = vec3(q[1] * r[2] + q[2] * r[1], q[2] * r[0] + q[0] * r[2], q[0] * r[1] + q[1] * r[0])
-        bound = volume_bound * permanent(max_abs(p0, p1), q, r) + tiny
-        if separation[0] > real(0.0) or separation[1] > real(0.0) or separation[2] > real(0.0):
-            m = max_abs(max_abs(n0, n1), nm)
-            bound += wp.dot(separation, m + volume_bound * n) * (real(2.0) - round_down)
-        return b, bound
+        p = wp.max(wp.abs(c0.w00), wp.abs(c1.w00))
+        problem.volume_bound = unit_bound * wp.dot(p, n) + tiny
+        if problem.has_separation:
+            problem.volume_bound += unit_bound * wp.dot(problem.separation, n)
+            problem.normal_t0 = n0
+            problem.normal_mid = nm
+            problem.normal_t1 = n1
+        return problem
+
+    @wp.func
+    def separation_offset(problem: Problem, t: real, x: real) -> vec4:
+        """Bernstein coefficients, on [t, x], of a cubic above Σ separation_k·|n_k|."""
+        ct = real(1.0) - t
+        cx = real(1.0) - x
+        t0 = ct * problem.normal_t0 + t * problem.normal_mid
+        t1 = ct * problem.normal_mid + t * problem.normal_t1
+        x0 = cx * problem.normal_t0 + x * problem.normal_mid
+        x1 = cx * problem.normal_mid + x * problem.normal_t1
+        a = wp.dot(problem.separation, wp.abs(ct * t0 + t * t1))
+        b = wp.dot(problem.separation, wp.abs(cx * t0 + x * t1))
+        c = wp.dot(problem.separation, wp.abs(cx * x0 + x * x1))
+        return vec4(a, third * (a + b + b), third * (b + b + c), c) * round_up
 
     @wp.func
     def crossing(i: real, a: real, j: real, b: real, first: real) -> real:
@@ -106,15 +111,18 @@ def make_volume(real) -> SimpleNamespace:
         return vec4(ct * tt0 + t * tt1, cx * tt0 + x * tt1, cx * tx0 + x * tx1, cx * xx0 + x * xx1)
 
     @wp.func
-    def advance_volume(b: vec4, bound: real, t_start: real, t_max: real) -> real:
+    def advance_volume(problem: Problem, t_start: real, t_max: real) -> real:
         """Time up to which f keeps its sign from ``t_start`` on: at least ``t_start``; 2 if beyond ``t_max``."""
         t = t_start
         x = t_max
-        for _ in range(16):
-            c = restrict(b, t, x)
+        for _ in range(16):  # a clip at each; far fewer are needed
+            c = restrict(problem.volume, t, x)
             if c[0] < real(0.0):
                 c = -c
-            c = vec4(c[0] - bound, c[1] - bound, c[2] - bound, c[3] - bound)
+            bound = problem.volume_bound
+            c = c - vec4(bound, bound, bound, bound)
+            if problem.has_separation:
+                c = c - separation_offset(problem, t, x)
             if not c[0] > real(0.0):
                 return t
             first = hull_crossing(c)
@@ -134,4 +142,4 @@ def make_volume(real) -> SimpleNamespace:
                 x = wp.min(t_max, t + newton)
         return t
 
-    return SimpleNamespace(volume_coefficients=volume_coefficients, advance_volume=advance_volume)
+    return SimpleNamespace(with_volume=with_volume, advance_volume=advance_volume)

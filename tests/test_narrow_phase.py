@@ -1,0 +1,351 @@
+"""Narrow phase against exact rational arithmetic: nothing missed, nothing late, nothing early beyond the tolerance."""
+
+import numpy as np
+import pytest
+import warp as wp
+from families import FAMILIES
+from oracle import exact_gap, exact_tois
+from published import all_queries, requires_data
+
+import ccd_warp as ccd
+
+SOLVE = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
+KINDS = list(SOLVE)
+
+# Gap that rounding alone may leave, as a multiple of the pair's size. The kernel accepts at 8 E plus the tolerance and
+# two E, with E = 8.25 u per unit of size after normalisation (kernels/rounding.py): below 100 u in all.
+ROUNDING = {"float64": 100 * 2.0**-53, "float32": 100 * 2.0**-24}
+
+
+def size_of(points_t0, points_t1):
+    """Longest side of the box around each query's motion: its default length scale."""
+    both = np.concatenate([points_t0, points_t1], axis=1)
+    return (both.max(axis=1) - both.min(axis=1)).max(axis=1)
+
+
+def assert_never_missed_never_late(exact, result):
+    missed = [i for i, e in enumerate(exact) if e.hit and not result.hit[i]]
+    late = [i for i, e in enumerate(exact) if e.hit and e.late(float(result.toi[i]))]
+    assert not missed
+    assert not late
+
+
+def assert_gap_within_tolerance(kind, points_t0, points_t1, result, tolerance, precision, separation=0.0):
+    """Every finite toi is a place where the exact gap is below separation + tolerance + rounding."""
+    scale = size_of(points_t0, points_t1)
+    for i in np.flatnonzero(result.hit):
+        bound = (separation + tolerance + ROUNDING[precision]) * scale[i]
+        gap = exact_gap(kind, points_t0[i], points_t1[i], float(result.toi[i]))
+        assert gap <= bound, (i, gap, bound)
+
+
+# --- against the oracle ------------------------------------------------------------------------------------------------
+
+
+@requires_data
+@pytest.mark.parametrize("queries", all_queries() if not requires_data.args[0] else [], ids=lambda q: q.name)
+def test_published_queries(queries, precision):
+    result = SOLVE[queries.kind](queries.points_t0, queries.points_t1, precision=precision)
+    assert not (queries.truth & ~result.hit).any()
+    exact = exact_tois(queries.kind, queries.points_t0, queries.points_t1)
+    assert_never_missed_never_late(exact, result)
+    assert (result.status < ccd.CCDStatus.ITERATION_LIMIT).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_family(family, kind, precision):
+    p0, p1 = FAMILIES[family](kind, 110, np.random.default_rng(20))
+    exact = exact_tois(kind, p0, p1)
+    result = SOLVE[kind](p0, p1, precision=precision)
+    assert_never_missed_never_late(exact, result)
+    assert_gap_within_tolerance(kind, p0, p1, result, 1e-6, precision)
+    # no family may need the limits to come to its end
+    assert (result.status < ccd.CCDStatus.ITERATION_LIMIT).all()
+    # a certain miss says so, in value and status alike
+    assert ((result.status == ccd.CCDStatus.NO_COLLISION) == np.isinf(result.toi)).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-9, 1e-12, 1e-300])
+def test_tolerance(tolerance, kind, precision):
+    for family in ("lattice", "random_colliding", "slivers"):
+        p0, p1 = FAMILIES[family](kind, 60, np.random.default_rng(21))
+        result = SOLVE[kind](p0, p1, tolerance=tolerance, precision=precision)
+        assert_never_missed_never_late(exact_tois(kind, p0, p1), result)
+        assert_gap_within_tolerance(kind, p0, p1, result, tolerance, precision)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("family", ["random", "lattice", "one_plane", "parallel_edges", "slivers", "touching_at_start"])
+@pytest.mark.parametrize("separation", [2.0**-40, 1e-3, 0.25])
+def test_minimum_separation(separation, family, kind, precision):
+    p0, p1 = FAMILIES[family](kind, 24, np.random.default_rng(22))
+    result = SOLVE[kind](p0, p1, minimum_separation=separation, length_scale=1.0, precision=precision)
+    assert_never_missed_never_late(exact_tois(kind, p0, p1, separation), result)
+    for i in np.flatnonzero(result.hit):
+        gap = exact_gap(kind, p0[i], p1[i], float(result.toi[i]))
+        assert gap <= separation + 1e-6 + ROUNDING[precision] * (size_of(p0, p1)[i] + separation)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_minimum_separation_is_monotone(kind, precision):
+    p0, p1 = FAMILIES["random"](kind, 200, np.random.default_rng(23))
+    # a toi is reported to within tolerance and rounding in gap; steps of the separation are larger than that
+    separations = (0.0, 1e-5, 1e-4, 1e-2, 0.1, 1.0) if precision == "float64" else (0.0, 1e-4, 1e-2, 0.1, 1.0)
+    tois = [SOLVE[kind](p0, p1, minimum_separation=d, precision=precision).toi for d in separations]
+    for smaller, larger in zip(tois, tois[1:], strict=False):
+        assert (larger <= smaller).all()
+    assert (tois[-1] == 0).all()  # a separation of the whole size of the pair: always too close
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("t_max", [0.0, 1e-9, 0.1, 0.5, 1 - 2.0**-53])
+def test_t_max(t_max, kind, precision):
+    for family in ("random_colliding", "lattice", "contact_exactly_at_end"):
+        p0, p1 = FAMILIES[family](kind, 100, np.random.default_rng(24))
+        result = SOLVE[kind](p0, p1, t_max=t_max, precision=precision)
+        assert_never_missed_never_late(exact_tois(kind, p0, p1, t_max=t_max), result)
+        assert (result.toi[result.hit] <= t_max).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_iteration_limit_is_conservative_and_monotone(kind, precision):
+    points = [FAMILIES[name](kind, 40, np.random.default_rng(25)) for name in ("one_plane", "slivers", "random_colliding")]
+    p0, p1 = (np.concatenate(parts) for parts in zip(*points, strict=True))
+    exact = exact_tois(kind, p0, p1)
+    before = np.zeros(len(p0))
+    capped = 0
+    for limit in (1, 2, 3, 4, 6, 10, 20, 50, 10_000):
+        result = SOLVE[kind](p0, p1, max_iterations=limit, precision=precision)
+        assert_never_missed_never_late(exact, result)
+        assert (result.toi >= before).all()
+        assert (result.iterations <= limit).all()
+        capped += (result.status == ccd.CCDStatus.ITERATION_LIMIT).sum()
+        before = result.toi
+    assert capped > 0
+    assert not (result.status == ccd.CCDStatus.ITERATION_LIMIT).any()
+
+
+# --- invariances -------------------------------------------------------------------------------------------------------
+
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+_SYMMETRIES = {
+    "face_rotated": ("vertex-face", lambda p: p[:, [0, 2, 3, 1]]),
+    "face_reversed": ("vertex-face", lambda p: p[:, [0, 1, 3, 2]]),
+    "vertex_face_mirrored": ("vertex-face", lambda p: p * _MIRROR),
+    "edges_swapped": ("edge-edge", lambda p: p[:, [2, 3, 0, 1]]),
+    "edge_reversed": ("edge-edge", lambda p: p[:, [1, 0, 2, 3]]),
+    "edge_edge_mirrored": ("edge-edge", lambda p: p * _MIRROR),
+    "axes_permuted": ("edge-edge", lambda p: p[:, :, [2, 0, 1]]),
+}
+
+
+@pytest.mark.parametrize("symmetry", _SYMMETRIES)
+def test_symmetry(symmetry, precision):
+    kind, transform = _SYMMETRIES[symmetry]
+    points = [FAMILIES[name](kind, 100, np.random.default_rng(26)) for name in ("random", "cloth_like", "lattice")]
+    p0, p1 = (np.concatenate(parts) for parts in zip(*points, strict=True))
+    a = SOLVE[kind](p0, p1, precision=precision)
+    b = SOLVE[kind](np.ascontiguousarray(transform(p0)), np.ascontiguousarray(transform(p1)), precision=precision)
+    for one, other in ((a, b), (b, a)):
+        # a hit of one is a hit of the other, or a place where the gap is within the tolerance
+        for i in np.flatnonzero(one.hit & ~other.hit):
+            gap = exact_gap(kind, p0[i], p1[i], float(one.toi[i]))
+            assert gap <= (1e-6 + ROUNDING[precision]) * size_of(p0, p1)[i]
+    both = a.hit & b.hit
+    assert both.sum() > 50
+    # each toi is early by at most what its gap takes to close; these families close it at a speed above 1e-3
+    assert np.abs(a.toi[both] - b.toi[both]).max() <= (1e-6 + ROUNDING[precision]) / 1e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("exponent", [-900, -200, -1, 1, 10, 200, 900])
+def test_power_of_two_scale_changes_no_bit(exponent, kind, precision):
+    for family in ("random_colliding", "lattice", "one_plane", "slivers"):
+        p0, p1 = FAMILIES[family](kind, 60, np.random.default_rng(27))
+        a = SOLVE[kind](p0, p1, precision=precision)
+        b = SOLVE[kind](np.ldexp(p0, exponent), np.ldexp(p1, exponent), precision=precision)
+        assert a.toi.tobytes() == b.toi.tobytes()
+        assert a.parameters.tobytes() == b.parameters.tobytes()
+
+
+def test_num_threads_changes_no_bit():
+    p0, p1 = FAMILIES["random"]("edge-edge", 5000, np.random.default_rng(28))
+    results = [ccd.edge_edge_ccd(p0, p1, num_threads=n) for n in (1, 2, 3)]
+    assert all(r.toi.tobytes() == results[0].toi.tobytes() for r in results)
+
+
+# --- single geometries -------------------------------------------------------------------------------------------------
+
+
+def falling_vertex(height=1.0, end=-1.0):
+    """A vertex that falls through the middle of a resting face."""
+    p0 = np.array([[[0.25, 0.25, height], [0, 0, 0], [1, 0, 0], [0, 1, 0]]], dtype=float)
+    p1 = p0.copy()
+    p1[0, 0, 2] = end
+    return p0, p1
+
+
+def crossing_edges():
+    """An edge along x that falls through a resting edge along y, at a quarter and a half of their lengths."""
+    p0 = np.array([[[-0.25, 0, 1], [0.75, 0, 1], [0, -0.5, 0], [0, 0.5, 0]]], dtype=float)
+    p1 = p0.copy()
+    p1[0, :2, 2] = -1
+    return p0, p1
+
+
+def test_vertex_falls_through_face(precision):
+    result = ccd.vertex_face_ccd(*falling_vertex(), precision=precision)
+    assert result.status[0] == ccd.CCDStatus.COLLISION
+    assert 0.5 - 1e-5 <= result.toi[0] <= 0.5
+    np.testing.assert_allclose(result.parameters[0], [0.25, 0.25], atol=1e-5)
+
+
+def test_edges_cross(precision):
+    result = ccd.edge_edge_ccd(*crossing_edges(), precision=precision)
+    assert 0.5 - 1e-5 <= result.toi[0] <= 0.5
+    np.testing.assert_allclose(result.parameters[0], [0.25, 0.5], atol=1e-5)
+
+
+def test_parameters_name_the_point_of_contact():
+    # (u, v) of 200 random collisions: the points that they name are within the tolerance at toi, in float64
+    for kind in KINDS:
+        p0, p1 = FAMILIES["random_colliding"](kind, 200, np.random.default_rng(29))
+        result = SOLVE[kind](p0, p1)
+        hit = result.hit
+        t = result.toi[hit, None, None]
+        x = (1 - t) * p0[hit] + t * p1[hit]
+        u, v = result.parameters[hit].T[..., None]
+        if kind == "vertex-face":
+            gap = x[:, 0] - ((1 - u - v) * x[:, 1] + u * x[:, 2] + v * x[:, 3])
+        else:
+            gap = (1 - u) * x[:, 0] + u * x[:, 1] - ((1 - v) * x[:, 2] + v * x[:, 3])
+        assert hit.sum() > 100
+        # the tolerance, and 1e-12 for the arithmetic of this check
+        assert (np.abs(gap).max(axis=1) <= 1e-6 * size_of(p0, p1)[hit] + 1e-12).all()
+
+
+def test_resting_pair_is_free_and_touching_pair_is_at_zero(precision):
+    p0, _ = falling_vertex()
+    apart = ccd.vertex_face_ccd(p0, p0, precision=precision)
+    assert np.isinf(apart.toi[0])
+    assert apart.status[0] == ccd.CCDStatus.NO_COLLISION
+    q0, _ = falling_vertex(height=0.0)
+    touching = ccd.vertex_face_ccd(q0, q0, precision=precision)
+    assert touching.toi[0] == 0
+    assert touching.status[0] == ccd.CCDStatus.INITIAL_CONTACT
+
+
+def test_all_points_in_one_place(precision):
+    p = np.full((1, 4, 3), 7.5)
+    assert ccd.vertex_face_ccd(p, p, precision=precision).toi[0] == 0
+    assert ccd.edge_edge_ccd(p, p, precision=precision).toi[0] == 0
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-60, 1e60, 1e300])
+def test_extreme_coordinates(scale, precision):
+    p0, p1 = falling_vertex()
+    result = ccd.vertex_face_ccd(p0 * scale, p1 * scale, precision=precision)
+    assert 0.5 - 1e-5 <= result.toi[0] <= 0.5
+
+
+def test_differences_that_overflow(precision):
+    big = np.finfo(float).max
+    p0, p1 = falling_vertex(height=big, end=-big)
+    result = ccd.vertex_face_ccd(p0, p1, precision=precision)
+    assert 0.5 - 1e-5 <= result.toi[0] <= 0.5
+    p0[0, 1:, :2] *= 1e-300  # an axis near overflow beside two near underflow, the vertex beside the face
+    assert np.isinf(ccd.vertex_face_ccd(p0, p0, precision=precision).toi[0])
+
+
+def test_subnormal_coordinates(precision):
+    p0, p1 = falling_vertex()
+    result = ccd.vertex_face_ccd(np.round(p0 * 100) * 5e-324, np.round(p1 * 100) * 5e-324, precision=precision)
+    assert 0.49 <= result.toi[0] <= 0.5
+
+
+def test_no_pairs():
+    empty = np.zeros((0, 4, 3))
+    result = ccd.vertex_face_ccd(empty, empty)
+    assert result.toi.shape == result.hit.shape == result.status.shape == (0,)
+    assert result.parameters.shape == (0, 2)
+
+
+# --- interface ---------------------------------------------------------------------------------------------------------
+
+
+def test_lists_and_float32_arrays_are_taken(device):
+    p0, p1 = falling_vertex()
+    a = ccd.vertex_face_ccd(p0.tolist(), p1.tolist(), device=device)
+    b = ccd.vertex_face_ccd(p0.astype(np.float32), p1.astype(np.float32), device=device)
+    assert a.toi[0] == b.toi[0]
+    assert a.toi.dtype == np.float64
+
+
+def test_warp_arrays_stay_on_their_device(device):
+    p0, p1 = FAMILIES["random"]("vertex-face", 50, np.random.default_rng(30))
+    expected = ccd.vertex_face_ccd(p0, p1, device=device)
+    x0, x1 = (wp.array(p, dtype=wp.vec3d, device=device) for p in (p0, p1))
+    result = ccd.vertex_face_ccd(x0, x1)
+    assert isinstance(result.toi, wp.array)
+    assert result.toi.device == x0.device
+    assert result.toi.numpy().tobytes() == expected.toi.tobytes()
+    assert (result.hit.numpy() == expected.hit).all()
+    y0, y1 = (wp.array(p, dtype=wp.float64, device=device) for p in (p0, p1))
+    assert ccd.vertex_face_ccd(y0, y1).toi.numpy().tobytes() == expected.toi.tobytes()
+
+
+def test_non_finite_warp_array_is_marked_and_conservative(device):
+    p0, p1 = (np.repeat(p, 3, axis=0) for p in falling_vertex())
+    p0[1, 2, 1] = np.nan
+    p1[2, 0, 0] = np.inf
+    result = ccd.vertex_face_ccd(*(wp.array(p, dtype=wp.vec3d, device=device) for p in (p0, p1)))
+    invalid = ccd.CCDStatus.INVALID
+    assert result.status.numpy().tolist() == [ccd.CCDStatus.COLLISION, invalid, invalid]
+    assert result.toi.numpy()[1:].tolist() == [0, 0]
+
+
+GOOD = np.zeros((2, 4, 3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((np.zeros((2, 3, 3)), GOOD), {}, r"points_t0 has shape \(2, 3, 3\); expected \(n, 4, 3\)"),
+        ((GOOD, np.zeros((2, 4))), {}, r"points_t1 has shape \(2, 4\); expected \(n, 4, 3\)"),
+        ((GOOD, np.zeros((3, 4, 3))), {}, r"points_t1 has shape \(3, 4, 3\); expected \(2, 4, 3\) like points_t0"),
+        ((GOOD.astype(complex), GOOD), {}, "points_t0 has dtype complex128; expected real numbers"),
+        (([[1, 2], [3]], GOOD), {}, "points_t0 is not an array"),
+        ((np.full((2, 4, 3), np.nan), GOOD), {}, "points_t0 holds nan in pair 0; expected finite values"),
+        ((GOOD, np.full((2, 4, 3), -np.inf)), {}, "points_t1 holds -inf in pair 0; expected finite values"),
+        ((GOOD, GOOD), {"tolerance": 0.0}, "tolerance is 0.0; expected a finite number above 0"),
+        ((GOOD, GOOD), {"tolerance": -1e-6}, "tolerance is -1e-06"),
+        ((GOOD, GOOD), {"tolerance": np.nan}, "tolerance is nan"),
+        ((GOOD, GOOD), {"tolerance": "fine"}, "tolerance is 'fine'"),
+        ((GOOD, GOOD), {"minimum_separation": -1.0}, "minimum_separation is -1.0; expected a finite number of at least"),
+        ((GOOD, GOOD), {"minimum_separation": np.inf}, "minimum_separation is inf"),
+        ((GOOD, GOOD), {"t_max": 1.5}, r"t_max is 1.5; expected a number in \[0, 1\]"),
+        ((GOOD, GOOD), {"t_max": -0.1}, "t_max is -0.1"),
+        ((GOOD, GOOD), {"max_iterations": 0}, "max_iterations is 0; expected a positive integer"),
+        ((GOOD, GOOD), {"max_iterations": 1.5}, "max_iterations is 1.5"),
+        ((GOOD, GOOD), {"length_scale": 0.0}, "length_scale is 0.0; expected a finite length above 0"),
+        ((GOOD, GOOD), {"precision": "float16"}, "precision is 'float16'; expected 'float64' or 'float32'"),
+        ((GOOD, GOOD), {"device": "abacus"}, "device is 'abacus'; expected one of 'cpu'"),
+        ((GOOD, GOOD), {"num_threads": 0}, "num_threads is 0; expected a positive integer"),
+    ],
+)
+@pytest.mark.parametrize("solve", SOLVE.values())
+def test_bad_input(solve, arguments, options, message):
+    with pytest.raises(ValueError, match=message):
+        solve(*arguments, **options)
+
+
+def test_bad_warp_input():
+    good = wp.zeros((2, 4), dtype=wp.vec3d, device="cpu")
+    with pytest.raises(ValueError, match="points_t0 has dtype vec3f and shape"):
+        ccd.vertex_face_ccd(wp.zeros((2, 4), dtype=wp.vec3f, device="cpu"), good)
+    with pytest.raises(ValueError, match="points_t1 is a ndarray; expected a array like points_t0"):
+        ccd.vertex_face_ccd(good, GOOD)
+    with pytest.raises(ValueError, match=r"points_t1 has shape \(3, 4\); expected \(2, 4\)"):
+        ccd.vertex_face_ccd(good, wp.zeros((3, 4), dtype=wp.vec3d, device="cpu"))
