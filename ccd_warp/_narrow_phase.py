@@ -232,9 +232,7 @@ def _as_points(points: wp.array, name: str) -> wp.array:
     if points.dtype == wp.vec3d and points.ndim == 2 and points.shape[1] == 4:
         return points
     if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (4, 3) and points.is_contiguous:
-        return wp.array(
-            ptr=points.ptr, dtype=wp.vec3d, shape=(points.shape[0], 4), device=points.device, copy=False
-        )
+        return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=(points.shape[0], 4), device=points.device, copy=False)
     raise ValueError(
         f"{name} has dtype {points.dtype.__name__} and shape {points.shape}; "
         "expected vec3d and (n, 4), or contiguous float64 and (n, 4, 3)"

@@ -4,6 +4,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+LARGEST = wp.constant(wp.float64(1.7976931348623157e308))
+
 
 @wp.func
 def next_below(x: wp.float64) -> wp.float64:
@@ -56,7 +58,8 @@ def swept_boxes(
     if inflation > wp.float64(0.0):
         # The sum rounds to nearest, so its neighbour outward bounds the exact sum.
         for k in range(3):
-            lower[k] = next_below(lower[k] - inflation)
-            upper[k] = -next_below(-(upper[k] + inflation))
+            # Where it overflows the largest number will do: nothing lies beyond.
+            lower[k] = wp.max(next_below(lower[k] - inflation), -LARGEST)
+            upper[k] = wp.min(-next_below(-(upper[k] + inflation)), LARGEST)
     box_lower[i] = lower
     box_upper[i] = upper

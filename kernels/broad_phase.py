@@ -4,21 +4,21 @@ Every box is stored once: in the layer of its size (and of its body's being stat
 corner. A query visits the cells in which the lower corner of an overlapping box can lie, so each pair is found once
 and nothing has to be deduplicated.
 
-**Cells are integers.** On the layer with quantum q (a power of two) a coordinate x becomes Q(x) = floor((x - origin) / q),
-clamped to ±2^36, and a cell is Q shifted right. Subtraction, the product with a power of two, floor and clamp are each
-monotone in floating point whatever they round, so a <= b implies Q(a) <= Q(b), for any finite input. For overlapping
-boxes i and j (closed: lower_j <= upper_i and lower_i <= upper_j) this gives Q(lower_j) <= Q(upper_i), and, with ``span`` the
-largest Q(upper) - Q(lower) in the layer, Q(lower_j) >= Q(upper_j) - span >= Q(lower_i) - span. The window
-[Q(lower_i) - span, Q(upper_i)] therefore holds every partner: rounding, clamping and overflow can only add tests.
-A layer's boxes are no longer than its cell (128 quanta... see CELL_SHIFT), so the window is a few cells wide.
+**Cells are integers.** On a layer with quantum q, a power of two, a coordinate x becomes Q(x) = floor((x - origin) / q)
+clamped to ±2^36, and a cell is Q shifted right. The difference, the product with a power of two, floor and clamp are
+each monotone in floating point whatever they round, so a <= b implies Q(a) <= Q(b), for any finite input. Take two
+boxes i and j that overlap (closed: lower_j <= upper_i and lower_i <= upper_j), and let ``span`` be the largest
+Q(upper) - Q(lower) in the layer of j. Then Q(lower_j) <= Q(upper_i), and Q(lower_j) >= Q(upper_j) - span >=
+Q(lower_i) - span. The window [Q(lower_i) - span, Q(upper_i)] holds every partner: rounding, clamping and overflow can
+only add tests. A box is no longer than a cell of its layer, so the window is a few cells wide.
 
-**Rows.** The cells (x, y, z) of one row (y, z) follow each other in the table, from hash(y, z) on and modulo the table size,
-so the window is one range of boxes per row. Other rows may be hashed to the same place; a box counts only where its own
-row, read from its words, is the visited one.
+**Rows.** The cells (x, y, z) of one row (y, z) follow each other in the table, from hash(y, z) on and modulo the size
+of the table, so the window is one range of boxes per row. Other rows may be hashed to the same place; a box counts only
+where its own row, read from its words, is the visited one.
 
-**Words.** Q(lower) and Q(upper) modulo 2^21 per axis sit in one 64-bit word each; comparing these words first settles most
-tests with a dozen integer operations. Differences of overlapping boxes are far below 2^20, so the modulo can only let
-too many through, and these meet the exact float64 test.
+**Words.** Q(lower) and Q(upper) modulo 2^21 per axis sit in one 64-bit word each; comparing these words first settles
+most tests with a dozen integer operations. Differences of overlapping boxes are far below 2^20, so the modulo can only
+let too many through, and these meet the exact float64 test.
 """
 
 import warp as wp
@@ -46,6 +46,7 @@ BUCKET_FIELD_HALF = wp.constant(wp.int64(1 << 16))
 EDGE_EDGE = wp.constant(0)
 FACE_TO_VERTEX = wp.constant(1)
 VERTEX_TO_FACE = wp.constant(2)
+FACE_HEADROOM = wp.constant(1)
 
 vec3l = wp.types.vector(length=3, dtype=wp.int64)
 vec2ul = wp.types.vector(length=2, dtype=wp.uint64)
@@ -74,7 +75,8 @@ def quantum_index(x: wp.vec3d, origin: wp.vec3d, inverse_quantum: wp.float64) ->
     """Integer coordinates; monotone in every component of x."""
     q = vec3l()
     for k in range(3):
-        s = wp.floor((x[k] - origin[k]) * inverse_quantum)
+        # Halves, so that the difference of two finite numbers is finite.
+        s = wp.floor((wp.float64(0.5) * x[k] - wp.float64(0.5) * origin[k]) * (inverse_quantum + inverse_quantum))
         q[k] = wp.int64(wp.clamp(s, -QUANTUM_LIMIT, QUANTUM_LIMIT))
     return q
 
@@ -274,8 +276,9 @@ def share_vertex(a: wp.vec3i, b: wp.vec3i) -> bool:
 def layer_is_visited(kind: int, own: int, other: int, skip_moving: int) -> bool:
     """Which of two layers queries the other: exactly one, none if both are static.
 
-    Fine queries coarse, never the reverse, so a giant box does not walk through a million cells. Within one level
-    moving edges query static edges, and faces query vertices.
+    Fine queries coarse, so a giant box does not walk through a million cells; a face may be FACE_HEADROOM levels above
+    a vertex and still query it, because its window ends at its own size while a vertex would look a whole cell around.
+    Within one level moving edges query static edges.
     """
     own_static = own & 1
     other_static = other & 1
@@ -283,11 +286,13 @@ def layer_is_visited(kind: int, own: int, other: int, skip_moving: int) -> bool:
         return False
     own_level = own >> 1
     other_level = other >> 1
+    if kind == FACE_TO_VERTEX:
+        return own_level <= other_level + FACE_HEADROOM
+    if kind == VERTEX_TO_FACE:
+        return other_level > own_level + FACE_HEADROOM
     if own_level != other_level:
         return own_level < other_level
-    if kind == EDGE_EDGE:
-        return own_static <= other_static
-    return kind == FACE_TO_VERTEX
+    return own_static <= other_static
 
 
 @wp.func
@@ -321,8 +326,8 @@ def scan_range(
     """Append the boxes of a range that pass the word test and lie in the row; returns the new end of the scratch."""
     # Always written, kept only where the test holds: a branch here would be mispredicted at every hit.
     # A while loop: the iterator of a range took as many instructions as the test.
-    n = int(scratch_end)
-    k = int(k_begin)
+    n = wp.int32(scratch_end)
+    k = wp.int32(k_begin)
     while k < k_end:
         w = words[k]
         scratch[n] = k
@@ -370,7 +375,7 @@ def find_pairs(
     room = pair_begin[t + 1] - out
     found = wp.int64(0)
     hits_begin = t * scratch_size
-    hits_end = int(hits_begin)
+    hits_end = wp.int32(hits_begin)
     block_begin = (item_first + t) * block
     while block_begin < num_queries:
         for p in range(block_begin, wp.min(block_begin + block, num_queries)):
@@ -412,7 +417,7 @@ def find_pairs(
                             if half and z == own_z and y == own_y:
                                 x_begin = q_lower[0] >> BUCKET_SHIFT
                             length = wp.int32((q_upper[0] >> BUCKET_SHIFT) - x_begin) + 1
-                            first = int(0)
+                            first = wp.int32(0)
                             if length <= mask:
                                 first = (row_hash(y, z) + wp.int32(x_begin)) & mask
                             else:
@@ -422,7 +427,7 @@ def find_pairs(
                             k_end = target_entry_begin[table + first + wp.min(length, mask + 1 - first)]
                             row = pack(vec3l(wp.int64(0), y << CELL_SHIFT, z << CELL_SHIFT))
                             last_row = z + wp.int64(1) == z_end and y + wp.int64(1) == y_end
-                            open_range = int(1)
+                            open_range = wp.int32(1)
                             while open_range == 1:
                                 k_stop = wp.min(k_end, k + scratch_size / 2)
                                 hits_end = scan_range(
@@ -433,9 +438,9 @@ def find_pairs(
                                     if rest > 0:
                                         k = target_entry_begin[table]
                                         k_end = target_entry_begin[table + rest]
-                                        rest = int(0)
+                                        rest = wp.int32(0)
                                     else:
-                                        open_range = int(0)
+                                        open_range = wp.int32(0)
                                 if hits_end - hits_begin > scratch_size / 2 or (last_row and open_range == 0):
                                     for s in range(hits_begin, hits_end):
                                         hit = scratch[s]
@@ -445,7 +450,9 @@ def find_pairs(
                                         )
                                         accept = accept and not share_vertex(corners, target_corners[j])
                                         if half:
-                                            accept = accept and sees_ahead(word_lower, target_words[hit][0], p, hit, mask)
+                                            accept = accept and sees_ahead(
+                                                word_lower, target_words[hit][0], p, hit, mask
+                                            )
                                         if filter_bodies == 1 and accept:
                                             body = query_body[i]
                                             accept = body != target_body[j] or body_self_collision[body] == 1
@@ -456,7 +463,9 @@ def find_pairs(
                                                 if kind == FACE_TO_VERTEX or (kind == EDGE_EDGE and j < i):
                                                     a = j
                                                     b = i
-                                                keys[wp.int32(out + found)] = (wp.int64(a) << wp.int64(32)) | wp.int64(b)
+                                                keys[wp.int32(out + found)] = (wp.int64(a) << wp.int64(32)) | wp.int64(
+                                                    b
+                                                )
                                             found += wp.int64(1)
                                     hits_end = hits_begin
                             y += wp.int64(1)

@@ -143,7 +143,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """
         toi = wp.float64(wp.inf)
         status = STATUS_NO_COLLISION
-        iterations = int(0)
+        iterations = 0
         where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
 
         c0 = corners(kind, x_t0)
@@ -213,7 +213,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         return toi, status, iterations, where
 
     module = wp.get_module(f"ccd_warp.narrow_phase.{real.__name__}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+    wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 
     @wp.kernel(module=module)
     def points_toi(

@@ -38,9 +38,7 @@ def make_subdivide(real) -> SimpleNamespace:
         return wp.max(wp.max(wp.abs(a[0]), wp.abs(a[1])), wp.abs(a[2]))
 
     @wp.func
-    def parameters(
-        kind: int, u0: real, u1: real, v0: real, v1: real, wb: real, wc: real, from_w11: bool
-    ) -> wp.vec2d:
+    def parameters(kind: int, u0: real, u1: real, v0: real, v1: real, wb: real, wc: real, from_w11: bool) -> wp.vec2d:
         """Barycentric (u, v) of f1 and f2, or positions (u, v) along the edges, from weights on a sub-patch."""
         uc = u0
         vc = v0
@@ -67,14 +65,14 @@ def make_subdivide(real) -> SimpleNamespace:
         toi = real(2.0)
         status = STATUS_NO_COLLISION
         where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
-        iterations = int(0)
+        iterations = 0
         stack = box_stack()
         stack[0] = t_start
         stack[1] = real(0.0)
         stack[2] = real(1.0)
         stack[3] = real(0.0)
         stack[4] = real(1.0)
-        top = int(1)
+        top = 1
         while top > 0:
             top -= 1
             t = stack[5 * top]

@@ -39,7 +39,7 @@ def assert_gap_within_tolerance(kind, points_t0, points_t1, result, tolerance, p
         assert gap <= bound, (i, gap, bound)
 
 
-# --- against the oracle ------------------------------------------------------------------------------------------------
+# --- against the oracle ---
 
 
 @requires_data
@@ -111,7 +111,9 @@ def test_t_max(t_max, kind, precision):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_iteration_limit_is_conservative_and_monotone(kind, precision):
-    points = [FAMILIES[name](kind, 40, np.random.default_rng(25)) for name in ("one_plane", "slivers", "random_colliding")]
+    points = [
+        FAMILIES[name](kind, 40, np.random.default_rng(25)) for name in ("one_plane", "slivers", "random_colliding")
+    ]
     p0, p1 = (np.concatenate(parts) for parts in zip(*points, strict=True))
     exact = exact_tois(kind, p0, p1)
     before = np.zeros(len(p0))
@@ -127,7 +129,7 @@ def test_iteration_limit_is_conservative_and_monotone(kind, precision):
     assert not (result.status == ccd.CCDStatus.ITERATION_LIMIT).any()
 
 
-# --- invariances -------------------------------------------------------------------------------------------------------
+# --- invariances ---
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SYMMETRIES = {
@@ -176,7 +178,7 @@ def test_num_threads_changes_no_bit():
     assert all(r.toi.tobytes() == results[0].toi.tobytes() for r in results)
 
 
-# --- single geometries -------------------------------------------------------------------------------------------------
+# --- single geometries ---
 
 
 def falling_vertex(height=1.0, end=-1.0):
@@ -272,7 +274,7 @@ def test_no_pairs():
     assert result.parameters.shape == (0, 2)
 
 
-# --- interface ---------------------------------------------------------------------------------------------------------
+# --- interface ---
 
 
 def test_lists_and_float32_arrays_are_taken(device):
@@ -323,7 +325,11 @@ GOOD = np.zeros((2, 4, 3))
         ((GOOD, GOOD), {"tolerance": -1e-6}, "tolerance is -1e-06"),
         ((GOOD, GOOD), {"tolerance": np.nan}, "tolerance is nan"),
         ((GOOD, GOOD), {"tolerance": "fine"}, "tolerance is 'fine'"),
-        ((GOOD, GOOD), {"minimum_separation": -1.0}, "minimum_separation is -1.0; expected a finite number of at least"),
+        (
+            (GOOD, GOOD),
+            {"minimum_separation": -1.0},
+            "minimum_separation is -1.0; expected a finite number of at least",
+        ),
         ((GOOD, GOOD), {"minimum_separation": np.inf}, "minimum_separation is inf"),
         ((GOOD, GOOD), {"t_max": 1.5}, r"t_max is 1.5; expected a number in \[0, 1\]"),
         ((GOOD, GOOD), {"t_max": -0.1}, "t_max is -0.1"),

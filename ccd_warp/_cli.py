@@ -1,0 +1,313 @@
+"""The command ``ccd-warp``: CCD (continuous collision detection) of two mesh files, and a demo on built-in scenes."""
+
+import argparse
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+# NumPy, Warp and trimesh are imported where they are used, so that --help answers at once.
+from ccd_warp import __version__
+
+if TYPE_CHECKING:
+    from ccd_warp._files import Body
+
+_OPTIONS = (
+    "tolerance",
+    "minimum_separation",
+    "t_max",
+    "max_iterations",
+    "length_scale",
+    "precision",
+    "device",
+    "num_threads",
+)
+
+
+class _BadUsageError(ValueError):
+    """A command line that argparse refuses."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line in one line; argparse prints the usage, too."""
+
+    def error(self, message: str) -> NoReturn:
+        raise _BadUsageError(f"{message}; see {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Arguments after the program's name; those of the process by default.
+
+    Returns:
+        Exit status: 0 for a finished run, with a collision or without; 2 for bad input, with one line on stderr.
+    """
+    try:
+        arguments = _make_parser().parse_args(argv)
+        return arguments.command(arguments)
+    except ValueError as error:  # of the library's own checks, too: each message names the argument and the finding
+        _say(f"ccd-warp: error: {' '.join(str(error).split())}")
+        return 2
+    except BrokenPipeError:  # the reader of a pipe has seen enough; Python would fail again when it flushes stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+def _make_parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="ccd-warp",
+        description="Continuous collision detection (CCD) of deforming triangle meshes: "
+        "earliest times of impact over a step, never late.",
+    )
+    parser.add_argument("--version", action="version", version=f"ccd-warp {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    run = commands.add_parser(
+        "run",
+        help="earliest times of impact between two frames of a mesh",
+        description="Every vertex moves on a straight line from its place in START to its place in END. Exit status: "
+        "0 for a finished run, with a collision or without; 2 for bad input.",
+    )
+    run.add_argument("start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB, …")
+    run.add_argument("end", metavar="END", help="mesh at its end, with the same faces")
+    run.add_argument(
+        "--static", metavar="FILE", nargs="+", action="extend", default=[], help="obstacles that do not move"
+    )
+    run.add_argument("--no-self-collision", action="store_true", help="leave out contacts of the mesh with itself")
+    run.add_argument(
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="write contacts and the toi of every vertex as .npz, .json or .csv (two files: NAME.csv holds the "
+        "contacts, NAME_vertices.csv the vertices)",
+    )
+    _add_options(run)
+    run.set_defaults(command=_run)
+
+    demo = commands.add_parser(
+        "demo",
+        help="two built-in scenes",
+        description="A bullet through a thin wall, which a test at both ends of the step misses; and a cloth that "
+        "drops over a sphere.",
+    )
+    demo.add_argument(
+        "--output-dir", metavar="DIR", type=Path, help="write the scenes' meshes (PLY) and results (JSON) there"
+    )
+    _add_options(demo)
+    demo.set_defaults(command=_demo)
+    return parser
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of every public function; one not given is the library's default."""
+    group = parser.add_argument_group("options of the collision detection")
+    group.add_argument(
+        "--tolerance", type=float, metavar="X", help="width at which a contact is accepted, in length scales (1e-6)"
+    )
+    group.add_argument(
+        "--minimum-separation", type=float, metavar="X", help="gap that counts as a contact, in length scales (0)"
+    )
+    group.add_argument("--t-max", type=float, metavar="T", help="look at [0, T] of the step only (1)")
+    group.add_argument("--max-iterations", type=int, metavar="N", help="limit of the work on a pair (10000)")
+    group.add_argument(
+        "--length-scale", type=float, metavar="L", help="unit of the two above (longest side of the motion's box)"
+    )
+    group.add_argument("--precision", choices=("float64", "float32"), help="arithmetic of the kernels (float64)")
+    group.add_argument("--device", metavar="NAME", help="cpu, cuda, cuda:1, … (Warp's default device)")
+    group.add_argument("--num-threads", type=int, metavar="N", help="threads on the CPU (all cores)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {name: value for name in _OPTIONS if (value := getattr(arguments, name)) is not None}
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from ccd_warp._files import read_frames, read_static
+    from ccd_warp._output import check_output_path, write_result
+
+    _start_quietly(arguments.device)
+    if arguments.output is not None:
+        check_output_path(arguments.output)
+    begin = time.perf_counter()
+    bodies = [read_frames(arguments.start, arguments.end)]
+    bodies += [read_static(path) for path in arguments.static]
+    read_seconds = time.perf_counter() - begin
+
+    options = _given_options(arguments)
+    kernel_seconds = _load_kernels(options, quiet=arguments.quiet)
+    mesh, result, timings = _solve(bodies, options, self_collision=not arguments.no_self_collision)
+    timings = {"read files": read_seconds, "load kernels": kernel_seconds, **timings}
+    written: list[Path] = []
+    if arguments.output is not None:
+        begin = time.perf_counter()
+        written = write_result(arguments.output, bodies, mesh, result)
+        timings["write files"] = time.perf_counter() - begin
+    if not arguments.quiet:
+        _print_report(f"{arguments.start} -> {arguments.end}", bodies, mesh, result, timings, options)
+        for path in written:
+            print(f"wrote {path}")
+    return 0
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from ccd_warp._demo import bullet_scene, cloth_scene, static_test
+    from ccd_warp._files import InputError, write_mesh
+    from ccd_warp._output import write_result
+    from ccd_warp._report import format_toi
+
+    _start_quietly(arguments.device)
+    folder = arguments.output_dir
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--output-dir {folder}: cannot create it ({error.strerror or error})") from error
+    options = _given_options(arguments)
+    kernel_seconds = _load_kernels(options, quiet=arguments.quiet)
+    for number, scene in enumerate((bullet_scene(), cloth_scene())):
+        mesh, result, timings = _solve(scene.bodies, options, self_collision=scene.self_collision)
+        if number == 0:
+            timings = {"load kernels": kernel_seconds, **timings}
+        if not arguments.quiet:
+            if number:
+                print()
+            _print_report(f"demo {number + 1}: {scene.title}", scene.bodies, mesh, result, timings, options)
+            if scene.compare_static_test:
+                at_start, at_end = static_test(scene.bodies)
+                print()
+                print(f"  test at the start of the step  {'HIT' if at_start else 'MISS'}")
+                print(f"  test at the end of the step    {'HIT' if at_end else 'MISS'}")
+                print(f"  CCD over the whole step        toi = {format_toi(result.toi)}")
+        if folder is None:
+            continue
+        for body in scene.bodies:
+            write_mesh(folder / f"{scene.name}_{body.name}_t0.ply", body.vertices_t0, body.faces)
+            if not body.is_static:
+                write_mesh(folder / f"{scene.name}_{body.name}_t1.ply", body.vertices_t1, body.faces)
+        write_result(folder / f"{scene.name}.json", scene.bodies, mesh, result)
+    if folder is not None and not arguments.quiet:
+        print(f"\nwrote the meshes and results to {folder}")
+    return 0
+
+
+def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[str, float], options: dict) -> None:
+    import warp as wp
+
+    from ccd_warp._report import format_report
+
+    device = wp.get_device(options.get("device"))
+    where = device.name if device.is_cuda else "CPU"
+    title = f"ccd-warp {__version__}  {title}  ({options.get('precision', 'float64')}, {where})"
+    print(format_report(title, bodies, mesh, result, timings, options.get("t_max", 1.0)))
+
+
+def _solve(bodies: "list[Body]", options: dict[str, Any], *, self_collision: bool) -> tuple[Any, Any, dict[str, float]]:
+    """Put the bodies into one mesh and run ``mesh_ccd``; the seconds of every stage come with the result."""
+    import numpy as np
+
+    import ccd_warp as ccd
+
+    begin = time.perf_counter()
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(body.vertices_t0, body.faces) for body in bodies],
+        static=[k for k, body in enumerate(bodies) if body.is_static],
+        self_collision=self_collision,
+    )
+    vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
+    vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
+    build_seconds = time.perf_counter() - begin
+    result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1, **options)
+    stages = {name: seconds for name, seconds in result.timings.items() if name != "total"}
+    return mesh, result, {"build mesh": build_seconds, **stages}
+
+
+def _load_kernels(options: dict[str, Any], *, quiet: bool) -> float:
+    """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
+    from ccd_warp._files import make_body
+
+    begin = time.perf_counter()
+    triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    above = [[x, y + 0.1, 0.5] for x, y, _ in triangle]
+    below = [[x, y + 0.1, -0.5] for x, y, _ in triangle]
+    bodies = [
+        make_body("moving", above, below, [[0, 1, 2]]),
+        make_body("resting", triangle, None, [[0, 1, 2]], is_static=True),
+    ]
+    chosen: dict[str, Any] = {name: options[name] for name in ("precision", "device") if name in options}
+    with _notice("compiling kernels (first run only) …", seconds=2.0, quiet=quiet):
+        _solve(bodies, chosen, self_collision=False)
+    return time.perf_counter() - begin
+
+
+@contextmanager
+def _notice(message: str, *, seconds: float, quiet: bool):
+    """Say ``message`` on a terminal's stderr if the work inside takes longer than ``seconds``."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        yield
+        return
+    timer = threading.Timer(seconds, lambda: _say(message))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _say(line: str) -> None:
+    """Print a line on stderr, where there is one; ``print`` would take stdout where there is none."""
+    if sys.stderr is not None:
+        print(line, file=sys.stderr, flush=True)
+
+
+def _start_quietly(device: str | None) -> None:
+    """Start Warp without its banner, and keep compile messages and trimesh's log off the terminal.
+
+    Args:
+        device: The device asked for.
+
+    Raises:
+        ValueError: If there is no such device.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    with _closed_stderr():
+        wp.init()
+        from ccd_warp._options import resolve_device
+
+        resolve_device(device)
+    logger = logging.getLogger("trimesh")
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+
+
+@contextmanager
+def _closed_stderr():
+    """Drop what native code writes to stderr: without a CUDA driver Warp complains there, whatever its log level."""
+    try:
+        saved = os.dup(2)
+    except OSError:  # the process has no stderr
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as null:
+            os.dup2(null.fileno(), 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,29 @@
+"""Set-up of the test suite: the installed package, a quiet Warp, and the fixtures every module shares."""
+
+import sys
+from pathlib import Path
+
+# After a plain `pip install .`, `python -m pytest` at the root would find ./ccd_warp, which lacks the kernels there.
+_ROOT = Path(__file__).resolve().parent.parent
+sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
+
+import pytest  # noqa: E402
+import warp as wp  # noqa: E402
+
+wp.config.log_level = wp.LOG_WARNING
+
+
+def _devices() -> list[str]:
+    return ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
+
+
+@pytest.fixture(scope="session", params=_devices())
+def device(request) -> str:
+    """Each kind of device of this machine: the CPU, and the first CUDA device where there is one."""
+    return request.param
+
+
+@pytest.fixture(scope="session", params=["float64", "float32"])
+def precision(request) -> str:
+    """Both precisions of the kernels."""
+    return request.param

@@ -1,0 +1,302 @@
+"""The command `ccd-warp`: what it prints, what it writes, and how it refuses bad input."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from oracle import exact_tois
+from published import DATA, requires_data, simulation_boxes, simulation_queries, simulation_step
+
+import ccd_warp as ccd
+from ccd_warp._cli import main
+from ccd_warp._files import read_frames, read_static, write_mesh
+
+# A ball of radius 0.5 comes down five units onto a box whose top is at z = 0; it touches after 1.5 units.
+EXACT_TOI = 0.3
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Files of the ball at both ends of the step, and of the box."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    box = trimesh.creation.box(extents=(4.0, 4.0, 1.0))
+    write_mesh(tmp_path / "start.ply", ball.vertices + [0.1, 0.2, 2.0], ball.faces)
+    write_mesh(tmp_path / "end.ply", ball.vertices + [0.1, 0.2, -3.0], ball.faces)
+    write_mesh(tmp_path / "floor.ply", box.vertices - [0.0, 0.0, 0.5], box.faces)
+    return tmp_path
+
+
+def _run(scene, *options):
+    return main(["run", str(scene / "start.ply"), str(scene / "end.ply"), *map(str, options)])
+
+
+def _expected(scene, **options):
+    """The same run through the Python interface."""
+    bodies = [read_frames(scene / "start.ply", scene / "end.ply"), read_static(scene / "floor.ply")]
+    mesh = ccd.CollisionMesh.from_trimesh(
+        [trimesh.Trimesh(body.vertices_t0, body.faces, process=False) for body in bodies], static=[1]
+    )
+    frames = [np.vstack([getattr(body, end) for body in bodies]) for end in ("vertices_t0", "vertices_t1")]
+    return mesh, ccd.mesh_ccd(mesh, *frames, **options)
+
+
+def _refused(capfd, *arguments) -> str:
+    """The one line of a refused command line."""
+    assert main([str(argument) for argument in arguments]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("ccd-warp: error: ") and captured.err.endswith("\n")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_report_names_bodies_toi_counts_and_stages(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply") == 0
+    captured = capfd.readouterr()
+    assert captured.err == ""
+    _, result = _expected(scene)
+    assert f"scene toi  {float(result.toi)!r}" in captured.out
+    assert result.toi <= EXACT_TOI
+    assert result.toi >= EXACT_TOI - 1e-5  # the tolerance, 1e-6 of a motion six units long, over the speed of five
+    for word in ("start.ply", "floor.ply", "moving", "static", "first contact", "read files", "load kernels", "total"):
+        assert word in captured.out
+    for name, count in result.counts.items():
+        assert name.replace("_", " ") in captured.out
+        assert f"{count:,}" in captured.out
+    for name in result.timings:
+        assert name.replace("_", " ") in captured.out
+
+
+def test_no_collision_is_a_finished_run(scene, capfd):
+    assert _run(scene) == 0
+    assert "scene toi  none" in capfd.readouterr().out
+
+
+def test_quiet_prints_nothing(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--quiet") == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_any_number_of_obstacles(scene, capfd):
+    write_mesh(scene / "far.ply", np.eye(3) + 50.0, np.array([[0, 1, 2]]))
+    assert _run(scene, "--static", scene / "far.ply", scene / "floor.ply", "--static", scene / "far.ply") == 0
+    assert capfd.readouterr().out.count("far.ply") == 2
+
+
+def test_npz_holds_the_result_bit_for_bit(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--output", scene / "out.npz") == 0
+    assert "out.npz" in capfd.readouterr().out
+    mesh, result = _expected(scene)
+    with np.load(scene / "out.npz") as data:
+        assert data["toi"] == result.toi
+        assert np.array_equal(data["vertex_toi"], result.vertex_toi)
+        assert np.array_equal(data["body_toi"], result.body_toi)
+        assert np.array_equal(data["faces"], mesh.faces) and np.array_equal(data["edges"], mesh.edges)
+        assert len(data["contact_toi"]) == len(result.contacts.toi) > 0
+        assert data["contact_toi"].min() == result.toi
+        for name in ("kind", "primitives", "vertices", "parameters", "normal", "status"):
+            assert len(data[f"contact_{name}"]) == len(result.contacts.toi)
+        kind, primitives, corners = (data[f"contact_{name}"] for name in ("kind", "primitives", "vertices"))
+        first, second = primitives[kind == ccd.PairKind.VERTEX_FACE].T
+        assert np.array_equal(corners[kind == 0], np.column_stack([first, mesh.faces[second]]))
+        first, second = primitives[kind == ccd.PairKind.EDGE_EDGE].T
+        assert np.array_equal(corners[kind == 1], np.hstack([mesh.edges[first], mesh.edges[second]]))
+        assert data["body_name"].tolist() == ["start.ply", "floor.ply"]
+        assert data["body_first_vertex"].tolist() == [0, 162]
+
+
+def test_json_is_strict_and_holds_the_result_bit_for_bit(scene):
+    assert _run(scene, "--static", scene / "floor.ply", "--output", scene / "out.json", "--quiet") == 0
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is no JSON")
+
+    data = json.loads((scene / "out.json").read_text(), parse_constant=refuse)
+    _, result = _expected(scene)
+    assert data["toi"] == result.toi
+    assert [np.inf if toi is None else toi for toi in data["vertex_toi"]] == result.vertex_toi.tolist()
+    assert [body["name"] for body in data["bodies"]] == ["start.ply", "floor.ply"]
+    assert [body["static"] for body in data["bodies"]] == [False, True]
+    assert sorted(contact["toi"] for contact in data["contacts"]) == sorted(result.contacts.toi.tolist())
+    assert {contact["kind"] for contact in data["contacts"]} <= {"vertex_face", "edge_edge"}
+    assert data["counts"] == {name: int(count) for name, count in result.counts.items()}
+
+
+def test_csv_comes_as_contacts_and_vertices(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--output", scene / "out.csv") == 0
+    printed = capfd.readouterr().out
+    assert "out.csv" in printed and "out_vertices.csv" in printed
+    _, result = _expected(scene)
+    with (scene / "out.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sorted(float(row["toi"]) for row in rows) == sorted(result.contacts.toi.tolist())
+    with (scene / "out_vertices.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["toi"]) for row in rows] == result.vertex_toi.tolist()
+
+
+def test_json_of_a_run_without_contacts(scene):
+    assert _run(scene, "--output", scene / "out.json", "--quiet") == 0
+    data = json.loads((scene / "out.json").read_text())
+    assert data["toi"] is None and data["contacts"] == []
+
+
+def test_options_reach_the_library(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--t-max", "0.25") == 0
+    assert "scene toi  none   (certain: nothing touches in [0, 0.25])" in capfd.readouterr().out
+    options = ["--minimum-separation", "0.01", "--length-scale", "1", "--tolerance", "1e-9", "--num-threads", "1"]
+    assert _run(scene, "--static", scene / "floor.ply", *options, "--output", scene / "out.json", "--quiet") == 0
+    toi = json.loads((scene / "out.json").read_text())["toi"]
+    # The ball stops a gap of 0.01 earlier, at a speed of five; the tolerance is 1e-9.
+    assert EXACT_TOI - 0.002 - 1e-6 <= toi <= EXACT_TOI - 0.002
+
+
+def test_float32_is_no_later(scene):
+    arguments = ("--static", scene / "floor.ply", "--precision", "float32", "--output", scene / "out.json", "--quiet")
+    assert _run(scene, *arguments) == 0
+    toi = json.loads((scene / "out.json").read_text())["toi"]
+    assert EXACT_TOI - 1e-4 <= toi <= EXACT_TOI  # some 2**-24 of the motion of six units, times a small constant
+
+
+def test_self_collision_can_be_left_out(tmp_path, capfd):
+    # Two sheets of one mesh pass through each other.
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]])
+    faces = np.arange(6).reshape(-1, 3)
+    write_mesh(tmp_path / "start.ply", square, faces)
+    write_mesh(tmp_path / "end.ply", np.roll(square, 3, axis=0), faces)
+    assert _run(tmp_path) == 0
+    assert "scene toi  none" not in capfd.readouterr().out
+    assert _run(tmp_path, "--no-self-collision") == 0
+    assert "scene toi  none" in capfd.readouterr().out
+
+
+def test_files_that_do_not_match_are_refused(scene, capfd):
+    error = _refused(capfd, "run", scene / "start.ply", scene / "floor.ply")
+    assert "start.ply has 162 vertices and 320 faces" in error and "floor.ply has 8 vertices and 12 faces" in error
+
+
+def test_missing_file_is_refused(scene, capfd):
+    assert "nowhere.ply: no such file" in _refused(capfd, "run", scene / "nowhere.ply", scene / "end.ply")
+    arguments = ("run", scene / "start.ply", scene / "end.ply", "--static", scene / "gone.obj")
+    assert "gone.obj: no such file" in _refused(capfd, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--tolerance", "0"), "tolerance"),
+        (("--tolerance", "nan"), "tolerance"),
+        (("--tolerance", "small"), "--tolerance"),
+        (("--minimum-separation", "-1"), "minimum_separation"),
+        (("--t-max", "2"), "t_max"),
+        (("--max-iterations", "0"), "max_iterations"),
+        (("--length-scale", "-1"), "length_scale"),
+        (("--precision", "float16"), "--precision"),
+        (("--device", "abacus"), "device"),
+        (("--num-threads", "0"), "num_threads"),
+        (("--output", "result.txt"), ".npz, .json, .csv"),
+        (("--output", "no_such_folder/result.npz"), "does not exist"),
+        (("--wibble",), "--wibble"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(scene, capfd, arguments, words):
+    assert words in _refused(capfd, "run", scene / "start.ply", scene / "end.ply", *arguments)
+
+
+@pytest.mark.parametrize("arguments", [(), ("jump",), ("run",), ("run", "one.ply")])
+def test_incomplete_command_lines_are_refused_in_one_line(capfd, arguments):
+    assert "--help" in _refused(capfd, *arguments)
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("run", "--help"), ("demo", "--help"), ("--version",)])
+def test_help_and_version_end_well(capfd, arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 0
+    captured = capfd.readouterr()
+    assert captured.err == ""
+    assert captured.out.strip()
+    if arguments == ("--version",):
+        assert captured.out == f"ccd-warp {ccd.__version__}\n"
+
+
+def test_demo_says_miss_and_gives_the_toi(tmp_path, capfd):
+    assert main(["demo", "--output-dir", str(tmp_path / "new" / "folder")]) == 0
+    captured = capfd.readouterr()
+    assert captured.err == ""
+    assert captured.out.count("MISS") == 2 and "HIT" not in captured.out
+    assert "toi = 0.4" in captured.out
+    assert "cloth over a sphere" in captured.out
+    folder = tmp_path / "new" / "folder"
+    data = json.loads((folder / "bullet.json").read_text())
+    # The front of the bullet, 0.1 ahead of its centre at 0.5, meets the wall's side at 4.99 at a speed of nine.
+    assert (4.99 - 0.6) / 9.0 - 1e-5 <= data["toi"] <= (4.99 - 0.6) / 9.0 + 1e-15  # of the rounded coordinates
+    assert 0.0 < json.loads((folder / "cloth.json").read_text())["toi"] < 1.0
+
+    # The files that it wrote give the same answer to `run`, to the last bit.
+    arguments = ["--static", folder / "bullet_wall_t0.ply", "--no-self-collision", "--output", folder / "again.json"]
+    frames = [folder / "bullet_bullet_t0.ply", folder / "bullet_bullet_t1.ply"]
+    assert main([str(argument) for argument in ["run", *frames, *arguments, "--quiet"]]) == 0
+    assert json.loads((folder / "again.json").read_text())["toi"] == data["toi"]
+
+
+@requires_data
+def test_published_cloth_step_has_every_published_contact_and_the_exact_toi(tmp_path):
+    frames = DATA / "simulation" / "cloth-funnel" / "frames"
+    arguments = ["run", frames / "227.ply", frames / "228.ply", "--output", tmp_path / "out.npz", "--quiet"]
+    assert main([str(argument) for argument in arguments]) == 0
+    with np.load(tmp_path / "out.npz") as file:
+        data = dict(file)
+    first_edge = len(data["vertex_toi"])
+    first_face = first_edge + len(data["edges"])
+    step = simulation_step("cloth-funnel")
+    exact = []
+    for number, (kind, offsets) in enumerate(
+        [("vertex-face", (0, first_face)), ("edge-edge", (first_edge, first_edge))]
+    ):
+        of_kind = data["contact_kind"] == number
+        found = {tuple(sorted(pair)) for pair in (data["contact_primitives"][of_kind] + offsets).tolist()}
+        truth = simulation_queries("cloth-funnel", kind).truth
+        published = {tuple(sorted(pair)) for pair in simulation_boxes("cloth-funnel", kind)[truth].tolist()}
+        assert len(published) == truth.sum() > 0
+        assert published <= found
+        corners = data["contact_vertices"][of_kind]
+        exact += exact_tois(kind, step.vertices_t0[corners], step.vertices_t1[corners])
+    scene_toi = float(data["toi"])
+    assert not any(toi.late(scene_toi) for toi in exact)
+    # The default tolerance; the iteration goes on far below it on pairs like the first one here.
+    assert min((toi for toi in exact if toi.hit), key=lambda toi: toi.approx).early_by(scene_toi) <= 1e-6
+
+
+def test_process_says_nothing_of_warp(scene):
+    """In a process of its own, with a cache of its own: no banner, no compile message, on neither stream."""
+    environment = os.environ | {"WARP_CACHE_PATH": str(scene / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-m", "ccd_warp", "run", "start.ply", "end.ply", "--static", "floor.ply"],
+        cwd=scene,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    assert done.stdout.startswith(f"ccd-warp {ccd.__version__}")
+    for word in ("Warp ", "initialized", "Module", "took"):
+        assert word not in done.stdout
+
+
+def test_exit_status_of_the_process(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "ccd_warp", "run", "a.ply", "b.ply"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr

@@ -1,0 +1,66 @@
+"""Every example runs as it stands, from any folder, and prints what it promises."""
+
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def _run(name: str, folder: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name)], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _number(text: str, label: str) -> float:
+    found = re.search(rf"^{label}\s+(\S+)", text, flags=re.MULTILINE)
+    assert found, f"{label!r} is not in:\n{text}"
+    return float(found[1])
+
+
+def test_no_example_is_left_out():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {"bullet_through_wall.py", "mesh_against_mesh.py"}
+
+
+def test_bullet_through_wall(tmp_path):
+    output = _run("bullet_through_wall.py", tmp_path)
+    assert re.search(r"test at the start of the step:\s+MISS", output)
+    assert re.search(r"test at the end of the step:\s+MISS", output)
+    toi = _number(output, r"CCD over the whole step:\s+toi =")
+    # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
+    assert 0.5 - 1e-6 <= toi <= 0.5
+
+
+def test_mesh_against_mesh(tmp_path):
+    output = _run("mesh_against_mesh.py", tmp_path)
+    toi, step = _number(output, "scene toi"), _number(output, "free step")
+    assert 0.0 < step < toi < 1.0
+    assert min(_number(output, f"body {k} toi") for k in (0, 1)) == toi
+    assert _number(output, "contacts") >= 1
+    assert "surfaces touch after it: False" in output
+
+
+@pytest.mark.parametrize("name", ["bullet", "cloth"])
+def test_demo_scenes_are_what_their_titles_say(name):
+    from ccd_warp._demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
+
+    scene = {"bullet": bullet_scene, "cloth": cloth_scene}[name]()
+    moving, resting = scene.bodies
+    assert resting.is_static and not moving.is_static
+    if name == "bullet":
+        assert static_test(scene.bodies) == (False, False)
+        middle = moving.vertices_t0 + 0.5 * (moving.vertices_t1 - moving.vertices_t0)
+        assert surfaces_intersect(middle, moving.faces, resting.vertices_t0, resting.faces)
+    else:
+        assert 10_000 <= len(moving.faces) <= 11_000
+        assert math.isclose(float(abs(resting.vertices_t0).max()), 1.0)
+        # It starts outside the sphere and ends with vertices inside.
+        assert (moving.vertices_t0**2).sum(axis=1).min() > 1.0
+        assert (moving.vertices_t1**2).sum(axis=1).min() < 0.9

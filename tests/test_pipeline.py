@@ -1,0 +1,284 @@
+"""The main job on meshes: toi of the scene, per vertex, per body, and the contacts, against exact arithmetic."""
+
+import numpy as np
+import pytest
+import trimesh
+from oracle import exact_tois
+from published import requires_data, simulation_boxes, simulation_queries, simulation_step
+
+import ccd_warp as ccd
+
+
+def wall(x=5.0):
+    """A square wall of two faces across x, larger than the bullet."""
+    vertices = np.array([[x, -2, -2], [x, 2, -2], [x, 2, 2], [x, -2, 2]], dtype=float)
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def bullet(x=0.5):
+    mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.25)
+    mesh.apply_translation([x, 0.1, 0.2])
+    return mesh
+
+
+def bullet_and_wall(**options):
+    mesh = ccd.CollisionMesh.from_trimesh([bullet(), wall()], static=[1], **options)
+    end = mesh.vertices.copy()
+    end[mesh.vertex_body == 0, 0] += 9.0
+    return mesh, mesh.vertices, end
+
+
+def points_of(mesh, result, vertices):
+    """Points of the contacts of each kind, [m, 4, 3]."""
+    out = {}
+    for kind in ccd.PairKind:
+        pairs = result.contacts.primitives[result.contacts.kind == kind]
+        if kind == ccd.PairKind.VERTEX_FACE:
+            index = np.concatenate([pairs[:, :1], mesh.faces[pairs[:, 1]]], axis=1)
+        else:
+            index = np.concatenate([mesh.edges[pairs[:, 0]], mesh.edges[pairs[:, 1]]], axis=1)
+        out[kind] = np.asarray(vertices)[index]
+    return out
+
+
+def brute_force_toi(mesh, start, end, t_max=1.0):
+    """Exact scene toi over all pairs that pass the filter, in float."""
+    body, static = mesh.vertex_body, mesh.static
+    faces, edges = mesh.faces, mesh.edges
+
+    def passes(a, b):
+        return not (static[a] and static[b]) and (a != b or mesh.self_collision[a])
+
+    vf = [(v, *f) for v in range(len(start)) for f in faces if v not in f and passes(body[v], body[f[0]])]
+    ee = [
+        (*a, *b)
+        for i, a in enumerate(edges)
+        for b in edges[i + 1 :]
+        if not set(a) & set(b) and passes(body[a[0]], body[b[0]])
+    ]
+    best = np.inf
+    for kind, rows in (("vertex-face", vf), ("edge-edge", ee)):
+        index = np.array(rows, dtype=int).reshape(-1, 4)
+        exact = exact_tois(kind, start[index], end[index], t_max=t_max)
+        best = min([best, *(e.approx for e in exact if e.hit)])
+    return best
+
+
+# --- against the oracle ---
+
+
+def test_bullet_through_wall(precision, device):
+    mesh, start, end = bullet_and_wall()
+    result = ccd.mesh_ccd(mesh, start, end, precision=precision, device=device)
+    exact = brute_force_toi(mesh, start, end)
+    assert exact * (1 - 1e-5) <= result.toi <= exact
+    assert ccd.collision_free_step(mesh, start, end, precision=precision, device=device) == result.toi
+    # the front of the bullet moves along +x, so the wall's normal at the contacts points back along -x
+    first = result.contacts.toi == result.toi
+    front = result.contacts.kind[first] == ccd.PairKind.VERTEX_FACE
+    np.testing.assert_allclose(result.contacts.normal[first][front], [[-1, 0, 0]] * front.sum(), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_tumbling_boxes_match_brute_force(seed, precision):
+    rng = np.random.default_rng(seed)
+    boxes = [trimesh.creation.box(extents=rng.uniform(0.5, 1.5, 3)) for _ in range(2)]
+    mesh = ccd.CollisionMesh.from_trimesh(boxes)
+    start = mesh.vertices + np.where(mesh.vertex_body == 0, -1.2, 1.2)[:, None] * [1, 0.2, 0.1]
+    end = start @ trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    end -= np.where(mesh.vertex_body == 0, -1.2, 1.2)[:, None] * [1, 0.2, 0.1]
+    result = ccd.mesh_ccd(mesh, start, end, precision=precision)
+    exact = brute_force_toi(mesh, start, end)
+    assert np.isfinite(exact)
+    # float32 leaves a gap of about 1e-5 of the scene, closed at a speed of about one scene a step
+    assert exact - (1e-5 if precision == "float64" else 1e-3) <= result.toi <= exact
+
+
+@requires_data
+@pytest.mark.parametrize("scene", ["cloth-funnel", "rod-twist"])
+def test_published_step(scene, precision):
+    step = simulation_step(scene)
+    mesh = ccd.CollisionMesh.from_arrays([(step.vertices_t0, step.faces)])
+    result = ccd.mesh_ccd(mesh, step.vertices_t0, step.vertices_t1, precision=precision)
+    exact_scene = np.inf
+    found = {tuple(row) for row in np.column_stack([result.contacts.kind, result.contacts.primitives]).tolist()}
+    first = {"vertex-face": (0, mesh.num_vertices + mesh.num_edges), "edge-edge": (mesh.num_vertices,) * 2}
+    for number, kind in enumerate(("vertex-face", "edge-edge")):
+        queries = simulation_queries(scene, kind)
+        ids = simulation_boxes(scene, kind)[queries.truth] - np.array(first[kind])
+        if kind == "edge-edge":
+            ids = np.sort(ids, axis=1)
+        assert queries.truth.any()
+        missing = [row for row in ids.tolist() if (number, *row) not in found]
+        assert not missing
+        exact = exact_tois(kind, queries.points_t0[queries.truth], queries.points_t1[queries.truth])
+        exact_scene = min(exact_scene, *(e.approx for e in exact))
+        # contacts that are not among the published collisions are phantoms, or nothing that was published
+    assert result.toi <= exact_scene
+    assert result.toi >= exact_scene - (1e-9 if precision == "float64" else 1e-2)
+
+
+def test_every_contact_is_conservative_and_covers_its_vertices_and_bodies(precision):
+    mesh, start, end = bullet_and_wall()
+    result = ccd.mesh_ccd(mesh, start, end, precision=precision)
+    x0, x1 = points_of(mesh, result, start), points_of(mesh, result, end)
+    expected_vertex = np.full(mesh.num_vertices, np.inf)
+    for kind, name in ((ccd.PairKind.VERTEX_FACE, "vertex-face"), (ccd.PairKind.EDGE_EDGE, "edge-edge")):
+        tois = result.contacts.toi[result.contacts.kind == kind]
+        exact = exact_tois(name, x0[kind], x1[kind])
+        assert len(exact) > 0
+        assert not any(e.late(float(t)) for e, t in zip(exact, tois, strict=True))
+        pairs = result.contacts.primitives[result.contacts.kind == kind]
+        for (a, b), t in zip(pairs, tois, strict=True):
+            vertices = [a, *mesh.faces[b]] if name == "vertex-face" else [*mesh.edges[a], *mesh.edges[b]]
+            expected_vertex[vertices] = np.minimum(expected_vertex[vertices], t)
+    assert (result.vertex_toi == expected_vertex).all()
+    expected_body = [expected_vertex[mesh.vertex_body == b].min() for b in range(2)]
+    assert result.body_toi.tolist() == expected_body
+    assert result.toi == expected_vertex.min() == result.contacts.toi.min()
+    assert result.hit
+
+
+def test_contacts_are_ordered_and_the_same_for_any_number_of_threads():
+    rng = np.random.default_rng(3)
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    mesh = ccd.CollisionMesh.from_trimesh([sphere, sphere])
+    start = mesh.vertices + np.where(mesh.vertex_body == 0, -1.5, 1.5)[:, None] * [1, 0, 0]
+    end = -start + rng.normal(scale=0.01, size=start.shape)
+    results = [ccd.mesh_ccd(mesh, start, end, num_threads=n) for n in (1, 2, 5)]
+    for result in results:
+        c = result.contacts
+        keys = np.column_stack([c.kind, c.primitives]).tolist()
+        assert keys == sorted(keys)
+        assert len({tuple(k) for k in keys}) == len(keys) > 1000
+        for name in ("kind", "primitives", "toi", "parameters", "normal", "status"):
+            assert getattr(c, name).tobytes() == getattr(results[0].contacts, name).tobytes()
+        assert result.vertex_toi.tobytes() == results[0].vertex_toi.tobytes()
+
+
+def test_collision_free_step_really_is_free():
+    mesh, start, end = bullet_and_wall()
+    step = ccd.collision_free_step(mesh, start, end, minimum_separation=1e-3)
+    shortened = start + step * (end - start)
+    # what is left of the step touches at once; what was taken does not touch at all
+    assert np.isinf(ccd.mesh_ccd(mesh, start, shortened).toi)
+    assert ccd.collision_free_step(mesh, start, shortened) == 1.0
+    assert 0 < step < brute_force_toi(mesh, start, end)
+
+
+# --- what a scene needs ---
+
+
+def test_static_body_needs_no_end_positions():
+    mesh, start, end = bullet_and_wall()
+    expected = ccd.mesh_ccd(mesh, start, end).toi
+    unread = end.copy()
+    unread[mesh.vertex_body == 1] = np.nan
+    assert ccd.mesh_ccd(mesh, start, unread).toi == expected
+    assert ccd.mesh_ccd(mesh, start, end[mesh.vertex_body == 0]).toi == expected
+
+
+def test_two_static_bodies_are_never_tested():
+    mesh = ccd.CollisionMesh.from_trimesh([bullet(), wall(), wall(5.0)], static=[1, 2])
+    end = mesh.vertices.copy()
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end)
+    # two walls in one place: no pair of them is a candidate
+    assert result.counts["vertex-face candidates"] == 0
+    assert np.isinf(result.toi)
+
+
+def test_self_collision_switch():
+    cloth = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], [[0, 1, 2], [3, 4, 5]], process=False
+    )
+    end = cloth.vertices.copy()
+    end[3:, 2] = -1
+    on = ccd.CollisionMesh.from_trimesh([cloth])
+    off = ccd.CollisionMesh.from_trimesh([cloth], self_collision=False)
+    assert ccd.mesh_ccd(on, cloth.vertices, end).toi == pytest.approx(0.5, abs=1e-6)
+    result = ccd.mesh_ccd(off, cloth.vertices, end)
+    assert np.isinf(result.toi)
+    assert result.counts["vertex-face candidates"] == result.counts["edge-edge candidates"] == 0
+
+
+def test_resting_scene_and_scene_that_touches_at_the_start():
+    mesh, start, _ = bullet_and_wall()
+    assert np.isinf(ccd.mesh_ccd(mesh, start, start).toi)
+    assert ccd.collision_free_step(mesh, start, start) == 1.0
+    touching = start.copy()
+    touching[mesh.vertex_body == 0, 0] += 5.0 - start[mesh.vertex_body == 0, 0].max()
+    result = ccd.mesh_ccd(mesh, touching, touching)
+    assert result.toi == 0.0
+    assert result.counts["contacts at the start"] > 0
+    assert ccd.collision_free_step(mesh, touching, touching) == 0.0
+
+
+def test_minimum_separation_moves_the_toi_by_the_gap():
+    mesh, start, end = bullet_and_wall()
+    scale = 11.0
+    plain = ccd.mesh_ccd(mesh, start, end, length_scale=scale).toi
+    apart = ccd.mesh_ccd(mesh, start, end, length_scale=scale, minimum_separation=0.01).toi
+    # the bullet moves 9 a step; the L∞ gap to a wall across x is the distance along x
+    assert plain - apart == pytest.approx(0.01 * scale / 9.0, abs=1e-6)
+
+
+def test_t_max_cuts_the_step():
+    mesh, start, end = bullet_and_wall()
+    toi = ccd.mesh_ccd(mesh, start, end).toi
+    assert np.isinf(ccd.mesh_ccd(mesh, start, end, t_max=toi * 0.99).toi)
+    assert ccd.collision_free_step(mesh, start, end, t_max=0.25) == 0.25
+    assert ccd.mesh_ccd(mesh, start, end, t_max=toi * 1.01).toi == pytest.approx(toi, abs=1e-9)
+
+
+@pytest.mark.parametrize("exponent", [-300, 300])
+def test_power_of_two_scale_changes_no_bit(exponent):
+    mesh, start, end = bullet_and_wall()
+    a = ccd.mesh_ccd(mesh, start, end)
+    b = ccd.mesh_ccd(mesh, np.ldexp(start, exponent), np.ldexp(end, exponent))
+    assert a.contacts.toi.tobytes() == b.contacts.toi.tobytes()
+    assert a.contacts.primitives.tobytes() == b.contacts.primitives.tobytes()
+
+
+def test_empty_body_beside_others():
+    empty = (np.zeros((0, 3)), np.zeros((0, 3), dtype=int))
+    cube = trimesh.creation.box()
+    mesh = ccd.CollisionMesh.from_arrays([empty, (cube.vertices, cube.faces)])
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices)
+    assert np.isinf(result.toi)
+    assert np.isinf(result.body_toi).all()
+    nothing = ccd.CollisionMesh.from_arrays([empty])
+    assert np.isinf(ccd.mesh_ccd(nothing, np.zeros((0, 3)), np.zeros((0, 3))).toi)
+    assert ccd.collision_free_step(nothing, np.zeros((0, 3)), np.zeros((0, 3))) == 1.0
+
+
+def test_counts_and_timings_name_every_stage():
+    mesh, start, end = bullet_and_wall()
+    result = ccd.mesh_ccd(mesh, start, end)
+    assert result.counts["bodies"] == 2
+    assert result.counts["vertices"] == mesh.num_vertices
+    assert result.counts["vertex-face contacts"] + result.counts["edge-edge contacts"] == len(result.contacts)
+    assert set(result.timings) == {"input", "broad phase", "narrow phase", "gather", "total"}
+    assert all(seconds >= 0 for seconds in result.timings.values())
+
+
+# --- bad input ---
+
+
+@pytest.mark.parametrize("solve", [ccd.mesh_ccd, ccd.collision_free_step])
+def test_bad_frames(solve):
+    mesh, start, end = bullet_and_wall()
+    n = mesh.num_vertices
+    with pytest.raises(ValueError, match=rf"vertices_t0 has shape \({n - 1}, 3\); expected \({n}, 3\)"):
+        solve(mesh, start[:-1], end)
+    with pytest.raises(ValueError, match=rf"vertices_t1 has shape \({n - 1}, 3\)"):
+        solve(mesh, start, end[:-1])
+    with pytest.raises(ValueError, match="vertices_t1 has shape"):
+        solve(mesh, start, end[:, :2])
+    broken = end.copy()
+    broken[0, 1] = np.inf
+    with pytest.raises(ValueError, match="vertices_t1 holds inf in row 0; expected finite values"):
+        solve(mesh, start, broken)
+    with pytest.raises(ValueError, match="tolerance is 0"):
+        solve(mesh, start, end, tolerance=0)
+    with pytest.raises(ValueError, match="device is 'abacus'"):
+        solve(mesh, start, end, device="abacus")
