@@ -70,13 +70,13 @@ def make_advance(real) -> SimpleNamespace:
         floor = real(8.0) * problem.error  # a smaller gap is beyond what rounding can tell apart
         contact_size = problem.separation + problem.delta + floor
         t = t_start
-        outcome = -1
-        iterations = 0
-        slow = 0
+        outcome = int(-1)
+        iterations = int(0)
+        slow = int(0)
         gap = real(1.0e30)
         wb = real(0.0)
         wc = real(0.0)
-        from_w11 = False
+        from_w11 = bool(False)
         use_facets = problem.has_separation
         while outcome < 0:
             if iterations >= max_iterations:

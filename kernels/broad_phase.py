@@ -107,12 +107,12 @@ def longest_extent(lower: wp.vec3d, upper: wp.vec3d) -> wp.float64:
 
 @wp.func
 def exponent_above(x: wp.float64) -> wp.int32:
-    """Smallest e with x <= 2^e for normal x >= 0; -1022 below that and 1024 for infinity."""
+    """Smallest e with x <= 2^e for normal x >= 0; -1022 or less below that, and never more than 1023."""
     bits = wp.cast(x, wp.int64)
     e = wp.int32(bits >> wp.int64(52)) - 1023
     if (bits & wp.int64(0xFFFFFFFFFFFFF)) != wp.int64(0):
         e += 1
-    return e
+    return wp.min(e, 1023)
 
 
 @wp.kernel
@@ -176,7 +176,7 @@ def assign_layers(
         e = exponent_above(longest_extent(lower, upper))
         raw = is_static[i]
         if e > base_exponent:
-            raw += 2 * ((e - base_exponent + level_step - 1) / level_step)
+            raw += 2 * wp.min((e - base_exponent + level_step - 1) / level_step, NUM_RAW_LAYERS / 2 - 1)
         layer[i] = raw
         chunk_count[c, raw] = chunk_count[c, raw] + 1
         s = quantum_index(upper, origin, inverse_quantum[raw]) - quantum_index(lower, origin, inverse_quantum[raw])

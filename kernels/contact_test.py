@@ -28,7 +28,7 @@ def make_contact_test(real) -> SimpleNamespace:
     def clip_polygon(p: polygon, n: int, axis: int, sign: real, bound: real):
         """Part of a convex polygon where sign·x[axis] <= bound, and its number of vertices."""
         out = polygon()
-        m = 0
+        m = int(0)
         if n > 0:
             a = p[n - 1]
             da = sign * a[axis] - bound
@@ -53,7 +53,7 @@ def make_contact_test(real) -> SimpleNamespace:
         p[1] = c.w01
         p[2] = c.w11
         p[3] = c.w10
-        n = 4
+        n = int(4)
         for axis in range(3):
             p, n = clip_polygon(p, n, axis, real(1.0), size[axis])
             p, n = clip_polygon(p, n, axis, real(-1.0), size[axis])

@@ -143,7 +143,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """
         toi = wp.float64(wp.inf)
         status = STATUS_NO_COLLISION
-        iterations = 0
+        iterations = int(0)
         where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
 
         c0 = corners(kind, x_t0)

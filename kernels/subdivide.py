@@ -65,14 +65,14 @@ def make_subdivide(real) -> SimpleNamespace:
         toi = real(2.0)
         status = STATUS_NO_COLLISION
         where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
-        iterations = 0
+        iterations = int(0)
         stack = box_stack()
         stack[0] = t_start
         stack[1] = real(0.0)
         stack[2] = real(1.0)
         stack[3] = real(0.0)
         stack[4] = real(1.0)
-        top = 1
+        top = int(1)
         while top > 0:
             top -= 1
             t = stack[5 * top]
