@@ -52,20 +52,36 @@ def make_advance(real) -> SimpleNamespace:
     def is_within(d: vec3, size: vec3) -> bool:
         return wp.abs(d[0]) <= size[0] and wp.abs(d[1]) <= size[1] and wp.abs(d[2]) <= size[2]
 
+    @wp.struct
+    class Reached:
+        """Where an advance ended."""
+
+        t: real
+        outcome: int
+        iterations: int
+        wb: real  # weight of w01 at the closest point
+        wc: real  # weight of w10
+        from_w11: bool  # whether the rest of the weight is that of w11, else of w00
+        point: vec3  # the closest point at t
+
     @wp.func
-    def is_contact(c: Corners, size: vec3, wb: real, wc: real, from_w11: bool) -> bool:
-        """Whether a real point of the patch lies in [-size, size]: the closest one at hand, or else any."""
+    def point_of(c: Corners, wb: real, wc: real, from_w11: bool) -> vec3:
+        """The point that the weights name: a real point of the patch, whatever rounding did to them."""
         origin = c.w00
         if from_w11:
             origin = c.w11
-        return is_within(origin + wb * (c.w01 - origin) + wc * (c.w10 - origin), size) or reaches_box(c, size)
+        return origin + wb * (c.w01 - origin) + wc * (c.w10 - origin)
 
     @wp.func
-    def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int):
+    def is_contact(c: Corners, size: vec3, wb: real, wc: real, from_w11: bool) -> bool:
+        """Whether a real point of the patch lies in [-size, size]: the closest one at hand, or else any."""
+        return is_within(point_of(c, wb, wc, from_w11), size) or reaches_box(c, size)
+
+    @wp.func
+    def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Reached:
         """Earliest time of the patch that is not certainly free.
 
         Invariant: the patch is free of contact on [t_start, t).
-        Returns t, outcome, iterations, weights of w01 and w10 at t, whether they count from w11.
         """
         floor = real(8.0) * problem.error  # a smaller gap is beyond what rounding can tell apart
         contact_size = problem.separation + problem.delta + floor
@@ -77,7 +93,7 @@ def make_advance(real) -> SimpleNamespace:
         wb = real(0.0)
         wc = real(0.0)
         from_w11 = bool(False)
-        use_facets = problem.has_separation
+        use_facets = problem.has_separation or problem.is_flat
         while outcome < 0:
             if iterations >= max_iterations:
                 outcome = LIMIT
@@ -112,11 +128,23 @@ def make_advance(real) -> SimpleNamespace:
                         if slow >= _PATIENCE:
                             if is_contact(c, contact_size, wb, wc, from_w11):
                                 outcome = CONTACT
+                                # the later time stands only if the gap there is within tolerance as well
+                                if not is_contact(corners_at(patch, s), contact_size, wb, wc, from_w11):
+                                    s = t
                             elif use_facets:
                                 outcome = SLOW
                             use_facets = True
                             slow = 0
                         t = s
-        return t, outcome, iterations, wb, wc, from_w11
+        reached = Reached()
+        reached.t = t
+        reached.outcome = outcome
+        reached.iterations = iterations
+        reached.wb = wb
+        reached.wc = wc
+        reached.from_w11 = from_w11
+        if outcome != FREE:
+            reached.point = point_of(corners_at(patch, t), wb, wc, from_w11)
+        return reached
 
-    return SimpleNamespace(advance=advance)
+    return SimpleNamespace(Reached=Reached, advance=advance, point_of=point_of)

@@ -10,7 +10,10 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
-from .patch import EDGE_EDGE, VERTEX_FACE, make_patch
+from .bisection import make_bisection
+from .closest_point import make_closest_point
+from .facets import make_facets
+from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -29,6 +32,10 @@ from .subdivide import (
     make_subdivide,
 )
 from .volume import make_volume
+
+# Methods; ccd_warp.METHODS mirrors these.
+CLIPPING = wp.constant(0)
+BISECTION = wp.constant(1)
 
 vec3d = wp.vec3d
 
@@ -74,13 +81,17 @@ def make_narrow_phase(real) -> SimpleNamespace:
     Corners = types.Corners
     advance = make_advance(real).advance
     with_volume = make_volume(real).with_volume
+    point_of = make_advance(real).point_of
+    closest_on_patch = make_closest_point(real).closest_on_patch
+    corners_at = make_facets(real).corners_at
+    bisect = make_bisection(real).bisect
+    Answer = make_subdivide(real).Answer
     subdivide = make_subdivide(real).subdivide
     parameters = make_subdivide(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
     round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
-    largest = wp.constant(LARGEST)
 
     @wp.func
     def corners(kind: int, p: Points) -> Corners64:
@@ -93,13 +104,21 @@ def make_narrow_phase(real) -> SimpleNamespace:
             c.w11 = c.w10
             c.q = p.p1 - p.p2
             c.r = p.p1 - p.p3
-        else:
+        elif kind == EDGE_EDGE:
             c.w00 = p.p0 - p.p2
             c.w01 = p.p0 - p.p3
             c.w10 = p.p1 - p.p2
             c.w11 = p.p1 - p.p3
             c.q = p.p2 - p.p3
             c.r = p.p1 - p.p0
+        else:
+            c.w00 = p.p0 - p.p1
+            c.w01 = c.w00
+            if kind == POINT_SEGMENT:
+                c.w01 = p.p0 - p.p2
+                c.q = p.p1 - p.p2
+            c.w10 = c.w00
+            c.w11 = c.w00
         return c
 
     @wp.func
@@ -125,92 +144,152 @@ def make_narrow_phase(real) -> SimpleNamespace:
         r.r = vec3(wp.cw_mul(c.r, s))
         return r
 
+    @wp.struct
+    class Options:
+        """Options of a query."""
+
+        tolerance: wp.float64
+        minimum_separation: wp.float64
+        length_scale: wp.float64  # 0 stands for the pair's own
+        t_max: wp.float64
+        t_end: real  # t_max rounded up
+        max_iterations: int
+        method: int
+
+    @wp.struct
+    class Outcome:
+        """What is reported of a pair."""
+
+        toi: wp.float64
+        status: int
+        parameters: wp.vec2d
+        gap: wp.float64
+        width: wp.float64
+        iterations: int
+
+    @wp.struct
+    class Normalised:
+        """A pair in normalised units."""
+
+        patch: Patch
+        problem: Problem
+        size: vec3  # largest corner, per axis
+        unit: vec3d  # length of a normalised unit, per axis
+        is_valid: bool
+
     @wp.func
-    def solve(
-        kind: int,
-        x_t0: Points,
-        x_t1: Points,
-        tolerance: wp.float64,
-        minimum_separation: wp.float64,
-        length_scale: wp.float64,
-        t_max: wp.float64,
-        t_end: real,
-        max_iterations: int,
-    ):
-        """Earliest toi of one pair (inf if none), status, iterations, (u, v).
-
-        ``length_scale`` 0 stands for the pair's own; ``t_end`` is t_max rounded up.
-        """
-        toi = wp.float64(wp.inf)
-        status = STATUS_NO_COLLISION
-        iterations = int(0)
-        where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
-
+    def normalise(kind: int, x_t0: Points, x_t1: Points, options: Options) -> Normalised:
+        """Form the corners and scale each axis by a power of two (rounding, steps 1 and 2)."""
+        n = Normalised()
         c0 = corners(kind, x_t0)
         c1 = corners(kind, x_t1)
         sums = total(c0) + total(c1)
         pre = vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0))
-        if not (sums[0] <= largest and sums[1] <= largest and sums[2] <= largest):
+        if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
             # an overflow, or no numbers at all: try again with the axes that overflowed at 1/1024 of their size
             for k in range(3):
-                if not sums[k] <= largest:
+                if not sums[k] <= LARGEST:
                     pre[k] = wp.float64(1.0 / 1024.0)
             c0 = corners(kind, scaled(x_t0, pre))
             c1 = corners(kind, scaled(x_t1, pre))
             sums = total(c0) + total(c1)
-        if not (sums[0] <= largest and sums[1] <= largest and sums[2] <= largest):
-            toi = wp.float64(0.0)
-            status = STATUS_INVALID
-        else:
-            scale = length_scale
+        n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
+        if n.is_valid:
+            scale = options.length_scale
             if scale <= wp.float64(0.0):
                 scale = wp.max(wp.max(side(x_t0, x_t1, 0), side(x_t0, x_t1, 1)), side(x_t0, x_t1, 2))
-            delta_length = wp.min(tolerance * scale, largest)
-            separation_length = wp.min(minimum_separation * scale, largest)
-
+            delta_length = wp.min(options.tolerance * scale, LARGEST)
+            separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             m = wp.max(magnitude(c0), magnitude(c1))
-            # an axis shorter than the tolerance needs no magnification beyond it
             s = vec3d()
             for k in range(3):
+                # an axis shorter than the tolerance needs no magnification beyond it
                 s[k] = inverse_power_of_two(wp.max(m[k], delta_length * pre[k]))
-            size = vec3(wp.cw_mul(m, s))
-            problem = Problem()
-            problem.error = root_bound * size + vec3(tiny, tiny, tiny)
-            for k in range(3):
+                n.unit[k] = wp.float64(1.0) / s[k] / pre[k]
                 # corners are below 4 in these units: more separation or tolerance means no more
                 length = wp.min(separation_length * pre[k] * s[k], wp.float64(8.0))
-                problem.separation[k] = real(length) * round_up
+                n.problem.separation[k] = real(length) * round_up
                 length = wp.min(delta_length * pre[k] * s[k], wp.float64(8.0))
-                problem.delta[k] = real(length)
-            problem.delta = problem.delta + real(2.0) * problem.error
-            problem.has_separation = separation_length > wp.float64(0.0)
-            patch = Patch()
-            patch.t0 = normalised(c0, s)
-            patch.t1 = normalised(c1, s)
-            patch.is_face = kind == VERTEX_FACE
-            patch.is_triangle = kind == VERTEX_FACE
-            problem = with_volume(problem, patch.t0, patch.t1)
+                n.problem.delta[k] = real(length)
+            n.size = vec3(wp.cw_mul(m, s))
+            n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
+            n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+            n.problem.has_separation = separation_length > wp.float64(0.0)
+            n.patch.t0 = normalised(c0, s)
+            n.patch.t1 = normalised(c1, s)
+            n.patch.is_face = kind == VERTEX_FACE
+            n.patch.is_triangle = kind != EDGE_EDGE
+            n.problem = with_volume(n.problem, n.patch.t0, n.patch.t1)
+        return n
 
-            t, outcome, iterations, wb, wc, from_w11 = advance(patch, problem, real(0.0), t_end, max_iterations)
-            if outcome == SLOW:
-                problem.error = patch_bound * size + vec3(tiny, tiny, tiny)
-                problem.delta = problem.delta + real(2.0) * problem.error
-                t, status, n, where = subdivide(kind, patch, problem, t, t_end, max_iterations - iterations)
-                iterations += n
+    @wp.func
+    def gap_of(point: vec3, n: Normalised) -> wp.float64:
+        """Upper bound of the gap (L∞) beyond the separation at a point of the patch, as a length."""
+        gap = wp.float64(0.0)
+        for k in range(3):
+            beyond = wp.abs(point[k]) - n.problem.separation[k]
+            if beyond > real(0.0):
+                gap = wp.max(gap, wp.float64(beyond + real(2.0) * n.problem.error[k]) * n.unit[k])
+        return gap
+
+    @wp.func
+    def solve(kind: int, x_t0: Points, x_t1: Points, options: Options) -> Outcome:
+        """Earliest toi of one pair, inf if none."""
+        outcome = Outcome()
+        outcome.toi = wp.float64(wp.inf)
+        outcome.status = STATUS_NO_COLLISION
+        n = normalise(kind, x_t0, x_t1, options)
+        if not n.is_valid:
+            outcome.toi = wp.float64(0.0)
+            outcome.status = STATUS_INVALID
+            outcome.gap = wp.float64(wp.inf)
+            outcome.width = options.t_max
+        else:
+            answer = Answer()
+            patch_error = patch_bound * n.size + vec3(tiny, tiny, tiny)
+            if options.method == BISECTION:
+                n.problem.error = patch_error
+                n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+                answer = bisect(kind, n.patch, n.problem, options.t_end, options.max_iterations)
             else:
-                if outcome == CONTACT:
-                    status = STATUS_COLLISION
-                elif outcome == LIMIT:
-                    status = STATUS_ITERATION_LIMIT
-                where = parameters(kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11)
-            if status != STATUS_NO_COLLISION:
-                if wp.float64(t) > t_max:
-                    status = STATUS_NO_COLLISION
+                reached = advance(n.patch, n.problem, real(0.0), options.t_end, options.max_iterations)
+                if reached.outcome == SLOW:
+                    n.problem.error = patch_error
+                    n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+                    left = options.max_iterations - reached.iterations
+                    answer = subdivide(kind, n.patch, n.problem, reached.t, options.t_end, left)
+                    answer.iterations += reached.iterations
                 else:
-                    toi = wp.float64(t)
-                    if status == STATUS_COLLISION and t == real(0.0):
-                        status = STATUS_INITIAL_CONTACT
-        return toi, status, iterations, where
+                    answer.toi = reached.t
+                    answer.iterations = reached.iterations
+                    if reached.outcome == CONTACT:
+                        answer.status = STATUS_COLLISION
+                    elif reached.outcome == LIMIT:
+                        answer.status = STATUS_ITERATION_LIMIT
+                    answer.point = reached.point
+                    answer.parameters = parameters(
+                        kind, real(0.0), real(1.0), real(0.0), real(1.0), reached.wb, reached.wc, reached.from_w11
+                    )
+            outcome.iterations = answer.iterations
+            if answer.status != STATUS_NO_COLLISION and wp.float64(answer.toi) <= options.t_max:
+                outcome.toi = wp.float64(answer.toi)
+                outcome.status = answer.status
+                outcome.width = wp.float64(answer.width)
+                if answer.status == STATUS_COLLISION:
+                    if answer.toi == real(0.0):
+                        outcome.status = STATUS_INITIAL_CONTACT
+                else:
+                    # the toi is the earliest time still open, on whatever sub-patch
+                    c = corners_at(n.patch, answer.toi)
+                    d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, n.patch.is_triangle)
+                    answer.point = point_of(c, wb, wc, from_w11)
+                    answer.parameters = parameters(
+                        kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11
+                    )
+                    outcome.width = options.t_max - outcome.toi
+                outcome.parameters = answer.parameters
+                outcome.gap = gap_of(answer.point, n)
+        return outcome
 
     module = wp.get_module(f"ccd_warp.narrow_phase.{real.__name__}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
@@ -222,37 +301,37 @@ def make_narrow_phase(real) -> SimpleNamespace:
         kind: int,
         x_t0: wp.array2d[vec3d],
         x_t1: wp.array2d[vec3d],
-        tolerance: wp.float64,
-        minimum_separation: wp.float64,
-        length_scale: wp.float64,
-        t_max: wp.float64,
-        t_end: real,
-        max_iterations: int,
+        options: Options,
         # out
-        toi_out: wp.array[wp.float64],
-        status_out: wp.array[wp.int32],
-        parameters_out: wp.array[wp.vec2d],
-        iterations_out: wp.array[wp.int32],
+        toi: wp.array[wp.float64],
+        status: wp.array[wp.int32],
+        parameters: wp.array[wp.vec2d],
+        gap: wp.array[wp.float64],
+        width: wp.array[wp.float64],
+        iterations: wp.array[wp.int32],
     ):
-        """Pairs given by their points, shape [n, 4]."""
+        """Pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
         i = begin + wp.tid()
         a = Points()
+        b = Points()
         a.p0 = x_t0[i, 0]
         a.p1 = x_t0[i, 1]
-        a.p2 = x_t0[i, 2]
-        a.p3 = x_t0[i, 3]
-        b = Points()
         b.p0 = x_t1[i, 0]
         b.p1 = x_t1[i, 1]
-        b.p2 = x_t1[i, 2]
-        b.p3 = x_t1[i, 3]
-        toi, status, iterations, where = solve(
-            kind, a, b, tolerance, minimum_separation, length_scale, t_max, t_end, max_iterations
-        )
-        toi_out[i] = toi
-        status_out[i] = status
-        parameters_out[i] = where
-        iterations_out[i] = iterations
+        # absent points repeat the last one, so that they widen no box
+        k2 = wp.min(2, x_t0.shape[1] - 1)
+        k3 = wp.min(3, x_t0.shape[1] - 1)
+        a.p2 = x_t0[i, k2]
+        a.p3 = x_t0[i, k3]
+        b.p2 = x_t1[i, k2]
+        b.p3 = x_t1[i, k3]
+        outcome = solve(kind, a, b, options)
+        toi[i] = outcome.toi
+        status[i] = outcome.status
+        parameters[i] = outcome.parameters
+        gap[i] = outcome.gap
+        width[i] = outcome.width
+        iterations[i] = outcome.iterations
 
     @wp.kernel(module=module)
     def pairs_toi(
@@ -264,17 +343,14 @@ def make_narrow_phase(real) -> SimpleNamespace:
         second_corners: wp.array[wp.vec3i],
         x_t0: wp.array[vec3d],
         x_t1: wp.array[vec3d],
-        tolerance: wp.float64,
-        minimum_separation: wp.float64,
-        length_scale: wp.float64,
-        t_max: wp.float64,
-        t_end: real,
-        max_iterations: int,
+        options: Options,
         # out
-        toi_out: wp.array[wp.float64],
-        status_out: wp.array[wp.int32],
-        parameters_out: wp.array[wp.vec2d],
-        iterations_out: wp.array[wp.int32],
+        toi: wp.array[wp.float64],
+        status: wp.array[wp.int32],
+        parameters: wp.array[wp.vec2d],
+        gap: wp.array[wp.float64],
+        width: wp.array[wp.float64],
+        iterations: wp.array[wp.int32],
     ):
         """Pairs given by primitive ids of a mesh, shape [n], and the vertices of each primitive."""
         i = begin + wp.tid()
@@ -289,21 +365,21 @@ def make_narrow_phase(real) -> SimpleNamespace:
             i2 = second[0]
             i3 = second[1]
         a = Points()
+        b = Points()
         a.p0 = x_t0[i0]
         a.p1 = x_t0[i1]
         a.p2 = x_t0[i2]
         a.p3 = x_t0[i3]
-        b = Points()
         b.p0 = x_t1[i0]
         b.p1 = x_t1[i1]
         b.p2 = x_t1[i2]
         b.p3 = x_t1[i3]
-        toi, status, iterations, where = solve(
-            kind, a, b, tolerance, minimum_separation, length_scale, t_max, t_end, max_iterations
-        )
-        toi_out[i] = toi
-        status_out[i] = status
-        parameters_out[i] = where
-        iterations_out[i] = iterations
+        outcome = solve(kind, a, b, options)
+        toi[i] = outcome.toi
+        status[i] = outcome.status
+        parameters[i] = outcome.parameters
+        gap[i] = outcome.gap
+        width[i] = outcome.width
+        iterations[i] = outcome.iterations
 
-    return SimpleNamespace(points_toi=points_toi, pairs_toi=pairs_toi)
+    return SimpleNamespace(Options=Options, points_toi=points_toi, pairs_toi=pairs_toi)

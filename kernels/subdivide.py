@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
-from .patch import EDGE_EDGE, make_patch
+from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
 from .rounding import MAX_SPLITS
 
 STACK_DEPTH = 64
@@ -33,6 +33,17 @@ def make_subdivide(real) -> SimpleNamespace:
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
     depth = wp.constant(STACK_DEPTH)
 
+    @wp.struct
+    class Answer:
+        """Earliest contact of a pair."""
+
+        toi: real  # 2: none
+        width: real  # of the reported box in time: 0, but for boxes of the bisection and answers at a limit
+        status: int
+        iterations: int
+        parameters: wp.vec2d
+        point: vec3  # a point of the patch at toi, in normalised units: its size bounds the gap
+
     @wp.func
     def longest(a: vec3) -> real:
         return wp.max(wp.max(wp.abs(a[0]), wp.abs(a[1])), wp.abs(a[2]))
@@ -49,23 +60,26 @@ def make_subdivide(real) -> SimpleNamespace:
         c = wp.vec2d(wp.float64(uc), wp.float64(vc))
         b01 = wp.vec2d(wp.float64(u0), wp.float64(v1))
         b10 = wp.vec2d(wp.float64(u1), wp.float64(v0))
-        if kind != EDGE_EDGE:
+        if kind == POINT_SEGMENT:
+            c = wp.vec2d(c[1], c[0])
+            b01 = wp.vec2d(b01[1], b01[0])
+            b10 = wp.vec2d(b10[1], b10[0])
+        if kind == VERTEX_FACE:
             c = wp.vec2d((wp.float64(1.0) - c[0]) * c[1], c[0])
             b01 = wp.vec2d((wp.float64(1.0) - b01[0]) * b01[1], b01[0])
             b10 = wp.vec2d((wp.float64(1.0) - b10[0]) * b10[1], b10[0])
         return c + wp.float64(wb) * (b01 - c) + wp.float64(wc) * (b10 - c)
 
     @wp.func
-    def subdivide(kind: int, root: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int):
-        """Earliest contact of a patch that is free on [0, t_start): toi (2 if none), status, iterations, (u, v).
+    def subdivide(kind: int, root: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Answer:
+        """Earliest contact of a patch that is free on [0, t_start).
 
         Invariant: every contact lies on a patch of the stack, or not before ``toi``. A patch is halved across its
         longer side, and the half with the closest point comes first: its contact bounds the others'.
         """
-        toi = real(2.0)
-        status = STATUS_NO_COLLISION
-        where = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
-        iterations = int(0)
+        answer = Answer()
+        answer.toi = real(2.0)
+        answer.status = STATUS_NO_COLLISION
         stack = box_stack()
         stack[0] = t_start
         stack[1] = real(0.0)
@@ -80,18 +94,19 @@ def make_subdivide(real) -> SimpleNamespace:
             u1 = stack[5 * top + 2]
             v0 = stack[5 * top + 3]
             v1 = stack[5 * top + 4]
-            if t < toi:
+            if t < answer.toi:
                 patch = Patch()
                 patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
                 patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
                 patch.is_face = root.is_face
                 patch.is_triangle = root.is_triangle and u1 == real(1.0)
-                t, outcome, n, wb, wc, from_w11 = advance(
-                    patch, problem, t, wp.min(toi, t_max), max_iterations - iterations
-                )
-                iterations += n
+                end = wp.min(answer.toi, t_max)
+                reached = advance(patch, problem, t, end, max_iterations - answer.iterations)
+                answer.iterations += reached.iterations
+                t = reached.t
+                outcome = reached.outcome
                 box_status = STATUS_COLLISION
-                if outcome == SLOW and t < toi:
+                if outcome == SLOW and t < answer.toi:
                     du = wp.max(longest(patch.t0.w10 - patch.t0.w00), longest(patch.t1.w10 - patch.t1.w00))
                     du = wp.max(du, wp.max(longest(patch.t0.w11 - patch.t0.w01), longest(patch.t1.w11 - patch.t1.w01)))
                     dv = wp.max(longest(patch.t0.w01 - patch.t0.w00), longest(patch.t1.w01 - patch.t1.w00))
@@ -106,15 +121,15 @@ def make_subdivide(real) -> SimpleNamespace:
                         nu = u0
                         mv = v1
                         nv = v0
-                        closest = wb
-                        if from_w11:
-                            closest = real(1.0) - wc
+                        closest = reached.wb
+                        if reached.from_w11:
+                            closest = real(1.0) - reached.wc
                         if split_u:
                             mu = real(0.5) * (u0 + u1)
                             nu = mu
-                            closest = wc
-                            if from_w11:
-                                closest = real(1.0) - wb
+                            closest = reached.wc
+                            if reached.from_w11:
+                                closest = real(1.0) - reached.wb
                         else:
                             mv = real(0.5) * (v0 + v1)
                             nv = mv
@@ -141,10 +156,13 @@ def make_subdivide(real) -> SimpleNamespace:
                     outcome = CONTACT
                     box_status = STATUS_ITERATION_LIMIT
                     top = 0
-                if outcome == CONTACT and t < toi:
-                    toi = t
-                    status = box_status
-                    where = parameters(kind, u0, u1, v0, v1, wb, wc, from_w11)
-        return toi, status, iterations, where
+                if outcome == CONTACT and t < answer.toi:
+                    answer.toi = t
+                    answer.status = box_status
+                    answer.point = reached.point
+                    answer.parameters = parameters(
+                        kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11
+                    )
+        return answer
 
-    return SimpleNamespace(subdivide=subdivide, parameters=parameters)
+    return SimpleNamespace(Answer=Answer, subdivide=subdivide, parameters=parameters)

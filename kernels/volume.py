@@ -55,6 +55,8 @@ def make_volume(real) -> SimpleNamespace:
             problem.normal_t0 = n0
             problem.normal_mid = nm
             problem.normal_t1 = n1
+        largest = wp.max(wp.abs(problem.volume))
+        problem.is_flat = largest <= problem.volume_bound
         return problem
 
     @wp.func

@@ -141,7 +141,7 @@ def test_every_contact_is_conservative_and_covers_its_vertices_and_bodies(precis
 
 def test_contacts_are_ordered_and_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(3)
-    sphere = trimesh.creation.icosphere(subdivisions=3)
+    sphere = trimesh.creation.icosphere(subdivisions=1)
     mesh = ccd.CollisionMesh.from_trimesh([sphere, sphere])
     start = mesh.vertices + np.where(mesh.vertex_body == 0, -1.5, 1.5)[:, None] * [1, 0, 0]
     end = -start + rng.normal(scale=0.01, size=start.shape)
@@ -150,7 +150,7 @@ def test_contacts_are_ordered_and_the_same_for_any_number_of_threads():
         c = result.contacts
         keys = np.column_stack([c.kind, c.primitives]).tolist()
         assert keys == sorted(keys)
-        assert len({tuple(k) for k in keys}) == len(keys) > 1000
+        assert len({tuple(k) for k in keys}) == len(keys) > 100
         for name in ("kind", "primitives", "toi", "parameters", "normal", "status"):
             assert getattr(c, name).tobytes() == getattr(results[0].contacts, name).tobytes()
         assert result.vertex_toi.tobytes() == results[0].vertex_toi.tobytes()

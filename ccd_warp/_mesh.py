@@ -1,0 +1,296 @@
+"""Triangle meshes of one or several bodies, joined into one set of vertices, edges and faces."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class CollisionMesh:
+    """What may collide: vertices, unique edges and faces of all bodies, one after the other.
+
+    Build one with :meth:`from_trimesh` or :meth:`from_arrays`; it does not change afterwards and its arrays are
+    read-only. Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without
+    faces are valid.
+
+    Attributes:
+        vertices: Positions as given, float64, in the caller's length unit, shape [V, 3].
+        faces: Vertex indices into the joined vertices, int32, shape [F, 3].
+        edges: The unique pairs (min, max) of vertices that follow each other in a face, sorted by (max, min), int32,
+            shape [E, 2]. A pair (a, a), as a face with a repeated vertex holds it, is not an edge.
+        vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
+        body_vertex_range: Body b owns the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
+            shape [B + 1].
+        static: Bodies that do not move, bool, shape [B].
+        self_collision: Bodies whose primitives may collide with each other, bool, shape [B].
+        moving_vertices: Indices of the vertices of bodies that move, ascending, int32, shape [V_moving].
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    vertex_body: NDArray[np.int32]
+    edge_body: NDArray[np.int32]
+    face_body: NDArray[np.int32]
+    body_vertex_range: NDArray[np.int32]
+    static: NDArray[np.bool_]
+    self_collision: NDArray[np.bool_]
+    moving_vertices: NDArray[np.int32]
+
+    def __init__(
+        self,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        body_vertex_range: NDArray[np.int32],
+        static: NDArray[np.bool_],
+        self_collision: NDArray[np.bool_],
+    ) -> None:
+        """Join already validated arrays; use :meth:`from_trimesh` or :meth:`from_arrays` instead."""
+        num_bodies = len(static)
+        vertex_body = np.repeat(np.arange(num_bodies, dtype=np.int32), np.diff(body_vertex_range))
+        edges = _unique_edges(faces)
+        values: dict[str, Any] = {
+            "vertices": vertices,
+            "faces": faces,
+            "edges": edges,
+            "vertex_body": vertex_body,
+            "edge_body": vertex_body[edges[:, 0]],
+            "face_body": vertex_body[faces[:, 0]],
+            "body_vertex_range": body_vertex_range,
+            "static": static,
+            "self_collision": self_collision,
+            "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
+        }
+        for name, value in values.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_device_cache", {})
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"CollisionMesh does not change after construction; cannot set {name}")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"CollisionMesh does not change after construction; cannot delete {name}")
+
+    def __repr__(self) -> str:
+        return (
+            f"CollisionMesh({self.num_bodies} bodies, {self.num_vertices} vertices, {self.num_edges} edges, "
+            f"{self.num_faces} faces)"
+        )
+
+    @classmethod
+    def from_trimesh(
+        cls, bodies: Sequence[Any], static: Iterable[int] = (), self_collision: bool | Sequence[bool] = True
+    ) -> "CollisionMesh":
+        """Join trimesh meshes.
+
+        Args:
+            bodies: Meshes (``trimesh.Trimesh``), one a body.
+            static: Indices of the bodies that do not move.
+            self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
+
+        Returns:
+            The joined mesh.
+
+        Raises:
+            ValueError: If there is no body, or a body, ``static`` or ``self_collision`` is not as described.
+        """
+        for b, body in enumerate(bodies):
+            if not (hasattr(body, "vertices") and hasattr(body, "faces")):
+                raise ValueError(f"body {b} is a {type(body).__name__}; expected a trimesh.Trimesh")
+        return cls.from_arrays([(body.vertices, body.faces) for body in bodies], static, self_collision)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        bodies: Sequence[tuple[ArrayLike, ArrayLike]],
+        static: Iterable[int] = (),
+        self_collision: bool | Sequence[bool] = True,
+    ) -> "CollisionMesh":
+        """Join pairs of arrays.
+
+        Args:
+            bodies: One pair a body: vertices, float, shape [V_b, 3], and faces, integer indices into these vertices,
+                shape [F_b, 3].
+            static: Indices of the bodies that do not move.
+            self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
+
+        Returns:
+            The joined mesh.
+
+        Raises:
+            ValueError: If there is no body, or a body, ``static`` or ``self_collision`` is not as described.
+        """
+        if len(bodies) == 0:
+            raise ValueError("bodies is empty; expected at least one body")
+        all_vertices, all_faces, offsets = [], [], [0]
+        for b, body in enumerate(bodies):
+            if not isinstance(body, (tuple, list)) or len(body) != 2:
+                raise ValueError(f"body {b} is a {type(body).__name__}; expected a pair (vertices, faces)")
+            vertices = _validated_positions(body[0], f"vertices of body {b}")
+            faces = _validated_faces(body[1], len(vertices), f"faces of body {b}")
+            all_vertices.append(vertices)
+            all_faces.append(faces + offsets[-1])
+            offsets.append(offsets[-1] + len(vertices))
+        if max(offsets[-1], 3 * sum(map(len, all_faces))) > np.iinfo(np.int32).max:
+            raise ValueError(
+                f"bodies hold {offsets[-1]} vertices and {sum(map(len, all_faces))} faces; "
+                f"expected counts whose edges int32 can index"
+            )
+        return cls(
+            np.concatenate(all_vertices),
+            np.concatenate(all_faces).astype(np.int32),
+            np.array(offsets, dtype=np.int32),
+            _validated_static(static, len(bodies)),
+            _validated_self_collision(self_collision, len(bodies)),
+        )
+
+    @property
+    def num_bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.static)
+
+    @property
+    def num_vertices(self) -> int:
+        """Number of vertices of all bodies."""
+        return len(self.vertices)
+
+    @property
+    def num_edges(self) -> int:
+        """Number of unique edges."""
+        return len(self.edges)
+
+    @property
+    def num_faces(self) -> int:
+        """Number of faces of all bodies."""
+        return len(self.faces)
+
+    def frame(self, vertices: ArrayLike, name: str = "vertices_t0") -> NDArray[np.float64]:
+        """Validate the positions of all vertices at one time.
+
+        Args:
+            vertices: Positions, float, same length unit as the mesh, shape [V, 3].
+            name: Name of the argument, for the messages.
+
+        Returns:
+            The positions, float64, C order, shape [V, 3]; the array itself where it is that already.
+
+        Raises:
+            ValueError: If the shape differs or a value is not finite.
+        """
+        return _validated_positions(vertices, name, self.num_vertices, "one row a vertex of the mesh")
+
+    def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Validate the positions at both ends of a step and let static bodies rest.
+
+        Args:
+            vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+            vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving
+                vertices only, in the order of ``moving_vertices``, shape [V_moving, 3].
+
+        Returns:
+            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both.
+
+        Raises:
+            ValueError: If a shape does not match or a value that is read is not finite.
+        """
+        start = self.frame(vertices_t0, "vertices_t0")
+        if not self.static.any():
+            return start, _validated_positions(vertices_t1, "vertices_t1", self.num_vertices, "like vertices_t0")
+        end = _as_positions(vertices_t1, "vertices_t1")
+        moving = self.moving_vertices
+        if len(end) == self.num_vertices:
+            end = end[moving]
+        elif len(end) != len(moving):
+            raise ValueError(
+                f"vertices_t1 has shape {end.shape}; expected {start.shape} like vertices_t0 "
+                f"or {(len(moving), 3)}, the moving vertices alone"
+            )
+        _check_finite(end, "vertices_t1")
+        full = start.copy()
+        full[moving] = end
+        return start, full
+
+
+def _unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Unique (min, max) pairs sorted by (max, min): one sort of 64-bit keys, and NumPy sorts those with SIMD."""
+    a, b, c = (faces[:, k].astype(np.int64) for k in range(3))
+    keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in ((a, b), (b, c), (c, a))])
+    keys.sort()
+    first = np.ones(len(keys), dtype=bool)
+    first[1:] = keys[1:] != keys[:-1]
+    keys = keys[first]
+    edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
+    return edges[edges[:, 0] != edges[:, 1]]
+
+
+def _as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Float64 array of shape [n, 3], or a ValueError."""
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # ragged nested lists
+        raise ValueError(f"{name} is not an array; expected shape (n, 3)") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        if array.size == 0 and array.ndim <= 2:
+            return np.zeros((0, 3))
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} has dtype {array.dtype}; expected real numbers")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def _check_finite(array: NDArray[np.float64], name: str) -> None:
+    finite = np.isfinite(array)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        raise ValueError(f"{name} holds {array[row, column]} in row {row}; expected finite values")
+
+
+def _validated_positions(
+    values: ArrayLike, name: str, count: int | None = None, reason: str = ""
+) -> NDArray[np.float64]:
+    if count is not None and np.shape(values) != (count, 3):
+        raise ValueError(f"{name} has shape {np.shape(values)}; expected {(count, 3)} {reason}")
+    array = _as_positions(values, name)
+    _check_finite(array, name)
+    return array
+
+
+def _validated_faces(values: ArrayLike, num_vertices: int, name: str) -> NDArray[np.int64]:
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"{name} is not an array; expected shape (n, 3)") from error
+    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (3,)):
+        return np.zeros((0, 3), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has dtype {array.dtype}; expected integers")
+    for index in (array.min(), array.max()):
+        if not 0 <= index < num_vertices:
+            raise ValueError(f"{name} holds index {index}; expected indices in [0, {num_vertices})")
+    return array.astype(np.int64)
+
+
+def _validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_]:
+    static = np.zeros(num_bodies, dtype=bool)
+    if isinstance(values, (bool, int, str)):
+        raise ValueError(f"static is {values!r}; expected a list of body indices")
+    for body in values:
+        if isinstance(body, (bool, np.bool_)) or not isinstance(body, (int, np.integer)):
+            raise ValueError(f"static holds {body!r}; expected body indices in [0, {num_bodies})")
+        if not 0 <= body < num_bodies:
+            raise ValueError(f"static holds {body}; expected body indices in [0, {num_bodies})")
+        static[body] = True
+    return static
+
+
+def _validated_self_collision(values: bool | Sequence[bool], num_bodies: int) -> NDArray[np.bool_]:
+    array = np.asarray(values)
+    if array.dtype != bool:
+        raise ValueError(f"self_collision is {values!r}; expected a bool or one bool a body")
+    if array.shape not in ((), (num_bodies,)):
+        raise ValueError(f"self_collision has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
+    return np.array(np.broadcast_to(array, (num_bodies,)))

@@ -1,0 +1,322 @@
+"""Candidates equal the overlapping boxes of all pairs, computed by NumPy without a grid."""
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from published import requires_data, simulation_boxes, simulation_scenes, simulation_step
+
+from ccd_warp._box_grid import Execution, build_grid, choose_ladder, swept_boxes
+from ccd_warp._broad_phase import find_candidates, mesh_arrays
+from ccd_warp._mesh import CollisionMesh
+
+
+def boxes_of(primitives, frames, inflation):
+    """Lower and upper corners, shape [n, 3] each, of primitives given by vertex indices, shape [n, k]."""
+    points = np.concatenate([np.asarray(frame, dtype=np.float64)[primitives] for frame in frames], axis=1)
+    lower, upper = points.min(axis=1), points.max(axis=1)
+    if inflation > 0:
+        with np.errstate(over="ignore"):
+            lower, upper = np.nextafter(lower - inflation, -np.inf), np.nextafter(upper + inflation, np.inf)
+    return lower, upper
+
+
+def brute_force(mesh, start, end, inflation=0.0):
+    """All vertex-face and edge-edge candidates, as sorted lists of tuples."""
+    end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+    kinds = {"v": np.arange(mesh.num_vertices)[:, None], "e": mesh.edges, "f": mesh.faces}
+    body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
+    found = {}
+    for first, second in ("vf", "ee"):
+        (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))
+        pairs = []
+        for i in range(len(lower_i)):
+            overlap = ((lower_i[i] <= upper_j) & (lower_j <= upper_i[i])).all(axis=1)
+            overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
+            overlap &= ~(mesh.static[body[first][i]] & mesh.static[body[second]])
+            overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
+            pairs += [(i, int(j)) for j in np.flatnonzero(overlap) if first != second or j > i]
+        found[first] = pairs
+    return found["v"], found["e"]
+
+
+def check(mesh, start, end, inflation=0.0, device=None, num_threads=1):
+    """Assert equality with brute force, order included; returns the number of pairs."""
+    found = find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads)
+    vertex_face, edge_edge = brute_force(mesh, start, end, inflation)
+    for pairs, expected in ((found.vertex_face, vertex_face), (found.edge_edge, edge_edge)):
+        assert pairs.dtype == np.int32 and pairs.ndim == 2 and pairs.shape[1] == 2
+        assert [tuple(pair) for pair in pairs.tolist()] == expected
+    return len(vertex_face) + len(edge_edge)
+
+
+def soup(rng, num_faces, size, num_vertices=None):
+    """Faces at random places: vertices [3 num_faces, 3] and faces; shared vertices where num_vertices is given."""
+    vertices = (rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
+    faces = np.arange(3 * num_faces).reshape(-1, 3)
+    return vertices, faces if num_vertices is None else faces % num_vertices
+
+
+def single(vertices, faces):
+    return CollisionMesh.from_arrays([(vertices, faces)])
+
+
+@pytest.mark.parametrize("inflation", [0.0, 1e-3, 0.3])
+@pytest.mark.parametrize("size", [1e-3, 0.05, 0.5])
+def test_random_soup(device, size, inflation):
+    rng = np.random.default_rng(1)
+    start, faces = soup(rng, 150, size)
+    check(single(start, faces), start, start + size * rng.standard_normal(start.shape), inflation, device)
+
+
+def test_shared_vertices_and_duplicate_faces(device):
+    rng = np.random.default_rng(2)
+    start, faces = soup(rng, 150, 0.2, num_vertices=40)
+    faces = np.concatenate([faces, faces[:20], [[3, 3, 4], [5, 5, 5]]])
+    assert check(single(start, faces), start, start + 0.1, device=device)
+
+
+@pytest.mark.parametrize("spread", [3, 6, 20, 250])
+def test_sizes_over_many_orders_of_magnitude(device, spread):
+    rng = np.random.default_rng(3)
+    start, faces = soup(rng, 200, 0.0)
+    size = 10.0 ** -rng.uniform(0, spread, (200, 1, 1)) * rng.standard_normal((200, 3, 3))
+    centre = rng.random((200, 1, 3)) * 10.0 ** -rng.uniform(0, spread, (200, 1, 1))
+    start = (centre + size).reshape(-1, 3)
+    end = (centre + 1.5 * size).reshape(-1, 3)
+    assert check(single(start, faces), start, end, device=device)
+
+
+def test_giant_face_among_small_ones(device):
+    rng = np.random.default_rng(4)
+    start, faces = soup(rng, 300, 0.01)
+    start[:3] = [[-1e3, -1e3, 0.5], [1e3, -1e3, 0.5], [0, 1e3, 0.55]]
+    assert check(single(start, faces), start, start + [0, 0, 0.1], device=device)
+
+
+def test_all_boxes_in_one_cell(device):
+    rng = np.random.default_rng(5)
+    start = rng.random((120, 3))
+    assert check(single(start, np.arange(120).reshape(-1, 3)), start, rng.random((120, 3)), device=device)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_flat_scene(device, axis):
+    rng = np.random.default_rng(6)
+    start, faces = soup(rng, 150, 0.05)
+    start[:, axis] = 0.25
+    assert check(single(start, faces), start, start, device=device)
+
+
+def test_boxes_without_extent(device):
+    lattice = np.stack(np.meshgrid(*[np.arange(3.0)] * 3), axis=-1).reshape(-1, 3)
+    vertices = np.repeat(np.tile(lattice, (3, 1)), 3, axis=0)
+    mesh = single(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    assert check(mesh, vertices, vertices, device=device)
+    assert check(mesh, 0 * vertices, 0 * vertices, device=device)  # one point
+
+
+def test_stacked_duplicates(device):
+    rng = np.random.default_rng(7)
+    one, faces = soup(rng, 12, 0.1)
+    mesh = CollisionMesh.from_arrays([(one, faces)] * 4)
+    start = np.tile(one, (4, 1))
+    assert check(mesh, start, start, device=device)
+
+
+@pytest.mark.parametrize("distance", [1e6, 1e15, 1e300])
+def test_vertex_that_flies_far_away(device, distance):
+    rng = np.random.default_rng(8)
+    start, faces = soup(rng, 150, 0.05)
+    end = start + 0.01
+    end[7] = distance
+    assert check(single(start, faces), start, end, device=device)
+
+
+@pytest.mark.parametrize("distance", [1e6, 1e12, 1e100])
+def test_two_clusters_far_apart(device, distance):
+    rng = np.random.default_rng(9)
+    start, faces = soup(rng, 80, 0.05)
+    mesh = CollisionMesh.from_arrays([(start, faces), (start + distance, faces)])
+    assert check(mesh, mesh.vertices, mesh.vertices + 0.01, device=device)
+
+
+@pytest.mark.parametrize("small", [5e-324, 1e-300, 1e-100, 1.0, 1e200])
+def test_box_whose_extent_overflows(device, small):
+    rng = np.random.default_rng(18)
+    start, faces = soup(rng, 60, 0.05)
+    start *= small
+    start[:3] = [[-1.7e308] * 3, [1.7e308] * 3, [0, 1.7e308, 0]]
+    assert check(single(start, faces), start, start, device=device)
+
+
+def test_offset_of_1e7(device):
+    rng = np.random.default_rng(10)
+    start, faces = soup(rng, 200, 0.05)
+    start += [1e7, -1e7, 1e7]
+    assert check(single(start, faces), start, start + 0.01, device=device)
+
+
+@pytest.mark.parametrize("scale", [5e-324, 1e-310, 1e-300, 1e-150, 1e150, 1e300, 1.7e308])
+@pytest.mark.parametrize("inflation", [0.0, 0.1])
+def test_scale(device, scale, inflation):
+    rng = np.random.default_rng(11)
+    start, faces = soup(rng, 150, 0.05)
+    end = start + 0.05 * rng.standard_normal(start.shape)
+    start, end = np.clip(2 * start - 1, -1, 1) * scale, np.clip(2 * end - 1, -1, 1) * scale
+    assert check(single(start, faces), start, end, inflation * scale, device)
+
+
+def test_scaling_by_a_power_of_two_changes_nothing():
+    rng = np.random.default_rng(12)
+    start, faces = soup(rng, 300, 0.05)
+    reference = find_candidates(single(start, faces), start, start + 0.01)
+    for scale in (2.0**-400, 2.0**400):
+        found = find_candidates(single(start, faces), start * scale, (start + 0.01) * scale)
+        assert np.array_equal(found.edge_edge, reference.edge_edge)
+        assert np.array_equal(found.vertex_face, reference.vertex_face)
+
+
+@pytest.mark.parametrize("static", [(), (0,), (1, 2), (0, 1, 2)])
+@pytest.mark.parametrize("self_collision", [True, False, [True, False, True], [False, True, True]])
+def test_static_bodies_and_self_collision(device, static, self_collision):
+    rng = np.random.default_rng(13)
+    bodies = [soup(rng, n, size) for n, size in ((60, 0.1), (40, 0.02), (50, 0.4))]
+    mesh = CollisionMesh.from_arrays(bodies, static=static, self_collision=self_collision)
+    count = check(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
+    assert (count > 0) == (len(static) < 3)
+
+
+def test_static_rows_are_not_read():
+    rng = np.random.default_rng(14)
+    mesh = CollisionMesh.from_arrays([soup(rng, 40, 0.1), soup(rng, 40, 0.1)], static=[0])
+    end = mesh.vertices + 0.1
+    end[:120] = np.nan
+    found = find_candidates(mesh, mesh.vertices, end)
+    alone = find_candidates(mesh, mesh.vertices, end[120:])
+    assert len(found.edge_edge) and np.array_equal(found.edge_edge, alone.edge_edge)
+    check(mesh, mesh.vertices, end)
+
+
+@pytest.mark.parametrize("bodies", [[([], [])], [(np.eye(3), [])], [(np.eye(3), [[0, 1, 2]])]])
+def test_scenes_without_pairs(device, bodies):
+    mesh = CollisionMesh.from_arrays(bodies)
+    assert check(mesh, mesh.vertices, mesh.vertices, 1.0, device) == 0
+
+
+lattice_points = st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=6, max_size=36)
+
+
+@settings(max_examples=60, deadline=None)
+@given(lattice_points, st.sampled_from([1.0, 0.1, 2.0**-60, 1e200]), st.randoms(use_true_random=False))
+def test_boxes_that_touch_on_a_lattice(points, cell, random):
+    """Closed boxes: ties in every coordinate, and on every cell boundary, count as overlap."""
+    start = cell * np.array(points[: len(points) // 3 * 3], dtype=np.float64)
+    end = start[random.sample(range(len(start)), len(start))] if random.random() < 0.5 else start
+    check(single(start, np.arange(len(start)).reshape(-1, 3)), start, end)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=36, max_size=108))
+def test_any_finite_numbers(values):
+    start = np.array(values[: len(values) // 9 * 9]).reshape(-1, 3)
+    check(single(start, np.arange(len(start)).reshape(-1, 3)), start, start)
+
+
+def test_inflation_is_rounded_outward(device):
+    """Two points 2/10 apart in exact arithmetic of the inputs' float64 values: rounding inward would miss them."""
+    start = np.array([[0.0, 0, 0]] * 3 + [[0.2, 0, 0]] * 3)
+    mesh = single(start, [[0, 1, 2], [3, 4, 5]])
+    assert check(mesh, start, start, 0.1, device)
+    assert check(mesh, start, start, np.nextafter(0.1, 0), device)
+
+
+@pytest.mark.parametrize("num_faces", [20, 3000])
+def test_result_does_not_depend_on_num_threads(num_faces):
+    rng = np.random.default_rng(15)
+    start, faces = soup(rng, num_faces, 0.05)
+    start[: 3 * num_faces // 4] *= 0.2  # a dense corner, so that the first guess of the pair count is wrong
+    reference = find_candidates(single(start, faces), start, start + 0.01, num_threads=1)
+    for num_threads in (2, 3, 8):
+        found = find_candidates(single(start, faces), start, start + 0.01, num_threads=num_threads)
+        assert np.array_equal(found.vertex_face, reference.vertex_face)
+        assert np.array_equal(found.edge_edge, reference.edge_edge)
+
+
+def test_many_pairs_a_query(device):
+    """More partners than the scratch space of a query holds, on one row and on many."""
+    rng = np.random.default_rng(16)
+    start, faces = soup(rng, 700, 0.0)
+    start = start * [1.0, 1e-3, 1e-3]
+    start[:3] = [[-1, -1, -1], [2, 2, 2], [-1, 2, -1]]
+    assert check(single(start, faces), start, start, device=device) > 2000
+    start = np.zeros((600, 3))
+    mesh = single(start, np.arange(600).reshape(-1, 3))
+    found = find_candidates(mesh, start, start, device=device, num_threads=2)
+    assert len(found.vertex_face) == 600 * 199 and len(found.edge_edge) == 600 * 599 // 2 - 600
+
+
+@pytest.mark.parametrize("scene", ["soup", "giant", "flyer", "one_cell", "sizes"])
+def test_memory_is_bounded_by_the_number_of_boxes(scene, device):
+    rng = np.random.default_rng(17)
+    start, faces = soup(rng, 500, 0.01)
+    if scene == "giant":
+        start[:3] *= 1e6
+    elif scene == "flyer":
+        start[0] = 1e300
+    elif scene == "one_cell":
+        start *= 1e-300
+    elif scene == "sizes":
+        start *= np.repeat(10.0 ** rng.uniform(-300, 300, 500), 3)[:, None]
+    mesh = single(start, faces)
+    execution = Execution(wp.get_device(device), 1)
+    frame = wp.array(start, dtype=wp.vec3d, device=device)
+    boxes = swept_boxes(*mesh_arrays(mesh, execution.device)["edge"], frame, frame, 0.0, execution)
+    grid = build_grid(boxes, choose_ladder([boxes], execution), execution)
+    assert grid.primitive.shape == (mesh.num_edges,)
+    assert sorted(grid.primitive.numpy()) == list(range(mesh.num_edges))
+    assert grid.entry_begin.shape[0] <= 8 * mesh.num_edges
+    # What bounds the time: a window spans few cells of 2^6 quanta.
+    assert grid.span.numpy().max() <= 66
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"inflation": -1.0}, "inflation is -1.0; expected a finite length that is not negative"),
+        ({"inflation": np.nan}, "inflation is nan"),
+        ({"inflation": np.inf}, "inflation is inf"),
+        ({"inflation": "1"}, "inflation is '1'"),
+        ({"inflation": np.zeros(2)}, "inflation is array"),
+        ({"inflation": 10**400}, "inflation is 1000"),
+        ({"num_threads": 0}, "num_threads is 0; expected a positive integer or None"),
+        ({"num_threads": 1.5}, r"num_threads is 1\.5"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    mesh = single(np.eye(3), [[0, 1, 2]])
+    with pytest.raises(ValueError, match=message):
+        find_candidates(mesh, mesh.vertices, mesh.vertices, **options)
+
+
+def test_bad_frames_are_named():
+    mesh = single(np.eye(3), [[0, 1, 2]])
+    with pytest.raises(ValueError, match=r"vertices_t1 has shape \(3, 2\); expected \(3, 3\) like vertices_t0"):
+        find_candidates(mesh, mesh.vertices, mesh.vertices[:, :2])
+
+
+@requires_data
+@pytest.mark.parametrize("scene", simulation_scenes())
+def test_published_pairs_are_found(scene, device):
+    step = simulation_step(scene)
+    mesh = single(step.vertices_t0, step.faces)
+    found = find_candidates(mesh, step.vertices_t0, step.vertices_t1, device=device)
+    offset = {"v": 0, "e": mesh.num_vertices, "f": mesh.num_vertices + mesh.num_edges}
+    for kind, pairs, (first, second) in (
+        ("vertex-face", found.vertex_face, "vf"),
+        ("edge-edge", found.edge_edge, "ee"),
+    ):
+        ours = set(map(tuple, pairs.tolist()))
+        published = np.sort(simulation_boxes(scene, kind), axis=1) - [offset[first], offset[second]]
+        assert len(published) and ours.issuperset(map(tuple, published.tolist()))

@@ -1,0 +1,135 @@
+"""CollisionMesh: joining, unique edges, frames and messages."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from ccd_warp._mesh import CollisionMesh
+
+TRIANGLE = (np.eye(3), [[0, 1, 2]])
+TETRAHEDRON = (np.eye(4, 3), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+
+
+def test_bodies_are_joined_in_order():
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], static=[1], self_collision=[True, False])
+    assert mesh.num_bodies == 2
+    assert mesh.vertices.shape == (7, 3) and mesh.vertices.dtype == np.float64
+    assert mesh.faces.dtype == np.int32 and mesh.faces[1].tolist() == [3, 4, 5]
+    assert mesh.vertex_body.tolist() == [0] * 3 + [1] * 4
+    assert mesh.edge_body.tolist() == [0] * 3 + [1] * 6
+    assert mesh.face_body.tolist() == [0] + [1] * 4
+    assert mesh.body_vertex_range.tolist() == [0, 3, 7]
+    assert mesh.static.tolist() == [False, True] and mesh.self_collision.tolist() == [True, False]
+    assert mesh.moving_vertices.tolist() == [0, 1, 2]
+
+
+def test_edges_are_unique_pairs_sorted_by_max_then_min():
+    rng = np.random.default_rng(0)
+    faces = rng.integers(0, 30, (200, 3))
+    mesh = CollisionMesh.from_arrays([(rng.random((30, 3)), faces)])
+    pairs = {(int(min(p)), int(max(p))) for f in faces for p in zip(f, np.roll(f, 1), strict=True) if p[0] != p[1]}
+    assert mesh.edges.dtype == np.int32
+    assert [tuple(e) for e in mesh.edges.tolist()] == sorted(pairs, key=lambda p: (p[1], p[0]))
+
+
+def test_degenerate_and_duplicate_faces_are_valid():
+    mesh = CollisionMesh.from_arrays([(np.zeros((3, 3)), [[0, 0, 1], [2, 2, 2], [0, 1, 2], [0, 1, 2]])])
+    assert mesh.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
+
+
+@pytest.mark.parametrize("faces", [[], np.zeros((0, 3), dtype=int)])
+def test_body_without_faces_is_valid(faces):
+    mesh = CollisionMesh.from_arrays([(np.zeros((2, 3)), faces), (np.zeros((0, 3)), faces), TRIANGLE])
+    assert mesh.num_faces == 1 and mesh.num_edges == 3 and mesh.faces.tolist() == [[2, 3, 4]]
+    assert CollisionMesh.from_arrays([([], [])]).num_vertices == 0
+
+
+def test_from_trimesh():
+    box, ball = trimesh.creation.box(), trimesh.creation.icosphere(1)
+    mesh = CollisionMesh.from_trimesh([box, ball], static=[1])
+    assert np.array_equal(mesh.vertices, np.concatenate([box.vertices, ball.vertices]))
+    assert np.array_equal(mesh.faces, np.concatenate([box.faces, ball.faces + 8]))
+    assert mesh.num_edges == len(box.edges_unique) + len(ball.edges_unique)
+
+
+def test_mesh_is_frozen():
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    with pytest.raises(AttributeError):
+        mesh.faces = None
+    with pytest.raises(AttributeError):
+        del mesh.faces
+    for name in ("vertices", "faces", "edges", "vertex_body", "edge_body", "face_body", "static", "self_collision"):
+        with pytest.raises(ValueError):
+            getattr(mesh, name)[...] = 0
+
+
+def test_mesh_does_not_freeze_the_arrays_of_the_caller():
+    vertices = np.eye(3)
+    CollisionMesh.from_arrays([(vertices, [[0, 1, 2]])])
+    vertices[0, 0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("bodies", "options", "message"),
+    [
+        ([], {}, "bodies is empty; expected at least one body"),
+        ([TRIANGLE, (np.eye(5, 3), [[0, 1, 7]])], {}, r"faces of body 1 holds index 7; expected indices in \[0, 5\)"),
+        ([(np.eye(5, 3), [[0, 1, -1]])], {}, r"faces of body 0 holds index -1; expected indices in \[0, 5\)"),
+        ([(np.zeros((0, 3)), [[0, 1, 2]])], {}, r"faces of body 0 holds index 0; expected indices in \[0, 0\)"),
+        ([(np.eye(3), [[0, 1]])], {}, r"faces of body 0 has shape \(1, 2\); expected \(n, 3\)"),
+        ([(np.eye(3), [[0.0, 1.0, 2.0]])], {}, "faces of body 0 has dtype float64; expected integers"),
+        ([(np.eye(2), [[0, 1, 1]])], {}, r"vertices of body 0 has shape \(2, 2\); expected \(n, 3\)"),
+        ([(np.full((3, 3), np.nan), [])], {}, "vertices of body 0 holds nan in row 0; expected finite values"),
+        ([(np.eye(3, dtype=complex), [])], {}, "vertices of body 0 has dtype complex128; expected real numbers"),
+        ([np.eye(3)], {}, r"body 0 is a ndarray; expected a pair \(vertices, faces\)"),
+        ([TRIANGLE], {"static": [1]}, r"static holds 1; expected body indices in \[0, 1\)"),
+        ([TRIANGLE], {"static": [-1]}, r"static holds -1; expected body indices in \[0, 1\)"),
+        ([TRIANGLE], {"static": [True]}, r"static holds True; expected body indices"),
+        ([TRIANGLE], {"static": 0}, "static is 0; expected a list of body indices"),
+        ([TRIANGLE], {"self_collision": [True, False]}, r"self_collision has shape \(2,\); expected a bool or \(1,\)"),
+        ([TRIANGLE], {"self_collision": 1}, "self_collision is 1; expected a bool or one bool a body"),
+    ],
+)
+def test_bad_bodies_are_named(bodies, options, message):
+    with pytest.raises(ValueError, match=message):
+        CollisionMesh.from_arrays(bodies, **options)
+
+
+def test_from_trimesh_names_what_is_not_a_mesh():
+    with pytest.raises(ValueError, match=r"body 0 is a ndarray; expected a trimesh\.Trimesh"):
+        CollisionMesh.from_trimesh([np.eye(3)])
+
+
+def test_frames_of_static_bodies_rest():
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON, TRIANGLE], static=[1])
+    start = np.arange(30.0).reshape(10, 3)
+    end = start + 100
+    end[3:7] = np.nan
+    expected = start + 100
+    expected[3:7] = start[3:7]
+    for given in (end, end[mesh.moving_vertices]):
+        t0, t1 = mesh.frames(start, given)
+        assert np.array_equal(t0, start) and np.array_equal(t1, expected)
+
+
+def test_frame_takes_lists_and_float32():
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    assert mesh.frame([[0, 1, 2]] * 3).dtype == np.float64
+    assert mesh.frame(np.eye(3, dtype=np.float32)).dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("static", "start", "end", "message"),
+    [
+        ([], np.eye(7, 2), np.eye(7, 3), r"vertices_t0 has shape \(7, 2\); expected \(7, 3\)"),
+        ([], np.eye(7, 3), np.eye(7, 2), r"vertices_t1 has shape \(7, 2\); expected \(7, 3\) like vertices_t0"),
+        ([], np.eye(7, 3), np.eye(3, 3), r"vertices_t1 has shape \(3, 3\); expected \(7, 3\) like vertices_t0"),
+        ([1], np.eye(7, 3), np.eye(4, 3), r"vertices_t1 has shape \(4, 3\); expected \(7, 3\) .* or \(3, 3\)"),
+        ([1], np.full((7, 3), np.inf), np.eye(7, 3), "vertices_t0 holds inf in row 0; expected finite values"),
+        ([1], np.eye(7, 3), np.full((7, 3), np.nan), "vertices_t1 holds nan in row 0; expected finite values"),
+    ],
+)
+def test_bad_frames_are_named(static, start, end, message):
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], static=static)
+    with pytest.raises(ValueError, match=message):
+        mesh.frames(start, end)
