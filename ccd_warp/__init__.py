@@ -6,7 +6,7 @@ in [0, t_max]. A collision is never missed and never reported late.
 
 from ccd_warp._broad_phase import Candidates, find_candidates
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, vertex_face_ccd
+from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import collision_free_step, mesh_ccd
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
@@ -26,5 +26,7 @@ __all__ = [
     "edge_edge_ccd",
     "find_candidates",
     "mesh_ccd",
+    "point_point_ccd",
+    "point_segment_ccd",
     "vertex_face_ccd",
 ]

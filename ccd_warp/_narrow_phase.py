@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ccd_warp._launch import launch
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._status import PairKind
+from ccd_warp.kernels.contacts import lift
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 
@@ -21,13 +22,20 @@ class PairResult:
         toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
         status: How the answer was reached (:class:`ccd_warp.CCDStatus`), int32, shape [n].
         parameters: (u, v) of the closest point at toi, float64, shape [n, 2]: barycentric coordinates of f1 and f2 for
-            vertex-face, positions along the first and the second edge for edge-edge. Meaningless where toi is inf.
-        iterations: Sub-patches and clips that the pair took, int32, shape [n].
+            vertex-face, positions along the first and the second edge for edge-edge, (u, 0) with the position u along
+            the segment for point-segment. 0 where toi is inf.
+        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, in the length unit of the points,
+            float64, shape [n]; 0 where toi is inf.
+        width: Width of the reported box in time: the gap holds somewhere in [toi, toi + width]. 0 with the default
+            method, but up to t_max where a limit was reached; float64, shape [n].
+        iterations: Steps that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
     """
 
     toi: Any
     status: Any
     parameters: Any
+    gap: Any
+    width: Any
     iterations: Any
 
     @property
@@ -50,6 +58,7 @@ def vertex_face_ccd(
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
     precision: str = "float64",
+    method: str = "clipping",
     device: Any = None,
     num_threads: int | None = None,
 ) -> PairResult:
@@ -67,11 +76,12 @@ def vertex_face_ccd(
         length_scale: Length that the two multiples refer to. By default each pair has its own: the longest side of the
             box around its motion; scaling a pair by a power of two then changes no bit of its toi.
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
+        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
         device: Warp device; by default that of the arrays, or Warp's current one.
         num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
 
     Returns:
-        toi, status, parameters and iterations of each pair.
+        toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
@@ -86,7 +96,15 @@ def vertex_face_ccd(
     separation + δ + ε, with δ the tolerance and ε the rounding bound.
     """
     options = Options(
-        tolerance, minimum_separation, t_max, max_iterations, length_scale, precision, device, num_threads
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
     )
     return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
 
@@ -101,6 +119,7 @@ def edge_edge_ccd(
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
     precision: str = "float64",
+    method: str = "clipping",
     device: Any = None,
     num_threads: int | None = None,
 ) -> PairResult:
@@ -116,11 +135,12 @@ def edge_edge_ccd(
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
         precision: ``"float64"`` or ``"float32"``.
+        method: ``"clipping"`` or ``"bisection"``.
         device: Warp device.
         num_threads: Threads on the CPU.
 
     Returns:
-        toi, status, parameters and iterations of each pair.
+        toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
@@ -133,9 +153,136 @@ def edge_edge_ccd(
     separation + δ + ε, with δ the tolerance and ε the rounding bound.
     """
     options = Options(
-        tolerance, minimum_separation, t_max, max_iterations, length_scale, precision, device, num_threads
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
     )
     return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
+
+
+def point_segment_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    minimum_separation: float = 0.0,
+    t_max: float = 1.0,
+    max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    length_scale: float | None = None,
+    precision: str = "float64",
+    method: str = "clipping",
+    device: Any = None,
+    num_threads: int | None = None,
+) -> PairResult:
+    """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
+
+    In 3D a point meets a segment only by coincidence; with a minimum separation the pair is what cables and particles
+    need.
+
+    Args:
+        points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of vec2d
+            or vec3d, shape [n, 3].
+        points_t1: End positions, likewise.
+        tolerance: See :func:`vertex_face_ccd`, as all that follow.
+        minimum_separation: Distance (L∞) at which a pair counts as touching.
+        t_max: End of the step that is checked.
+        max_iterations: Limit of the work on a pair.
+        length_scale: Length that the two multiples refer to.
+        precision: ``"float64"`` or ``"float32"``.
+        method: ``"clipping"`` or ``"bisection"``.
+        device: Warp device.
+        num_threads: Threads on the CPU.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+
+    References:
+        As of :func:`vertex_face_ccd`.
+
+    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
+    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
+    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    """
+    options = Options(
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
+    )
+    return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
+
+
+def point_point_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    minimum_separation: float = 0.0,
+    t_max: float = 1.0,
+    max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    length_scale: float | None = None,
+    precision: str = "float64",
+    method: str = "clipping",
+    device: Any = None,
+    num_threads: int | None = None,
+) -> PairResult:
+    """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
+
+    Two points meet only by coincidence; with a minimum separation the pair is what particles need.
+
+    Args:
+        points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d or
+            vec3d, shape [n, 2].
+        points_t1: End positions, likewise.
+        tolerance: See :func:`vertex_face_ccd`, as all that follow.
+        minimum_separation: Distance (L∞) at which a pair counts as touching.
+        t_max: End of the step that is checked.
+        max_iterations: Limit of the work on a pair.
+        length_scale: Length that the two multiples refer to.
+        precision: ``"float64"`` or ``"float32"``.
+        method: ``"clipping"`` or ``"bisection"``.
+        device: Warp device.
+        num_threads: Threads on the CPU.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+
+    References:
+        As of :func:`vertex_face_ccd`.
+
+    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
+    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
+    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    """
+    options = Options(
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
+    )
+    return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
 
 
 @dataclass(frozen=True)
@@ -145,31 +292,26 @@ class PairArrays:
     toi: wp.array
     status: wp.array
     parameters: wp.array
+    gap: wp.array
+    width: wp.array
     iterations: wp.array
 
     @classmethod
     def empty(cls, count: int, device: Any) -> "PairArrays":
-        return cls(
-            wp.empty(count, dtype=wp.float64, device=device),
-            wp.empty(count, dtype=wp.int32, device=device),
-            wp.empty(count, dtype=wp.vec2d, device=device),
-            wp.empty(count, dtype=wp.int32, device=device),
-        )
+        dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
+        return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
 
     def as_list(self) -> list[wp.array]:
-        return [self.toi, self.status, self.parameters, self.iterations]
+        return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
-def option_inputs(options: Options, length_scale: float | None) -> list:
-    """Options in the order of the kernels' parameters; 0 stands for a pair's own length scale."""
-    return [
-        options.tolerance,
-        options.minimum_separation,
-        0.0 if length_scale is None else length_scale,
-        options.t_max,
-        options.t_end,
-        options.max_iterations,
-    ]
+# Points a pair, and the dimensions that a kind is defined in.
+_POINTS = {
+    PairKind.VERTEX_FACE: (4, (3,)),
+    PairKind.EDGE_EDGE: (4, (3,)),
+    PairKind.POINT_SEGMENT: (3, (2, 3)),
+    PairKind.POINT_POINT: (2, (2, 3)),
+}
 
 
 def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options) -> PairResult:
@@ -179,44 +321,56 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
             f"points_t1 is a {type(points_t1).__name__}; expected a {type(points_t0).__name__} like points_t0"
         )
     if from_warp:
-        x_t0 = _as_points(points_t0, "points_t0")
-        x_t1 = _as_points(points_t1, "points_t1")
         device = resolve_device(options.device, points_t0.device)
+        x_t0 = _as_points(kind, points_t0, "points_t0")
+        x_t1 = _as_points(kind, points_t1, "points_t1")
         if points_t1.device != device:
             raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
-        if x_t1.shape != x_t0.shape:
+        if points_t1.shape != points_t0.shape:
             raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
     else:
         device = resolve_device(options.device)
-        a = _validated_points(points_t0, "points_t0")
-        b = _validated_points(points_t1, "points_t1")
+        a = _validated_points(kind, points_t0, "points_t0")
+        b = _validated_points(kind, points_t1, "points_t1")
         if b.shape != a.shape:
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
-        x_t0 = wp.array(a, dtype=wp.vec3d, shape=(len(a), 4), device=device, copy=False)
-        x_t1 = wp.array(b, dtype=wp.vec3d, shape=(len(b), 4), device=device, copy=False)
+        x_t0, x_t1 = (wp.array(_in_3d(x), dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
 
     count = x_t0.shape[0]
     out = PairArrays.empty(count, device)
     launch(
         make_narrow_phase(options.real).points_toi,
         count,
-        inputs=[int(kind), x_t0, x_t1, *option_inputs(options, options.length_scale)],
+        inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale)],
         outputs=out.as_list(),
         device=device,
         num_threads=options.threads,
     )
     if from_warp:
-        return PairResult(out.toi, out.status, out.parameters, out.iterations)
-    return PairResult(out.toi.numpy(), out.status.numpy(), out.parameters.numpy(), out.iterations.numpy())
+        return PairResult(*out.as_list())
+    return PairResult(*(array.numpy() for array in out.as_list()))
 
 
-def _validated_points(points: Any, name: str) -> np.ndarray:
+def _in_3d(points: np.ndarray) -> np.ndarray:
+    """Points of the plane at z = 0; points of space as they are."""
+    if points.shape[2] == 3:
+        return points
+    return np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
+
+
+def _expected_shapes(kind: PairKind) -> str:
+    points, dimensions = _POINTS[kind]
+    return " or ".join(f"(n, {points}, {dimension})" for dimension in dimensions)
+
+
+def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
+    count, dimensions = _POINTS[kind]
     try:
         array = np.asarray(points)
     except ValueError as error:  # ragged nested lists
-        raise ValueError(f"{name} is not an array; expected shape (n, 4, 3)") from error
-    if array.ndim != 3 or array.shape[1:] != (4, 3):
-        raise ValueError(f"{name} has shape {array.shape}; expected (n, 4, 3)")
+        raise ValueError(f"{name} is not an array; expected shape {_expected_shapes(kind)}") from error
+    if array.ndim != 3 or array.shape[1] != count or array.shape[2] not in dimensions:
+        raise ValueError(f"{name} has shape {array.shape}; expected {_expected_shapes(kind)}")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {array.dtype}; expected real numbers")
     array = np.ascontiguousarray(array, dtype=np.float64)
@@ -227,13 +381,20 @@ def _validated_points(points: Any, name: str) -> np.ndarray:
     return array
 
 
-def _as_points(points: wp.array, name: str) -> wp.array:
-    """A Warp array as vec3d of shape [n, 4], without a copy."""
-    if points.dtype == wp.vec3d and points.ndim == 2 and points.shape[1] == 4:
-        return points
-    if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (4, 3) and points.is_contiguous:
-        return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=(points.shape[0], 4), device=points.device, copy=False)
+def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
+    """A Warp array as vec3d of shape [n, points]: without a copy, unless it is two-dimensional."""
+    count, dimensions = _POINTS[kind]
+    if points.ndim == 2 and points.shape[1] == count:
+        if points.dtype == wp.vec3d:
+            return points
+        if points.dtype == wp.vec2d and 2 in dimensions:
+            lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
+            wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=points.device)
+            return lifted
+    if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:
+        return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=points.shape[:2], device=points.device, copy=False)
+    vectors = " or ".join(f"vec{dimension}d" for dimension in dimensions)
     raise ValueError(
         f"{name} has dtype {points.dtype.__name__} and shape {points.shape}; "
-        "expected vec3d and (n, 4), or contiguous float64 and (n, 4, 3)"
+        f"expected {vectors} and (n, {count}), or contiguous float64 and (n, {count}, 3)"
     )

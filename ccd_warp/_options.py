@@ -9,11 +9,13 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._launch import default_num_threads
+from ccd_warp.kernels import narrow_phase
 
 DEFAULT_TOLERANCE = 1e-6
 DEFAULT_MAX_ITERATIONS = 10_000
 
 _PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
+_METHODS = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Options:
     max_iterations: int = DEFAULT_MAX_ITERATIONS
     length_scale: float | None = None
     precision: str = "float64"
+    method: str = "clipping"
     device: Any = None
     num_threads: int | None = None
 
@@ -38,6 +41,8 @@ class Options:
             _check_real("length_scale", self.length_scale, "a finite length above 0, or None", lambda x: x > 0)
         if self.precision not in _PRECISIONS:
             raise ValueError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
+        if self.method not in _METHODS:
+            raise ValueError(f"method is {self.method!r}; expected 'clipping' or 'bisection'")
         if self.num_threads is not None:
             _check_count("num_threads", self.num_threads, 2**31 - 1)
 
@@ -55,6 +60,18 @@ class Options:
         if float(rounded) < self.t_max:
             rounded = np.nextafter(rounded, np.float32(2))
         return float(rounded)
+
+    def for_kernel(self, length_scale: float | None) -> Any:
+        """The options as the struct that the kernels take; without a length scale each pair has its own."""
+        options = narrow_phase.make_narrow_phase(self.real).Options()
+        options.tolerance = self.tolerance
+        options.minimum_separation = self.minimum_separation
+        options.length_scale = 0.0 if length_scale is None else length_scale
+        options.t_max = self.t_max
+        options.t_end = self.t_end
+        options.max_iterations = self.max_iterations
+        options.method = _METHODS[self.method]
+        return options
 
     @property
     def threads(self) -> int:

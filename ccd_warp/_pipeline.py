@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ccd_warp._box_grid import Execution
 from ccd_warp._broad_phase import DeviceCandidates, find_candidates_on_device, mesh_arrays
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._narrow_phase import PairArrays, option_inputs
+from ccd_warp._narrow_phase import PairArrays
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
@@ -35,6 +35,7 @@ def mesh_ccd(
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
     precision: str = "float64",
+    method: str = "clipping",
     device: Any = None,
     num_threads: int | None = None,
 ) -> MeshResult:
@@ -53,6 +54,7 @@ def mesh_ccd(
         length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
             motion.
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
+        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
         device: Warp device; by default Warp's current one.
         num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
 
@@ -70,7 +72,15 @@ def mesh_ccd(
     certain. A finite toi without a collision is possible only where the L∞ gap falls below separation + δ + ε.
     """
     options = Options(
-        tolerance, minimum_separation, t_max, max_iterations, length_scale, precision, device, num_threads
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
     )
     return _Step(mesh, vertices_t0, vertices_t1, options).run()
 
@@ -86,6 +96,7 @@ def collision_free_step(
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
     precision: str = "float64",
+    method: str = "clipping",
     device: Any = None,
     num_threads: int | None = None,
 ) -> float:
@@ -101,6 +112,7 @@ def collision_free_step(
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
         precision: ``"float64"`` or ``"float32"``.
+        method: ``"clipping"`` or ``"bisection"``.
         device: Warp device.
         num_threads: Threads on the CPU.
 
@@ -118,7 +130,15 @@ def collision_free_step(
     separation) before the returned fraction.
     """
     options = Options(
-        tolerance, minimum_separation, t_max, max_iterations, length_scale, precision, device, num_threads
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        device=device,
+        num_threads=num_threads,
     )
     return _Step(mesh, vertices_t0, vertices_t1, options).bound()
 
@@ -170,7 +190,7 @@ class _Step:
                     self.arrays[second][0],
                     self.x_t0,
                     self.x_t1,
-                    *option_inputs(self.options, self.length_scale),
+                    self.options.for_kernel(self.length_scale),
                 ],
                 outputs=out.as_list(),
             )

@@ -10,6 +10,8 @@ class PairKind(IntEnum):
 
     VERTEX_FACE = int(patch.VERTEX_FACE)
     EDGE_EDGE = int(patch.EDGE_EDGE)
+    POINT_SEGMENT = int(patch.POINT_SEGMENT)
+    POINT_POINT = int(patch.POINT_POINT)
 
 
 class CCDStatus(IntEnum):

@@ -48,6 +48,19 @@ def position(x_t0: wp.vec3d, x_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
 
 
 @wp.kernel
+def lift(
+    # in
+    points: wp.array2d[wp.vec2d],
+    # out
+    lifted: wp.array2d[wp.vec3d],
+):
+    """Points of the plane as points of space at z = 0."""
+    i, j = wp.tid()
+    p = points[i, j]
+    lifted[i, j] = wp.vec3d(p[0], p[1], _ZERO)
+
+
+@wp.kernel
 def flag_contacts(
     begin: int,
     # in

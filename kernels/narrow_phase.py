@@ -283,9 +283,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                     c = corners_at(n.patch, answer.toi)
                     d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, n.patch.is_triangle)
                     answer.point = point_of(c, wb, wc, from_w11)
-                    answer.parameters = parameters(
-                        kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11
-                    )
+                    answer.parameters = parameters(kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11)
                     outcome.width = options.t_max - outcome.toi
                 outcome.parameters = answer.parameters
                 outcome.gap = gap_of(answer.point, n)

@@ -160,9 +160,7 @@ def make_subdivide(real) -> SimpleNamespace:
                     answer.toi = t
                     answer.status = box_status
                     answer.point = reached.point
-                    answer.parameters = parameters(
-                        kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11
-                    )
+                    answer.parameters = parameters(kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11)
         return answer
 
     return SimpleNamespace(Answer=Answer, subdivide=subdivide, parameters=parameters)
