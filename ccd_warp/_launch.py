@@ -4,6 +4,7 @@ Warp runs a CPU kernel serially and releases the GIL meanwhile, so disjoint rang
 Every kernel launched here takes ``begin: int`` as its first parameter and works on item ``begin + wp.tid()``.
 """
 
+import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -47,7 +48,7 @@ def launch(kernel, count: int, inputs: list, outputs: list, *, device, num_threa
     bounds = [count * k // parts for k in range(parts + 1)]
     futures = [
         _pool().submit(wp.launch, kernel, dim=end - begin, inputs=[begin, *inputs], outputs=outputs, device=device)
-        for begin, end in zip(bounds, bounds[1:], strict=False)
+        for begin, end in itertools.pairwise(bounds)
     ]
     for future in futures:
         future.result()

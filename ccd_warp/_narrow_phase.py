@@ -186,8 +186,8 @@ def point_segment_ccd(
     need.
 
     Args:
-        points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of vec2d
-            or vec3d, shape [n, 3].
+        points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
+            vec2d or vec3d, shape [n, 3].
         points_t1: End positions, likewise.
         tolerance: See :func:`vertex_face_ccd`, as all that follow.
         minimum_separation: Distance (L∞) at which a pair counts as touching.
@@ -245,8 +245,8 @@ def point_point_ccd(
     Two points meet only by coincidence; with a minimum separation the pair is what particles need.
 
     Args:
-        points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d or
-            vec3d, shape [n, 2].
+        points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
+            or vec3d, shape [n, 2].
         points_t1: End positions, likewise.
         tolerance: See :func:`vertex_face_ccd`, as all that follow.
         minimum_separation: Distance (L∞) at which a pair counts as touching.

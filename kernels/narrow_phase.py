@@ -118,7 +118,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 c.w01 = p.p0 - p.p2
                 c.q = p.p1 - p.p2
             c.w10 = c.w00
-            c.w11 = c.w00
+            c.w11 = c.w01
         return c
 
     @wp.func
@@ -218,7 +218,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
             n.patch.t0 = normalised(c0, s)
             n.patch.t1 = normalised(c1, s)
             n.patch.is_face = kind == VERTEX_FACE
-            n.patch.is_triangle = kind != EDGE_EDGE
+            n.patch.is_triangle = kind == VERTEX_FACE
             n.problem = with_volume(n.problem, n.patch.t0, n.patch.t1)
         return n
 
@@ -281,7 +281,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 else:
                     # the toi is the earliest time still open, on whatever sub-patch
                     c = corners_at(n.patch, answer.toi)
-                    d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, n.patch.is_triangle)
+                    _d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, n.patch.is_triangle)
                     answer.point = point_of(c, wb, wc, from_w11)
                     answer.parameters = parameters(kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11)
                     outcome.width = options.t_max - outcome.toi

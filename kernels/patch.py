@@ -3,14 +3,14 @@
 A pair touches at time t iff its patch, the convex hull of four corners that move linearly, holds the origin:
 F(t,u,v) = 0, with F bilinear in (u, v) and linear in t.
 
-| pair          | w00       | w01       | w10       | w11       | q = w01 − w00   | r = w10 − w00   |
-| ------------- | --------- | --------- | --------- | --------- | --------------- | --------------- |
-| vertex-face   | v − f0    | v − f1    | v − f2    | v − f2    | f0 − f1         | f0 − f2         |
-| edge-edge     | a0 − b0   | a0 − b1   | a1 − b0   | a1 − b1   | b0 − b1         | a1 − a0         |
-| point-segment | p − a     | p − b     | p − a     | p − a     | a − b           | 0               |
-| point-point   | p − q     | p − q     | p − q     | p − q     | 0               | 0               |
+| pair          | w00     | w01     | w10     | w11     | q       | r       |
+|---------------|---------|---------|---------|---------|---------|---------|
+| vertex-face   | v − f0  | v − f1  | v − f2  | v − f2  | f0 − f1 | f0 − f2 |
+| edge-edge     | a0 − b0 | a0 − b1 | a1 − b0 | a1 − b1 | b0 − b1 | a1 − a0 |
+| point-segment | p − a   | p − b   | p − a   | p − b   | a − b   | 0       |
+| point-point   | p − q   | p − q   | p − q   | p − q   | 0       | 0       |
 
-In two dimensions the third coordinate is 0. u runs from w0* to w1*, v from w*0 to w*1; a triangle is the patch whose side u = 1 has shrunk to a point.
+The sides are q = w01 − w00 and r = w10 − w00. In two dimensions the third coordinate is 0. u runs from w0* to w1*, v from w*0 to w*1; a triangle is the patch whose side u = 1 has shrunk to a point.
 """
 
 from functools import cache

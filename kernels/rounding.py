@@ -13,7 +13,7 @@ below are in the normalised units of step 2.
    that is part of the absolute term of step 5. In float32 the product is then rounded to float32: one more (1 + δ) with
    u = 2^-24, beside which the 2^-53 of step 1 is lost in the slack of step 4. So |V̂_k - V_k| ≤ 1.001·u·|V̂_k|.
 3. **Corners of a sub-patch.** W = (1-u)·x + u·y, with x, y = (1-v)·V_a + v·V_b for u, v on a dyadic grid whose
-   1-u, 1-v are exact (MAX_SPLITS below). Each of the two levels rounds two products and one sum; the weights sum to one:
+   1-u, 1-v are exact (MAX_SPLITS below). Each of the two levels rounds two products and one sum; weights sum to one:
    |Ŵ_k - W_k| ≤ (1 + 2·2)·1.001·u·M_k, M_k = max|V̂_k| over all corners and both ends of the step.
    The root patch is V̂ itself and has only the error of step 2.
 4. **Projection.** a = fl(d·Ŵ): three products, two sums, any order, with or without fma:

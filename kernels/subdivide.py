@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
-from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
+from .patch import POINT_SEGMENT, VERTEX_FACE, make_patch
 from .rounding import MAX_SPLITS
 
 STACK_DEPTH = 64

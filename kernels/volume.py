@@ -1,4 +1,4 @@
-"""The volume f(t) = P·(Q×R) as an inclusion function: an interval of time in which it keeps its sign is free of contact.
+"""The volume f(t) = P·(Q×R) as an inclusion function: where it keeps its sign there is no contact.
 
 A contact makes P, Q, R linearly dependent, so f = 0 is necessary for one, wherever it lies on the patch. With a
 separation box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary. f is a cubic in t; in

@@ -1,4 +1,4 @@
-"""The CUDA side of every kernel compiles to PTX without a GPU, and holds no fused multiply-add where a bound is kept."""
+"""The CUDA side of every kernel compiles to PTX without a GPU, and holds no fused multiply-add."""
 
 import importlib
 import pkgutil

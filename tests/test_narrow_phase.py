@@ -1,5 +1,7 @@
 """Narrow phase against exact rational arithmetic: nothing missed, nothing late, nothing early beyond the tolerance."""
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -94,7 +96,7 @@ def test_minimum_separation_is_monotone(kind, precision):
     # a toi is reported to within tolerance and rounding in gap; steps of the separation are larger than that
     separations = (0.0, 1e-5, 1e-4, 1e-2, 0.1, 1.0) if precision == "float64" else (0.0, 1e-4, 1e-2, 0.1, 1.0)
     tois = [SOLVE[kind](p0, p1, minimum_separation=d, precision=precision).toi for d in separations]
-    for smaller, larger in zip(tois, tois[1:], strict=False):
+    for smaller, larger in itertools.pairwise(tois):
         assert (larger <= smaller).all()
     assert (tois[-1] == 0).all()  # a separation of the whole size of the pair: always too close
 
