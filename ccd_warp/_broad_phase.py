@@ -19,34 +19,48 @@ from ccd_warp._box_grid import (
 )
 from ccd_warp._launch import default_num_threads
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._status import PairKind
 from ccd_warp.kernels import broad_phase as kernels
 
-_EDGE_EDGE = int(kernels.EDGE_EDGE)
-_FACE_TO_VERTEX = int(kernels.FACE_TO_VERTEX)
-_VERTEX_TO_FACE = int(kernels.VERTEX_TO_FACE)
-_FACE_HEADROOM = int(kernels.FACE_HEADROOM)
+_WITHIN_SET = int(kernels.WITHIN_SET)
+_SECOND_TO_FIRST = int(kernels.SECOND_TO_FIRST)
+_FIRST_TO_SECOND = int(kernels.FIRST_TO_SECOND)
+_SECOND_HEADROOM = int(kernels.SECOND_HEADROOM)
 _LARGEST_COUNT = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Pairs that may collide in the step.
+    """Pairs that may collide in the step, each once, in lexicographic order.
 
     Attributes:
-        vertex_face: Vertex and face indices, each pair once, in lexicographic order, int32, shape [m, 2].
-        edge_edge: Edge indices, first < second, each pair once, in lexicographic order, int32, shape [k, 2].
+        vertex_face: Vertex and face indices, int32, shape [m, 2].
+        edge_edge: Edge indices, first < second, int32, shape [k, 2].
+        point_segment: Indices of loose points among the vertices and of loose edges among the edges, int32,
+            shape [n, 2]; empty where the mesh has none.
+        point_point: Indices of loose points among the vertices, first < second, int32, shape [l, 2]; likewise.
     """
 
     vertex_face: NDArray[np.int32]
     edge_edge: NDArray[np.int32]
+    point_segment: NDArray[np.int32]
+    point_point: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
 class DeviceCandidates:
-    """The same pairs on the device: arrays of ``wp.vec2i``, shapes [m] and [k]."""
+    """The same pairs on the device: arrays of ``wp.vec2i``, one-dimensional."""
 
     vertex_face: wp.array
     edge_edge: wp.array
+
+    point_segment: wp.array
+    point_point: wp.array
+
+    def by_kind(self) -> list[tuple[PairKind, wp.array]]:
+        """The kinds that occur, with their pairs."""
+        kinds = [(kind, getattr(self, kind.name.lower())) for kind in PairKind]
+        return [(kind, pairs) for kind, pairs in kinds if len(pairs)]
 
 
 def find_candidates(
@@ -58,11 +72,22 @@ def find_candidates(
     device: Any = None,
     num_threads: int | None = None,
 ) -> Candidates:
-    """Find the vertex-face and edge-edge pairs whose swept axis-aligned boxes overlap.
+    """Find the pairs of primitives whose swept axis-aligned boxes overlap.
 
     The box of a primitive encloses its vertices at both ends of the step, grows by ``inflation`` on every side, rounded
     outward, and is closed: boxes that only touch overlap. Left out are pairs that share a vertex, pairs of two static
     bodies and pairs within a body whose self-collision is off.
+
+    Four kinds of pair are enough: vertices with faces, edges with edges, loose points with loose edges, and loose
+    points with each other. What collides are faces, loose edges and loose points: convex sets, two of which, A and B,
+    are as far apart in any norm as the origin is from the polytope A - B, which is at its boundary while they do not
+    touch. For two faces, or a face and a loose edge, that boundary consists of differences (vertex) - (face) and
+    (edge) - (edge), and where A - B is flat these cover all of it. Two loose edges are an edge-edge pair as they stand,
+    a loose point and a face a vertex-face pair. So a loose point and an edge of a face need no pair: the edge is part
+    of the face and no nearer. Nor do a vertex of an edge and a loose edge: the vertex is part of its own edge. Loose
+    points with loose edges, and with each other, are all that is left, and are looked for only where they exist.
+    Because pairs that share a vertex are left out, a cable that folds back on itself at a joint is not noticed by the
+    two segments of that joint, as two faces with a common edge meet only through their other vertices.
 
     Args:
         mesh: The bodies.
@@ -98,7 +123,8 @@ def find_candidates(
         inflation,
         execution,
     )
-    return Candidates(found.vertex_face.numpy().reshape(-1, 2), found.edge_edge.numpy().reshape(-1, 2))
+    kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
+    return Candidates(*(pairs.numpy().reshape(-1, 2) for pairs in kinds))
 
 
 def find_candidates_on_device(
@@ -109,11 +135,11 @@ def find_candidates_on_device(
     The frames are ``wp.vec3d``, shape [V]. Static rows of the two frames must be equal.
     """
     arrays = mesh_arrays(mesh, execution.device)
-    boxes = {}
-    for kind in ("vertex", "edge", "face"):
-        corners, body, is_static = arrays[kind]
-        if corners.shape[0]:
-            boxes[kind] = swept_boxes(corners, body, is_static, vertices_t0, vertices_t1, inflation, execution)
+
+    def boxes(name: str) -> Boxes:
+        corners, body, is_static = arrays[name][:3]
+        return swept_boxes(corners, body, is_static, vertices_t0, vertices_t1, inflation, execution)
+
     moving = ~mesh.static
     search = _Search(
         execution,
@@ -122,31 +148,55 @@ def find_candidates_on_device(
         # Boxes that move all belong to one body that ignores itself: moving layers need not meet.
         skip_moving=int(moving.sum() == 1 and not mesh.self_collision[moving].any()),
     )
-    vertex_face = edge_edge = wp.empty(0, dtype=wp.vec2i, device=execution.device)
-    if moving.any() and "face" in boxes and "vertex" in boxes:
-        ladder = choose_ladder([boxes["face"], boxes["vertex"]], execution, cell_factor=0.5)
-        faces = build_grid(boxes["face"], ladder, execution)
-        vertices = build_grid(boxes["vertex"], ladder, execution)
-        parts = search.pairs(_FACE_TO_VERTEX, boxes["face"], faces, boxes["vertex"], vertices, ladder.origin)
-        if max(faces.layers.numpy()) >> 1 > (min(vertices.layers.numpy()) >> 1) + _FACE_HEADROOM:
-            parts += search.pairs(_VERTEX_TO_FACE, boxes["vertex"], vertices, boxes["face"], faces, ladder.origin)
-        vertex_face = search.sorted_pairs(parts, "vertex-face")
-    if moving.any() and "edge" in boxes:
-        ladder = choose_ladder([boxes["edge"]], execution)
-        edges = build_grid(boxes["edge"], ladder, execution)
-        parts = search.pairs(_EDGE_EDGE, boxes["edge"], edges, boxes["edge"], edges, ladder.origin)
-        edge_edge = search.sorted_pairs(parts, "edge-edge")
-    return DeviceCandidates(vertex_face, edge_edge)
+    none = wp.empty(0, dtype=wp.vec2i, device=execution.device)
+    vertex_face = edge_edge = point_segment = point_point = none
+    if moving.any() and mesh.num_faces:
+        vertex_face = search.between(boxes("vertex"), boxes("face"), "vertex-face", cell_factor=0.5)
+    if moving.any() and mesh.num_edges:
+        edge_edge = search.within(boxes("edge"), "edge-edge")
+    if moving.any() and len(mesh.loose_points):
+        points, point_ids = boxes("loose_point"), arrays["loose_point"][3]
+        if len(mesh.loose_edges):
+            segment_ids = arrays["loose_edge"][3]
+            point_segment = search.between(points, boxes("loose_edge"), "point-segment", ids=(point_ids, segment_ids))
+        point_point = search.within(points, "point-point", ids=(point_ids, point_ids))
+    return DeviceCandidates(vertex_face, edge_edge, point_segment, point_point)
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Runs the pair kernel and gathers its keys."""
+    """Runs the pair kernel and gathers its keys.
+
+    Where the boxes are those of a subset of the mesh's primitives, ``ids`` tells which.
+    """
 
     execution: Execution
     self_collision: wp.array
     filter_bodies: int
     skip_moving: int
+
+    def between(
+        self,
+        first: Boxes,
+        second: Boxes,
+        name: str,
+        cell_factor: float = 1.0,
+        ids: tuple[wp.array, wp.array] | None = None,
+    ) -> wp.array:
+        """Pairs of a small primitive with a large one, sorted."""
+        ladder = choose_ladder([second, first], self.execution, cell_factor)
+        large = build_grid(second, ladder, self.execution)
+        small = build_grid(first, ladder, self.execution)
+        parts = self.pairs(_SECOND_TO_FIRST, second, large, first, small, ladder.origin)
+        if max(large.layers.numpy()) >> 1 > (min(small.layers.numpy()) >> 1) + _SECOND_HEADROOM:
+            parts += self.pairs(_FIRST_TO_SECOND, first, small, second, large, ladder.origin)
+        return self.sorted_pairs(parts, name, ids)
+
+    def within(self, boxes: Boxes, name: str, ids: tuple[wp.array, wp.array] | None = None) -> wp.array:
+        """Pairs of primitives of one set, first < second, sorted."""
+        ladder = choose_ladder([boxes], self.execution)
+        grid = build_grid(boxes, ladder, self.execution)
+        return self.sorted_pairs(self.pairs(_WITHIN_SET, boxes, grid, boxes, grid, ladder.origin), name, ids)
 
     def pairs(
         self, kind: int, query: Boxes, query_grid: Any, target: Boxes, target_grid: Any, origin: Any
@@ -215,7 +265,7 @@ class _Search:
             collect(threads, items, block, np.full(items - threads, most + most // 4 + 1024, dtype=np.int64))
         return parts
 
-    def sorted_pairs(self, parts: list[wp.array], name: str) -> wp.array:
+    def sorted_pairs(self, parts: list[wp.array], name: str, ids: tuple[wp.array, wp.array] | None = None) -> wp.array:
         """The pairs of all parts in lexicographic order."""
         total = sum(part.shape[0] for part in parts)
         if total > _LARGEST_COUNT:
@@ -230,12 +280,18 @@ class _Search:
             np.concatenate([part.numpy() for part in parts], out=keys.numpy())
         sort_keys(keys, total, self.execution)
         pairs = wp.empty(total, dtype=wp.vec2i, device=self.execution.device)
-        self.execution.launch(kernels.unpack_pairs, total, inputs=[keys], outputs=[pairs])
+        if ids is None:
+            self.execution.launch(kernels.unpack_pairs, total, inputs=[keys], outputs=[pairs])
+        else:
+            self.execution.launch(kernels.unpack_subset_pairs, total, inputs=[keys, *ids], outputs=[pairs])
         return pairs
 
 
 def mesh_arrays(mesh: CollisionMesh, device: Any) -> dict[str, Any]:
-    """Corners, bodies and static flags of each kind on the device; made once per mesh and device."""
+    """Corners, bodies and static flags of each kind on the device; made once per mesh and device.
+
+    Loose points and loose edges have a fourth array, their indices among all vertices or edges.
+    """
     cache: dict[str, dict[str, Any]] = mesh._device_cache  # type: ignore[attr-defined]
     key = str(device)
     if key not in cache:
@@ -246,16 +302,25 @@ def mesh_arrays(mesh: CollisionMesh, device: Any) -> dict[str, Any]:
             "face": (mesh.faces, mesh.face_body),
         }
         arrays: dict[str, Any] = {
-            name: (
-                wp.array(corners, dtype=wp.vec3i, device=device),
-                wp.array(body, dtype=wp.int32, device=device),
-                wp.array(mesh.static[body].astype(np.int32), dtype=wp.int32, device=device),
-            )
-            for name, (corners, body) in kinds.items()
+            name: _on_device(corners, body, mesh, device) for name, (corners, body) in kinds.items()
         }
+        for name, kind, ids in (("loose_point", "vertex", mesh.loose_points), ("loose_edge", "edge", mesh.loose_edges)):
+            if len(ids):
+                corners, body = (array[ids] for array in kinds[kind])
+                arrays[name] = (*_on_device(corners, body, mesh, device), wp.array(ids, dtype=wp.int32, device=device))
         arrays["self_collision"] = wp.array(mesh.self_collision.astype(np.int32), dtype=wp.int32, device=device)
         cache[key] = arrays
     return cache[key]
+
+
+def _on_device(
+    corners: NDArray[np.int32], body: NDArray[np.int32], mesh: CollisionMesh, device: Any
+) -> tuple[wp.array, wp.array, wp.array]:
+    return (
+        wp.array(corners, dtype=wp.vec3i, device=device),
+        wp.array(body, dtype=wp.int32, device=device),
+        wp.array(mesh.static[body].astype(np.int32), dtype=wp.int32, device=device),
+    )
 
 
 def validated_inflation(value: float) -> float:

@@ -1,4 +1,4 @@
-"""Triangle meshes of one or several bodies, joined into one set of vertices, edges and faces."""
+"""Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -14,11 +14,19 @@ class CollisionMesh:
     read-only. Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without
     faces are valid.
 
+    Beside faces a body may have **loose edges**, as cables do, and **loose points**, as particles are. An edge that is
+    given as loose but belongs to a face is an edge of that face. A vertex in no face and no edge is a loose point only
+    in bodies whose ``loose_points`` is on, because meshes from files often hold vertices that nothing uses; elsewhere
+    it meets faces alone.
+
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3].
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
-        edges: The unique pairs (min, max) of vertices that follow each other in a face, sorted by (max, min), int32,
-            shape [E, 2]. A pair (a, a), as a face with a repeated vertex holds it, is not an edge.
+        edges: The unique pairs (min, max) of vertices that follow each other in a face or that a loose edge joins,
+            sorted by (max, min), int32, shape [E, 2]. A pair (a, a), as a face with a repeated vertex holds it, is not
+            an edge.
+        loose_edges: Indices into ``edges`` of those that belong to no face, ascending, int32, shape [E_loose].
+        loose_points: Indices of the vertices that collide as points, ascending, int32, shape [V_loose].
         vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
         body_vertex_range: Body b owns the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
@@ -30,6 +38,8 @@ class CollisionMesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     edges: NDArray[np.int32]
+    loose_edges: NDArray[np.int32]
+    loose_points: NDArray[np.int32]
     vertex_body: NDArray[np.int32]
     edge_body: NDArray[np.int32]
     face_body: NDArray[np.int32]
@@ -45,15 +55,19 @@ class CollisionMesh:
         body_vertex_range: NDArray[np.int32],
         static: NDArray[np.bool_],
         self_collision: NDArray[np.bool_],
+        given_edges: NDArray[np.int32],
+        with_loose_points: NDArray[np.bool_],
     ) -> None:
         """Join already validated arrays; use :meth:`from_trimesh` or :meth:`from_arrays` instead."""
         num_bodies = len(static)
         vertex_body = np.repeat(np.arange(num_bodies, dtype=np.int32), np.diff(body_vertex_range))
-        edges = _unique_edges(faces)
+        edges, loose_edges = _unique_edges(faces, given_edges)
         values: dict[str, Any] = {
             "vertices": vertices,
             "faces": faces,
             "edges": edges,
+            "loose_edges": loose_edges,
+            "loose_points": _loose_points(faces, edges, with_loose_points, vertex_body),
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
             "face_body": vertex_body[faces[:, 0]],
@@ -74,68 +88,86 @@ class CollisionMesh:
         raise AttributeError(f"CollisionMesh does not change after construction; cannot delete {name}")
 
     def __repr__(self) -> str:
-        return (
-            f"CollisionMesh({self.num_bodies} bodies, {self.num_vertices} vertices, {self.num_edges} edges, "
-            f"{self.num_faces} faces)"
-        )
+        parts = [f"{self.num_bodies} bodies", f"{self.num_vertices} vertices", f"{self.num_edges} edges"]
+        parts += [f"{self.num_faces} faces"]
+        parts += [f"{len(self.loose_edges)} loose edges"] if len(self.loose_edges) else []
+        parts += [f"{len(self.loose_points)} loose points"] if len(self.loose_points) else []
+        return f"CollisionMesh({', '.join(parts)})"
 
     @classmethod
     def from_trimesh(
-        cls, bodies: Sequence[Any], static: Iterable[int] = (), self_collision: bool | Sequence[bool] = True
+        cls,
+        bodies: Sequence[Any],
+        static: Iterable[int] = (),
+        self_collision: bool | Sequence[bool] = True,
+        loose_points: bool | Sequence[bool] = False,
     ) -> "CollisionMesh":
-        """Join trimesh meshes.
+        """Join trimesh objects.
 
         Args:
-            bodies: Meshes (``trimesh.Trimesh``), one a body.
+            bodies: One a body: a mesh (``trimesh.Trimesh``); a path of straight lines (``trimesh.path.Path3D``), whose
+                segments become loose edges; or points (``trimesh.PointCloud``), which become loose points.
             static: Indices of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
+            loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
+                all bodies or one for each. Those of a point cloud always are.
 
         Returns:
             The joined mesh.
 
         Raises:
-            ValueError: If there is no body, or a body, ``static`` or ``self_collision`` is not as described.
+            ValueError: If there is no body, or a body, ``static``, ``self_collision`` or ``loose_points`` is not as
+                described.
         """
-        for b, body in enumerate(bodies):
-            if not (hasattr(body, "vertices") and hasattr(body, "faces")):
-                raise ValueError(f"body {b} is a {type(body).__name__}; expected a trimesh.Trimesh")
-        return cls.from_arrays([(body.vertices, body.faces) for body in bodies], static, self_collision)
+        given = _validated_flags(loose_points, len(bodies), "loose_points")
+        arrays = [_arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
+        is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
+        return cls.from_arrays(arrays, static, self_collision, (given | np.array(is_cloud, dtype=bool)).tolist())
 
     @classmethod
     def from_arrays(
         cls,
-        bodies: Sequence[tuple[ArrayLike, ArrayLike]],
+        bodies: Sequence[tuple[ArrayLike, ...]],
         static: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
+        loose_points: bool | Sequence[bool] = False,
     ) -> "CollisionMesh":
-        """Join pairs of arrays.
+        """Join bodies given by arrays.
 
         Args:
-            bodies: One pair a body: vertices, float, shape [V_b, 3], and faces, integer indices into these vertices,
-                shape [F_b, 3].
+            bodies: One tuple a body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape [V_b, 3];
+                faces, integer indices into these vertices, shape [F_b, 3]; and loose edges, likewise, shape [E_b, 2].
             static: Indices of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
+            loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
+                all bodies or one for each.
 
         Returns:
             The joined mesh.
 
         Raises:
-            ValueError: If there is no body, or a body, ``static`` or ``self_collision`` is not as described.
+            ValueError: If there is no body, or a body, ``static``, ``self_collision`` or ``loose_points`` is not as
+                described.
         """
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
-        all_vertices, all_faces, offsets = [], [], [0]
+        all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
         for b, body in enumerate(bodies):
-            if not isinstance(body, (tuple, list)) or len(body) != 2:
-                raise ValueError(f"body {b} is a {type(body).__name__}; expected a pair (vertices, faces)")
+            if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
+                raise ValueError(
+                    f"body {b} is a {type(body).__name__}; "
+                    f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
+                )
             vertices = _validated_positions(body[0], f"vertices of body {b}")
-            faces = _validated_faces(body[1], len(vertices), f"faces of body {b}")
             all_vertices.append(vertices)
-            all_faces.append(faces + offsets[-1])
+            all_faces.append(_validated_indices(body[1], 3, len(vertices), f"faces of body {b}") + offsets[-1])
+            if len(body) == 3:
+                all_edges.append(_validated_indices(body[2], 2, len(vertices), f"edges of body {b}") + offsets[-1])
             offsets.append(offsets[-1] + len(vertices))
-        if max(offsets[-1], 3 * sum(map(len, all_faces))) > np.iinfo(np.int32).max:
+        num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
+        if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
             raise ValueError(
-                f"bodies hold {offsets[-1]} vertices and {sum(map(len, all_faces))} faces; "
+                f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} loose edges; "
                 f"expected counts whose edges int32 can index"
             )
         return cls(
@@ -143,7 +175,9 @@ class CollisionMesh:
             np.concatenate(all_faces).astype(np.int32),
             np.array(offsets, dtype=np.int32),
             _validated_static(static, len(bodies)),
-            _validated_self_collision(self_collision, len(bodies)),
+            _validated_flags(self_collision, len(bodies), "self_collision"),
+            np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32),
+            _validated_flags(loose_points, len(bodies), "loose_points"),
         )
 
     @property
@@ -213,16 +247,65 @@ class CollisionMesh:
         return start, full
 
 
-def _unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Unique (min, max) pairs sorted by (max, min): one sort of 64-bit keys, and NumPy sorts those with SIMD."""
-    a, b, c = (faces[:, k].astype(np.int64) for k in range(3))
-    keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in ((a, b), (b, c), (c, a))])
+def _unique_edges(
+    faces: NDArray[np.int32], given_edges: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face.
+
+    One sort of 64-bit keys, and NumPy sorts those with SIMD.
+    """
+    a, b, c = (faces[:, k] for k in range(3))
+    keys = _unique_edge_keys([(a, b), (b, c), (c, a)])
+    loose = np.zeros(0, dtype=np.int64)
+    if len(given_edges):
+        loose = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
+        loose = np.setdiff1d(loose, keys, assume_unique=True)
+        keys = np.sort(np.concatenate([keys, loose]))
+    edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
+    return edges, np.searchsorted(keys, loose).astype(np.int32)
+
+
+def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> NDArray[np.int64]:
+    """Ascending keys (max << 32) | min of the edges among pairs of vertices; (a, a) is none."""
+    wide = [(p.astype(np.int64), q.astype(np.int64)) for p, q in pairs]
+    keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in wide])
     keys.sort()
     first = np.ones(len(keys), dtype=bool)
     first[1:] = keys[1:] != keys[:-1]
     keys = keys[first]
-    edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
-    return edges[edges[:, 0] != edges[:, 1]]
+    return keys[(keys >> 32) != (keys & 0xFFFFFFFF)]
+
+
+def _loose_points(
+    faces: NDArray[np.int32],
+    edges: NDArray[np.int32],
+    with_loose_points: NDArray[np.bool_],
+    vertex_body: NDArray[np.int32],
+) -> NDArray[np.int32]:
+    """Vertices in no face and no edge, of the bodies that ask for them."""
+    if not with_loose_points.any():
+        return np.zeros(0, dtype=np.int32)
+    is_loose = with_loose_points[vertex_body]
+    is_loose[faces] = False
+    is_loose[edges] = False
+    return np.flatnonzero(is_loose).astype(np.int32)
+
+
+def _arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
+    """The arrays of a mesh, a path or a point cloud."""
+    no_faces = np.zeros((0, 3), dtype=np.int64)
+    if not hasattr(body, "vertices"):
+        raise ValueError(f"body {index} is a {type(body).__name__}; expected a trimesh.Trimesh, Path3D or PointCloud")
+    if hasattr(body, "faces"):
+        return body.vertices, body.faces
+    if not hasattr(body, "entities"):
+        return body.vertices, no_faces
+    for entity in body.entities:
+        # The points of an arc or a spline are not on a polyline along it.
+        if type(entity).__name__ != "Line":
+            raise ValueError(f"body {index} holds a {type(entity).__name__}; expected a path of straight lines")
+    segments = [np.asarray(entity.nodes) for entity in body.entities]
+    return body.vertices, no_faces, np.concatenate([np.zeros((0, 2), dtype=np.int64), *segments])
 
 
 def _as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -257,15 +340,15 @@ def _validated_positions(
     return array
 
 
-def _validated_faces(values: ArrayLike, num_vertices: int, name: str) -> NDArray[np.int64]:
+def _validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise ValueError(f"{name} is not an array; expected shape (n, 3)") from error
-    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (3,)):
-        return np.zeros((0, 3), dtype=np.int64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
+        raise ValueError(f"{name} is not an array; expected shape (n, {columns})") from error
+    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
+        return np.zeros((0, columns), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, {columns})")
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name} has dtype {array.dtype}; expected integers")
     for index in (array.min(), array.max()):
@@ -287,10 +370,10 @@ def _validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool
     return static
 
 
-def _validated_self_collision(values: bool | Sequence[bool], num_bodies: int) -> NDArray[np.bool_]:
+def _validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
     array = np.asarray(values)
     if array.dtype != bool:
-        raise ValueError(f"self_collision is {values!r}; expected a bool or one bool a body")
+        raise ValueError(f"{name} is {values!r}; expected a bool or one bool a body")
     if array.shape not in ((), (num_bodies,)):
-        raise ValueError(f"self_collision has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
+        raise ValueError(f"{name} has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
     return np.array(np.broadcast_to(array, (num_bodies,)))

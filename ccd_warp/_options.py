@@ -51,13 +51,12 @@ class Options:
         """Warp scalar type of the iteration."""
         return _PRECISIONS[self.precision]
 
-    @property
-    def t_end(self) -> float:
-        """``t_max`` in the precision of the iteration, rounded up."""
+    def rounded_up(self, t: float) -> float:
+        """A time in the precision of the iteration, rounded up."""
         if self.precision == "float64":
-            return float(self.t_max)
-        rounded = np.float32(self.t_max)
-        if float(rounded) < self.t_max:
+            return float(t)
+        rounded = np.float32(t)
+        if float(rounded) < t:
             rounded = np.nextafter(rounded, np.float32(2))
         return float(rounded)
 
@@ -68,7 +67,7 @@ class Options:
         options.minimum_separation = self.minimum_separation
         options.length_scale = 0.0 if length_scale is None else length_scale
         options.t_max = self.t_max
-        options.t_end = self.t_end
+        options.t_end = self.rounded_up(self.t_max)
         options.max_iterations = self.max_iterations
         options.method = _METHODS[self.method]
         return options

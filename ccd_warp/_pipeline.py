@@ -18,10 +18,21 @@ from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels import contacts as contact_kernels
+from ccd_warp.kernels import cull as cull_kernels
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 # Primitives of each kind, as named in the mesh arrays.
-_PRIMITIVES = {PairKind.VERTEX_FACE: ("vertex", "face"), PairKind.EDGE_EDGE: ("edge", "edge")}
+_PRIMITIVES = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("vertex", "edge"),
+    PairKind.POINT_POINT: ("vertex", "vertex"),
+}
+
+
+# Pairs of the first and of the largest chunk of the search for a bound.
+_FIRST_CHUNK = 4096
+_LARGEST_CHUNK = 1 << 18
 
 
 def mesh_ccd(
@@ -67,9 +78,10 @@ def mesh_ccd(
     References:
         Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
 
-    Guarantee: if the exact trajectories of a vertex-face or edge-edge pair that passes the mesh's filter first touch
-    (or come within the minimum separation) at τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is
-    certain. A finite toi without a collision is possible only where the L∞ gap falls below separation + δ + ε.
+    Guarantee: if the exact trajectories of a pair that passes the mesh's filter (vertex-face, edge-edge, and where the
+    mesh has loose primitives point-segment and point-point) first touch (or come within the minimum separation) at
+    τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
+    possible only where the L∞ gap falls below separation + δ + ε.
     """
     options = Options(
         tolerance=tolerance,
@@ -126,8 +138,8 @@ def collision_free_step(
     References:
         Wang et al. 2021, section 4.
 
-    Guarantee: no vertex-face or edge-edge pair that passes the mesh's filter touches (or comes within the minimum
-    separation) before the returned fraction.
+    Guarantee: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` looks at, touches (or comes
+    within the minimum separation) before the returned fraction.
     """
     options = Options(
         tolerance=tolerance,
@@ -154,8 +166,9 @@ class _Step:
         with self.timed("input"):
             start, end = mesh.frames(vertices_t0, vertices_t1)
             self.length_scale = longest_side(start, end) if options.length_scale is None else options.length_scale
-            self.x_t0 = wp.array(start, dtype=wp.vec3d, device=self.execution.device, copy=False)
-            self.x_t1 = wp.array(end, dtype=wp.vec3d, device=self.execution.device, copy=False)
+            self.separation = min(options.minimum_separation * self.length_scale, np.finfo(np.float64).max)
+            self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=self.execution.device, copy=False)
+            self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=self.execution.device, copy=False)
             self.arrays = mesh_arrays(mesh, self.execution.device)
 
     @contextmanager
@@ -169,52 +182,80 @@ class _Step:
     def candidates(self) -> DeviceCandidates:
         """Pairs whose boxes, each grown by half the minimum separation, overlap."""
         with self.timed("broad phase"):
-            separation = min(self.options.minimum_separation * self.length_scale, np.finfo(np.float64).max)
-            inflation = 0.5 * separation
-            if separation > 0.0:
+            inflation = 0.5 * self.separation
+            if inflation > 0.0:
                 inflation = min(math.nextafter(inflation, math.inf), np.finfo(np.float64).max)
             return find_candidates_on_device(self.mesh, self.x_t0, self.x_t1, inflation, self.execution)
+
+    def pair_inputs(self, kind: PairKind, pairs: wp.array) -> list:
+        """Inputs that every kernel over pairs begins with."""
+        first, second = _PRIMITIVES[kind]
+        return [int(kind), pairs, self.arrays[first][0], self.arrays[second][0], self.x_t0, self.x_t1]
+
+    def cull(self, kind: PairKind, pairs: wp.array) -> wp.array:
+        """The pairs that one inclusion test over the whole step does not settle."""
+        with self.timed("cull"):
+            flags = wp.empty(len(pairs), dtype=wp.int32, device=self.execution.device)
+            self.execution.launch(
+                cull_kernels.flag_survivors,
+                len(pairs),
+                inputs=[*self.pair_inputs(kind, pairs), self.separation],
+                outputs=[flags],
+            )
+            count = counted(flags)
+            survivors = wp.empty(count, dtype=wp.vec2i, device=self.execution.device)
+            self.execution.launch(cull_kernels.keep_survivors, len(pairs), inputs=[pairs, flags], outputs=[survivors])
+        return survivors
 
     def narrow_phase(self, kind: PairKind, pairs: wp.array) -> PairArrays:
         """The toi of each pair."""
         with self.timed("narrow phase"):
             out = PairArrays.empty(len(pairs), self.execution.device)
-            first, second = _PRIMITIVES[kind]
             self.execution.launch(
                 make_narrow_phase(self.options.real).pairs_toi,
                 len(pairs),
-                inputs=[
-                    int(kind),
-                    pairs,
-                    self.arrays[first][0],
-                    self.arrays[second][0],
-                    self.x_t0,
-                    self.x_t1,
-                    self.options.for_kernel(self.length_scale),
-                ],
+                inputs=[*self.pair_inputs(kind, pairs), self.options.for_kernel(self.length_scale)],
                 outputs=out.as_list(),
+                grain=64,
             )
         return out
 
-    def solved(self) -> list[tuple[PairKind, wp.array, PairArrays]]:
-        """Kinds that occur, with their pairs and toi; a kind without candidates is neither compiled nor launched."""
-        found = self.candidates()
-        kinds = ((PairKind.VERTEX_FACE, found.vertex_face), (PairKind.EDGE_EDGE, found.edge_edge))
-        return [(kind, pairs, self.narrow_phase(kind, pairs)) for kind, pairs in kinds if len(pairs)]
-
     def bound(self) -> float:
-        solved = self.solved()
-        return min([self.options.t_max, *(float(out.toi.numpy().min()) for _, _, out in solved)])
+        """Earliest toi of all pairs, or t_max: pairs that are free up to the best one so far stop at once.
+
+        Pairs come in chunks, each with the bound that the chunks before it left, so that the result depends on nothing
+        but the order of the pairs. The first chunk is small: a first bound makes the rest cheap.
+        """
+        found = self.candidates()
+        best = self.options.t_max
+        with self.timed("narrow phase"):
+            kernel = make_narrow_phase(self.options.real).pairs_bound
+            options = self.options.for_kernel(self.length_scale)
+            for kind, pairs in found.by_kind():
+                begin, size = 0, _FIRST_CHUNK
+                while begin < len(pairs):
+                    chunk = pairs[begin : min(begin + size, len(pairs))]
+                    toi = wp.empty(len(chunk), dtype=wp.float64, device=self.execution.device)
+                    inputs = [*self.pair_inputs(kind, chunk), self.separation, best, self.options.rounded_up(best)]
+                    self.execution.launch(kernel, len(chunk), inputs=[*inputs, options], outputs=[toi])
+                    best = min(best, float(toi.numpy().min()))
+                    begin += size
+                    size = min(4 * size, _LARGEST_CHUNK)
+        return best
 
     def run(self) -> MeshResult:
         mesh = self.mesh
         device = self.execution.device
-        solved = self.solved()
+        found = self.candidates()
+        candidates = {kind: len(pairs) for kind, pairs in found.by_kind()}
+        # A kind without candidates is neither compiled nor launched.
+        open_pairs = [(kind, self.cull(kind, pairs)) for kind, pairs in found.by_kind()]
+        solved = [(kind, pairs, self.narrow_phase(kind, pairs)) for kind, pairs in open_pairs if len(pairs)]
         with self.timed("gather"):
             vertex_toi = wp.full(mesh.num_vertices, value=math.inf, dtype=wp.float64, device=device)
             body_toi = wp.full(mesh.num_bodies, value=math.inf, dtype=wp.float64, device=device)
-            slots = [self._slots(out) for _, _, out in solved]
-            sizes = [int(s[-1:].numpy()[0]) for s in slots]
+            slots = [self.slots(out) for _, _, out in solved]
+            sizes = [counted(slot) for slot in slots]
             total = sum(sizes)
             outputs = [
                 wp.empty(total, dtype=dtype, device=device)
@@ -249,16 +290,16 @@ class _Step:
         contacts = Contacts(
             kind_, primitives.reshape(-1, 2), toi, parameters.reshape(-1, 2), normal.reshape(-1, 3), status
         )
-        candidates = {kind: len(pairs) for kind, pairs, _ in solved}
+        survivors = {kind: len(pairs) for kind, pairs in open_pairs}
         counts = {
             "bodies": mesh.num_bodies,
             "vertices": mesh.num_vertices,
             "edges": mesh.num_edges,
             "faces": mesh.num_faces,
-            "vertex-face candidates": candidates.get(PairKind.VERTEX_FACE, 0),
-            "edge-edge candidates": candidates.get(PairKind.EDGE_EDGE, 0),
-            "vertex-face contacts": int(np.count_nonzero(contacts.kind == PairKind.VERTEX_FACE)),
-            "edge-edge contacts": int(np.count_nonzero(contacts.kind == PairKind.EDGE_EDGE)),
+            **_loose_counts(mesh),
+            **{f"{_name(kind)} candidates": candidates.get(kind, 0) for kind in _kinds(mesh)},
+            **{f"{_name(kind)} after the cull": survivors.get(kind, 0) for kind in _kinds(mesh)},
+            **{f"{_name(kind)} contacts": int(np.count_nonzero(contacts.kind == kind)) for kind in _kinds(mesh)},
             "contacts at the start": int(np.count_nonzero(contacts.status == CCDStatus.INITIAL_CONTACT)),
             "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
         }
@@ -266,13 +307,37 @@ class _Step:
         scene = float(toi.min()) if total else math.inf
         return MeshResult(scene, vertex_toi.numpy(), body_toi.numpy(), contacts, counts, self.timings)
 
-    def _slots(self, out: PairArrays) -> wp.array:
-        """Inclusive scan of the contact flags."""
-        count = len(out.toi)
-        flags = wp.empty(count, dtype=wp.int32, device=self.execution.device)
-        self.execution.launch(contact_kernels.flag_contacts, count, inputs=[out.toi], outputs=[flags])
-        wp.utils.array_scan(flags, flags, inclusive=True)
+    def slots(self, out: PairArrays) -> wp.array:
+        """1 for every pair that is a contact."""
+        flags = wp.empty(len(out.toi), dtype=wp.int32, device=self.execution.device)
+        self.execution.launch(contact_kernels.flag_contacts, len(flags), inputs=[out.toi], outputs=[flags])
         return flags
+
+
+def _kinds(mesh: CollisionMesh) -> list[PairKind]:
+    """Pair kinds that the primitives of a mesh can form."""
+    kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
+    if len(mesh.loose_points):
+        kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
+    return kinds
+
+
+def _name(kind: PairKind) -> str:
+    return kind.name.lower().replace("_", "-")
+
+
+def _loose_counts(mesh: CollisionMesh) -> dict[str, int]:
+    """Numbers of codimensional primitives, where a mesh has any."""
+    counts = {"loose edges": len(mesh.loose_edges), "loose points": len(mesh.loose_points)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def counted(flags: wp.array) -> int:
+    """Turn flags into their inclusive scan, in place; the number of flags set."""
+    if len(flags) == 0:
+        return 0
+    wp.utils.array_scan(flags, flags, inclusive=True)
+    return int(flags[-1:].numpy()[0])
 
 
 def longest_side(start: np.ndarray, end: np.ndarray) -> float:

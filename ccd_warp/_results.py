@@ -8,15 +8,18 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Contacts:
-    """Pairs that touch: vertex-face before edge-edge, each in lexicographic order of its primitives.
+    """Pairs that touch, by kind in the order of :class:`ccd_warp.PairKind`, then in lexicographic order of primitives.
 
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Vertex and face ids, or two edge ids, int32, shape [m, 2].
+        primitives: Vertex and face ids, two edge ids, vertex and edge id of a loose point and a loose edge, or two
+            vertex ids of loose points, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
         normal: Unit normal of the contact at toi, from the second primitive towards the side that the first comes from;
-            zero where nothing moves and no side gives a direction; float64, shape [m, 3].
+            zero where nothing moves and no side gives a direction; float64, shape [m, 3]. A point has no sides: there
+            it is against the relative velocity, across the segment if there is one, or along the gap where nothing
+            moves that way.
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
     """
 
@@ -40,7 +43,8 @@ class MeshResult:
         vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
         body_toi: The same for each body, float64, shape [B].
         contacts: Every pair with a finite toi.
-        counts: Sizes of the scene and of each stage's output.
+        counts: Sizes of the scene and of each stage's output; loose primitives and their pair kinds only where the mesh
+            has them.
         timings: Seconds of each stage, and their ``total``.
     """
 

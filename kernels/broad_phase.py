@@ -43,10 +43,12 @@ ROW_BITS = wp.constant(wp.uint64((0x1FFFC0 << 21) | (0x1FFFC0 << 42)))  # the ce
 BUCKET_FIELD_MASK = wp.constant(wp.int64((1 << 17) - 1))  # a bucket modulo 2^(21 - BUCKET_SHIFT)
 BUCKET_FIELD_HALF = wp.constant(wp.int64(1 << 16))
 
-EDGE_EDGE = wp.constant(0)
-FACE_TO_VERTEX = wp.constant(1)
-VERTEX_TO_FACE = wp.constant(2)
-FACE_HEADROOM = wp.constant(1)
+# Which set queries which. Of two sets the first holds the small primitives (vertices, loose points), the second the
+# large ones (faces, loose edges).
+WITHIN_SET = wp.constant(0)
+SECOND_TO_FIRST = wp.constant(1)
+FIRST_TO_SECOND = wp.constant(2)
+SECOND_HEADROOM = wp.constant(1)
 
 vec3l = wp.types.vector(length=3, dtype=wp.int64)
 vec2ul = wp.types.vector(length=2, dtype=wp.uint64)
@@ -276,9 +278,9 @@ def share_vertex(a: wp.vec3i, b: wp.vec3i) -> bool:
 def layer_is_visited(kind: int, own: int, other: int, skip_moving: int) -> bool:
     """Which of two layers queries the other: exactly one, none if both are static.
 
-    Fine queries coarse, so a giant box does not walk through a million cells; a face may be FACE_HEADROOM levels above
-    a vertex and still query it, because its window ends at its own size while a vertex would look a whole cell around.
-    Within one level moving edges query static edges.
+    Fine queries coarse, so a giant box does not walk through a million cells; a face may be SECOND_HEADROOM levels
+    above a vertex and still query it, because its window ends at its own size while a vertex would look a whole cell
+    around. Within one level and set moving boxes query static ones.
     """
     own_static = own & 1
     other_static = other & 1
@@ -286,10 +288,10 @@ def layer_is_visited(kind: int, own: int, other: int, skip_moving: int) -> bool:
         return False
     own_level = own >> 1
     other_level = other >> 1
-    if kind == FACE_TO_VERTEX:
-        return own_level <= other_level + FACE_HEADROOM
-    if kind == VERTEX_TO_FACE:
-        return other_level > own_level + FACE_HEADROOM
+    if kind == SECOND_TO_FIRST:
+        return own_level <= other_level + SECOND_HEADROOM
+    if kind == FIRST_TO_SECOND:
+        return other_level > own_level + SECOND_HEADROOM
     if own_level != other_level:
         return own_level < other_level
     return own_static <= other_static
@@ -387,7 +389,7 @@ def find_pairs(
             for n in range(target.num_layers):
                 other = target.layers[n]
                 if layer_is_visited(kind, own, other, skip_moving):
-                    half = kind == EDGE_EDGE and own == other
+                    half = kind == WITHIN_SET and own == other
                     q_lower = quantum_index(lower, origin, target.inverse_quantum[other])
                     q_upper = quantum_index(upper, origin, target.inverse_quantum[other])
                     word_lower = pack(q_lower)
@@ -460,7 +462,7 @@ def find_pairs(
                                             if found < room:
                                                 a = i
                                                 b = j
-                                                if kind == FACE_TO_VERTEX or (kind == EDGE_EDGE and j < i):
+                                                if kind == SECOND_TO_FIRST or (kind == WITHIN_SET and j < i):
                                                     a = j
                                                     b = i
                                                 keys[wp.int32(out + found)] = (wp.int64(a) << wp.int64(32)) | wp.int64(
@@ -485,3 +487,20 @@ def unpack_pairs(
     """Split each key into its two indices."""
     k = begin + wp.tid()
     pairs[k] = wp.vec2i(wp.int32(keys[k] >> wp.int64(32)), wp.int32(keys[k] & wp.int64(0xFFFFFFFF)))
+
+
+@wp.kernel
+def unpack_subset_pairs(
+    begin: int,
+    # in
+    keys: wp.array[wp.int64],
+    first_ids: wp.array[wp.int32],
+    second_ids: wp.array[wp.int32],
+    # out
+    pairs: wp.array[wp.vec2i],
+):
+    """The same where the sets are subsets: indices into them become ids of the mesh; ascending ids keep the order."""
+    k = begin + wp.tid()
+    i = wp.int32(keys[k] >> wp.int64(32))
+    j = wp.int32(keys[k] & wp.int64(0xFFFFFFFF))
+    pairs[k] = wp.vec2i(first_ids[i], second_ids[j])

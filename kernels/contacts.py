@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .patch import EDGE_EDGE
+from .patch import EDGE_EDGE, VERTEX_FACE
 from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -40,6 +40,30 @@ def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
     if wp.dot(n, w) > _ZERO:
         n = -n
     return n
+
+
+@wp.func
+def across(w: wp.vec3d, side: wp.vec3d) -> wp.vec3d:
+    """The part of w across a side, 0 where rounding is all that is left of it; all of w if the side has no length."""
+    s = to_unit_size(side)
+    n = to_unit_size(w)
+    if wp.dot(s, s) > _ZERO:
+        n = n - (wp.dot(n, s) / wp.dot(s, s)) * s
+        if wp.length(n) <= _PARALLEL:
+            n = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    return n
+
+
+@wp.func
+def point_normal(side: wp.vec3d, velocity: wp.vec3d, gap: wp.vec3d) -> wp.vec3d:
+    """Unit normal of a point at a segment, or at a point if the side is 0: against the relative velocity.
+
+    Where that has no part across the side it is along the gap (a minimum separation leaves one); 0 where both vanish.
+    """
+    n = -across(velocity, side)
+    if wp.dot(n, n) == _ZERO:
+        n = across(gap, side)
+    return wp.normalize(n)
 
 
 @wp.func
@@ -138,4 +162,8 @@ def write_contacts(
         toi_out[slot] = t
         status_out[slot] = status[i]
         parameters_out[slot] = uv
-        normal_out[slot] = contact_normal(q, r, va - vb)
+        if kind == EDGE_EDGE or kind == VERTEX_FACE:
+            normal_out[slot] = contact_normal(q, r, va - vb)
+        else:
+            # absent corners repeat the last one, so q is the segment, or 0 for a point
+            normal_out[slot] = point_normal(q, va - vb, a0 - b0 - uv[0] * q)

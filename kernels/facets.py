@@ -177,4 +177,11 @@ def make_facets(real) -> SimpleNamespace:
                     t = wp.max(t, clip_facet(patch, problem, side, axis, t_start, t_max))
         return t
 
-    return SimpleNamespace(corners_at=corners_at, widest_facet=widest_facet, advance_facets=advance_facets)
+    return SimpleNamespace(
+        corners_at=corners_at,
+        direction=direction,
+        widest_facet=widest_facet,
+        first_zero=first_zero,
+        clip_facet=clip_facet,
+        advance_facets=advance_facets,
+    )

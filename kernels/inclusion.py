@@ -58,4 +58,4 @@ def make_inclusion(real) -> SimpleNamespace:
             s = clip_corner(wp.dot(d, patch.t0.w11), wp.dot(d, patch.t1.w11), off, t, s)
         return wp.max(s, t)
 
-    return SimpleNamespace(clip=clip)
+    return SimpleNamespace(clip=clip, clip_corner=clip_corner, offset=offset)

@@ -9,11 +9,14 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .advance import CONTACT, LIMIT, SLOW, make_advance
+from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
 from .bisection import make_bisection
 from .closest_point import make_closest_point
+from .cull import is_free_by_volume
 from .facets import make_facets
-from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
+from .patch import VERTEX_FACE, make_patch
+from .points import Corners as Corners64
+from .points import Points, corners, magnitude, pair_points, row_points, scaled, side, total
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -40,36 +43,6 @@ BISECTION = wp.constant(1)
 vec3d = wp.vec3d
 
 
-@wp.struct
-class Points:
-    """The four points of a pair at one time."""
-
-    p0: vec3d
-    p1: vec3d
-    p2: vec3d
-    p3: vec3d
-
-
-@wp.func
-def scaled(p: Points, s: vec3d) -> Points:
-    r = Points()
-    r.p0 = wp.cw_mul(p.p0, s)
-    r.p1 = wp.cw_mul(p.p1, s)
-    r.p2 = wp.cw_mul(p.p2, s)
-    r.p3 = wp.cw_mul(p.p3, s)
-    return r
-
-
-@wp.func
-def side(a: Points, b: Points, k: int) -> wp.float64:
-    """Side k of the box around both frames, without overflow."""
-    low = wp.min(wp.min(wp.min(a.p0[k], a.p1[k]), wp.min(a.p2[k], a.p3[k])), wp.min(b.p0[k], b.p1[k]))
-    low = wp.min(low, wp.min(b.p2[k], b.p3[k]))
-    high = wp.max(wp.max(wp.max(a.p0[k], a.p1[k]), wp.max(a.p2[k], a.p3[k])), wp.max(b.p0[k], b.p1[k]))
-    high = wp.max(high, wp.max(b.p2[k], b.p3[k]))
-    return wp.min(high - low, LARGEST)
-
-
 @cache
 def make_narrow_phase(real) -> SimpleNamespace:
     """Kernels for one floating-point type of the iteration; positions are float64 always."""
@@ -77,7 +50,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
     types = make_patch(real)
     Patch = types.Patch
     Problem = types.Problem
-    Corners64 = make_patch(wp.float64).Corners
     Corners = types.Corners
     advance = make_advance(real).advance
     with_volume = make_volume(real).with_volume
@@ -92,45 +64,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
     round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
-
-    @wp.func
-    def corners(kind: int, p: Points) -> Corners64:
-        """Corners and sides of the patch: one rounded difference each (rounding, step 1)."""
-        c = Corners64()
-        if kind == VERTEX_FACE:
-            c.w00 = p.p0 - p.p1
-            c.w01 = p.p0 - p.p2
-            c.w10 = p.p0 - p.p3
-            c.w11 = c.w10
-            c.q = p.p1 - p.p2
-            c.r = p.p1 - p.p3
-        elif kind == EDGE_EDGE:
-            c.w00 = p.p0 - p.p2
-            c.w01 = p.p0 - p.p3
-            c.w10 = p.p1 - p.p2
-            c.w11 = p.p1 - p.p3
-            c.q = p.p2 - p.p3
-            c.r = p.p1 - p.p0
-        else:
-            c.w00 = p.p0 - p.p1
-            c.w01 = c.w00
-            if kind == POINT_SEGMENT:
-                c.w01 = p.p0 - p.p2
-                c.q = p.p1 - p.p2
-            c.w10 = c.w00
-            c.w11 = c.w01
-        return c
-
-    @wp.func
-    def magnitude(c: Corners64) -> vec3d:
-        """Largest |corner| per axis."""
-        m = wp.max(wp.max(wp.abs(c.w00), wp.abs(c.w01)), wp.max(wp.abs(c.w10), wp.abs(c.w11)))
-        return m
-
-    @wp.func
-    def total(c: Corners64) -> vec3d:
-        """Sum of the magnitudes: unlike a maximum it keeps NaN."""
-        return wp.abs(c.w00) + wp.abs(c.w01) + wp.abs(c.w10) + wp.abs(c.w11) + wp.abs(c.q) + wp.abs(c.r)
 
     @wp.func
     def normalised(c: Corners64, s: vec3d) -> Corners:
@@ -233,12 +166,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
         return gap
 
     @wp.func
-    def solve(kind: int, x_t0: Points, x_t1: Points, options: Options) -> Outcome:
+    def solve(kind: int, n: Normalised, options: Options) -> Outcome:
         """Earliest toi of one pair, inf if none."""
         outcome = Outcome()
         outcome.toi = wp.float64(wp.inf)
         outcome.status = STATUS_NO_COLLISION
-        n = normalise(kind, x_t0, x_t1, options)
         if not n.is_valid:
             outcome.toi = wp.float64(0.0)
             outcome.status = STATUS_INVALID
@@ -310,20 +242,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
     ):
         """Pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
         i = begin + wp.tid()
-        a = Points()
-        b = Points()
-        a.p0 = x_t0[i, 0]
-        a.p1 = x_t0[i, 1]
-        b.p0 = x_t1[i, 0]
-        b.p1 = x_t1[i, 1]
-        # absent points repeat the last one, so that they widen no box
-        k2 = wp.min(2, x_t0.shape[1] - 1)
-        k3 = wp.min(3, x_t0.shape[1] - 1)
-        a.p2 = x_t0[i, k2]
-        a.p3 = x_t0[i, k3]
-        b.p2 = x_t1[i, k2]
-        b.p3 = x_t1[i, k3]
-        outcome = solve(kind, a, b, options)
+        outcome = solve(kind, normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options), options)
         toi[i] = outcome.toi
         status[i] = outcome.status
         parameters[i] = outcome.parameters
@@ -352,27 +271,9 @@ def make_narrow_phase(real) -> SimpleNamespace:
     ):
         """Pairs given by primitive ids of a mesh, shape [n], and the vertices of each primitive."""
         i = begin + wp.tid()
-        first = first_corners[pairs[i][0]]
-        second = second_corners[pairs[i][1]]
-        i0 = first[0]
-        i1 = second[0]
-        i2 = second[1]
-        i3 = second[2]
-        if kind == EDGE_EDGE:
-            i1 = first[1]
-            i2 = second[0]
-            i3 = second[1]
-        a = Points()
-        b = Points()
-        a.p0 = x_t0[i0]
-        a.p1 = x_t0[i1]
-        a.p2 = x_t0[i2]
-        a.p3 = x_t0[i3]
-        b.p0 = x_t1[i0]
-        b.p1 = x_t1[i1]
-        b.p2 = x_t1[i2]
-        b.p3 = x_t1[i3]
-        outcome = solve(kind, a, b, options)
+        a = pair_points(kind, pairs[i], first_corners, second_corners, x_t0)
+        b = pair_points(kind, pairs[i], first_corners, second_corners, x_t1)
+        outcome = solve(kind, normalise(kind, a, b, options), options)
         toi[i] = outcome.toi
         status[i] = outcome.status
         parameters[i] = outcome.parameters
@@ -380,4 +281,41 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
-    return SimpleNamespace(Options=Options, points_toi=points_toi, pairs_toi=pairs_toi)
+    @wp.kernel(module=module)
+    def pairs_bound(
+        begin: int,
+        # in
+        kind: int,
+        pairs: wp.array[wp.vec2i],
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        x_t0: wp.array[vec3d],
+        x_t1: wp.array[vec3d],
+        separation: wp.float64,
+        bound: wp.float64,
+        bound_end: real,
+        options: Options,
+        # out
+        toi: wp.array[wp.float64],
+    ):
+        """Toi of the pairs that are not certainly free up to ``bound`` after one step; inf for the others.
+
+        The toi is that of the whole step, so it does not depend on the bound.
+        """
+        i = begin + wp.tid()
+        a = pair_points(kind, pairs[i], first_corners, second_corners, x_t0)
+        b = pair_points(kind, pairs[i], first_corners, second_corners, x_t1)
+        t = wp.float64(wp.inf)
+        if not is_free_by_volume(corners(kind, a), corners(kind, b), separation, bound):
+            n = normalise(kind, a, b, options)
+            is_free = bool(False)
+            if n.is_valid and options.method == CLIPPING:
+                is_free = advance(n.patch, n.problem, real(0.0), bound_end, 1).outcome == FREE
+            if not is_free:
+                outcome = solve(kind, n, options)
+                t = outcome.toi
+        toi[i] = t
+
+    return SimpleNamespace(
+        Options=Options, normalise=normalise, points_toi=points_toi, pairs_toi=pairs_toi, pairs_bound=pairs_bound
+    )

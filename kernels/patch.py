@@ -10,7 +10,8 @@ F(t,u,v) = 0, with F bilinear in (u, v) and linear in t.
 | point-segment | p − a   | p − b   | p − a   | p − b   | a − b   | 0       |
 | point-point   | p − q   | p − q   | p − q   | p − q   | 0       | 0       |
 
-The sides are q = w01 − w00 and r = w10 − w00. In two dimensions the third coordinate is 0. u runs from w0* to w1*, v from w*0 to w*1; a triangle is the patch whose side u = 1 has shrunk to a point.
+The sides are q = w01 − w00 and r = w10 − w00. In two dimensions the third coordinate is 0. u runs from w0* to w1*, v
+from w*0 to w*1; a triangle is the patch whose side u = 1 has shrunk to a point.
 """
 
 from functools import cache

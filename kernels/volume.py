@@ -144,4 +144,10 @@ def make_volume(real) -> SimpleNamespace:
                 x = wp.min(t_max, t + newton)
         return t
 
-    return SimpleNamespace(with_volume=with_volume, advance_volume=advance_volume)
+    return SimpleNamespace(
+        with_volume=with_volume,
+        advance_volume=advance_volume,
+        restrict=restrict,
+        separation_offset=separation_offset,
+        hull_crossing=hull_crossing,
+    )

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from published import requires_data, simulation_boxes, simulation_scenes, simulation_step
 
+import ccd_warp._broad_phase as broad_phase
 from ccd_warp._box_grid import Execution, build_grid, choose_ladder, swept_boxes
 from ccd_warp._broad_phase import find_candidates, mesh_arrays
 from ccd_warp._mesh import CollisionMesh
@@ -23,12 +24,17 @@ def boxes_of(primitives, frames, inflation):
 
 
 def brute_force(mesh, start, end, inflation=0.0):
-    """All vertex-face and edge-edge candidates, as sorted lists of tuples."""
+    """All candidates of each kind, as sorted lists of tuples."""
     end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
-    kinds = {"v": np.arange(mesh.num_vertices)[:, None], "e": mesh.edges, "f": mesh.faces}
+    vertices = np.arange(mesh.num_vertices)
+    ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
+    ids |= {"p": mesh.loose_points, "s": mesh.loose_edges}
+    kinds = {"v": vertices[:, None], "e": mesh.edges, "f": mesh.faces}
+    kinds |= {"p": kinds["v"][mesh.loose_points], "s": mesh.edges[mesh.loose_edges]}
     body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
-    found = {}
-    for first, second in ("vf", "ee"):
+    body |= {"p": mesh.vertex_body[mesh.loose_points], "s": mesh.edge_body[mesh.loose_edges]}
+    found = []
+    for first, second in ("vf", "ee", "ps", "pp"):
         (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))
         pairs = []
         for i in range(len(lower_i)):
@@ -36,19 +42,22 @@ def brute_force(mesh, start, end, inflation=0.0):
             overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
             overlap &= ~(mesh.static[body[first][i]] & mesh.static[body[second]])
             overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
-            pairs += [(i, int(j)) for j in np.flatnonzero(overlap) if first != second or j > i]
-        found[first] = pairs
-    return found["v"], found["e"]
+            pairs += [
+                (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
+            ]
+        found.append(pairs)
+    return found
 
 
 def check(mesh, start, end, inflation=0.0, device=None, num_threads=1):
     """Assert equality with brute force, order included; returns the number of pairs."""
     found = find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads)
-    vertex_face, edge_edge = brute_force(mesh, start, end, inflation)
-    for pairs, expected in ((found.vertex_face, vertex_face), (found.edge_edge, edge_edge)):
+    all_expected = brute_force(mesh, start, end, inflation)
+    kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
+    for pairs, expected in zip(kinds, all_expected, strict=True):
         assert pairs.dtype == np.int32 and pairs.ndim == 2 and pairs.shape[1] == 2
         assert [tuple(pair) for pair in pairs.tolist()] == expected
-    return len(vertex_face) + len(edge_edge)
+    return sum(map(len, all_expected))
 
 
 def soup(rng, num_faces, size, num_vertices=None):
@@ -203,6 +212,88 @@ def test_static_rows_are_not_read():
 def test_scenes_without_pairs(device, bodies):
     mesh = CollisionMesh.from_arrays(bodies)
     assert check(mesh, mesh.vertices, mesh.vertices, 1.0, device) == 0
+
+
+def cables_and_particles(rng, count, size):
+    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and loose edges."""
+    start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))
+    start = start.reshape(-1, 3)
+    groups = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)
+    return start, groups[0], np.concatenate([groups[1][:, :2], groups[1][:, 1:]])
+
+
+@pytest.mark.parametrize("inflation", [0.0, 0.03])
+@pytest.mark.parametrize("size", [0.01, 0.3])
+def test_cables_and_particles(device, size, inflation):
+    rng = np.random.default_rng(19)
+    body = cables_and_particles(rng, 30, size)
+    mesh = CollisionMesh.from_arrays([body], loose_points=True)
+    assert len(mesh.loose_points) == 90 and len(mesh.loose_edges) == 60
+    end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    found = find_candidates(mesh, mesh.vertices, end, inflation, device=device)
+    assert len(found.point_segment) and len(found.point_point)
+    check(mesh, mesh.vertices, end, inflation, device, num_threads=2)
+
+
+@pytest.mark.parametrize("static", [(), (0,), (1, 2), (0, 1, 2)])
+@pytest.mark.parametrize("self_collision", [True, False, [False, True, True]])
+def test_cables_and_particles_of_static_bodies_and_without_self_collision(device, static, self_collision):
+    rng = np.random.default_rng(20)
+    bodies = [cables_and_particles(rng, 10, 0.1) for _ in range(3)]
+    mesh = CollisionMesh.from_arrays(bodies, static, self_collision, loose_points=[True, False, True])
+    assert len(mesh.loose_points) == 60
+    count = check(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
+    assert (count > 0) == (len(static) < 3)
+
+
+def test_long_cable_among_particles(device):
+    rng = np.random.default_rng(21)
+    particles = rng.random((400, 3)) * [1.0, 1e-3, 1e-3]
+    start = np.concatenate([[[-1e3, -1e3, 0], [1e3, 1e3, 1e-3]], particles])
+    mesh = CollisionMesh.from_arrays([(start, [], [[0, 1]])], loose_points=True)
+    assert len(find_candidates(mesh, start, start, device=device).point_segment) == 400
+    check(mesh, start, start + 1e-3 * rng.standard_normal(start.shape), device=device)
+
+
+def test_particles_at_rest_in_one_place(device):
+    start = np.zeros((50, 3))
+    mesh = CollisionMesh.from_arrays([(start, [])], loose_points=True)
+    assert check(mesh, start, start, device=device) == 50 * 49 // 2
+
+
+@pytest.mark.parametrize(
+    ("body", "loose_points", "expected"),
+    [
+        ((np.zeros((4, 3)), [[0, 1, 2]]), False, ["vertex-face", "edge-edge"]),
+        ((np.zeros((3, 3)), [[0, 1, 2]]), True, ["vertex-face", "edge-edge"]),
+        ((np.zeros((3, 3)), [], [[0, 1]]), False, ["edge-edge"]),
+        ((np.zeros((3, 3)), []), True, ["point-point"]),
+        ((np.zeros((3, 3)), []), False, []),
+        ((np.zeros((3, 3)), [], [[0, 1]]), True, ["edge-edge", "point-segment", "point-point"]),
+    ],
+)
+def test_only_kinds_that_occur_are_looked_for(monkeypatch, body, loose_points, expected):
+    looked_for = []
+
+    def spy(name):
+        original = getattr(broad_phase._Search, name)
+
+        def run(self, *arguments, **options):
+            looked_for.extend(a for a in arguments if isinstance(a, str))
+            return original(self, *arguments, **options)
+
+        monkeypatch.setattr(broad_phase._Search, name, run)
+
+    spy("between")
+    spy("within")
+    mesh = CollisionMesh.from_arrays([body], loose_points=loose_points)
+    found = find_candidates(mesh, mesh.vertices, mesh.vertices)
+    assert looked_for == expected
+    arrays = mesh_arrays(mesh, wp.get_device())
+    assert ("loose_point" in arrays) == bool(len(mesh.loose_points))
+    assert ("loose_edge" in arrays) == bool(len(mesh.loose_edges))
+    if not len(mesh.loose_points):
+        assert found.point_segment.shape == found.point_point.shape == (0, 2)
 
 
 lattice_points = st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=6, max_size=36)

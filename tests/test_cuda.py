@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "broad_phase", "boxes"]
+PLAIN_MODULES = ["contacts", "cull", "broad_phase", "boxes"]
 
 
 def warp_modules():

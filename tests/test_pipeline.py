@@ -29,16 +29,17 @@ def bullet_and_wall(**options):
 
 
 def points_of(mesh, result, vertices):
-    """Points of the contacts of each kind, [m, 4, 3]."""
-    out = {}
-    for kind in ccd.PairKind:
-        pairs = result.contacts.primitives[result.contacts.kind == kind]
-        if kind == ccd.PairKind.VERTEX_FACE:
-            index = np.concatenate([pairs[:, :1], mesh.faces[pairs[:, 1]]], axis=1)
-        else:
-            index = np.concatenate([mesh.edges[pairs[:, 0]], mesh.edges[pairs[:, 1]]], axis=1)
-        out[kind] = np.asarray(vertices)[index]
-    return out
+    """Points of the contacts of each kind, [m, 4, 3], [m, 3, 3] or [m, 2, 3]."""
+    return {kind: np.asarray(vertices)[contact_vertices(mesh, result, kind)] for kind in ccd.PairKind}
+
+
+def contact_vertices(mesh, result, kind):
+    """Vertices of the contacts of one kind, [m, 4], [m, 3] or [m, 2]."""
+    first, second = result.contacts.primitives[result.contacts.kind == kind].T
+    if kind == ccd.PairKind.EDGE_EDGE:
+        return np.column_stack([mesh.edges[first], mesh.edges[second]])
+    others = {ccd.PairKind.VERTEX_FACE: mesh.faces, ccd.PairKind.POINT_SEGMENT: mesh.edges}
+    return np.column_stack([first, others[kind][second] if kind in others else second])
 
 
 def brute_force_toi(mesh, start, end, t_max=1.0):
@@ -257,8 +258,142 @@ def test_counts_and_timings_name_every_stage():
     assert result.counts["bodies"] == 2
     assert result.counts["vertices"] == mesh.num_vertices
     assert result.counts["vertex-face contacts"] + result.counts["edge-edge contacts"] == len(result.contacts)
-    assert set(result.timings) == {"input", "broad phase", "narrow phase", "gather", "total"}
+    assert set(result.timings) == {"input", "broad phase", "cull", "narrow phase", "gather", "total"}
     assert all(seconds >= 0 for seconds in result.timings.values())
+
+
+# --- cables and particles ---
+
+
+def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
+    sheet = wall(0.0)
+    particles = np.array([[0.5, 0.5, 0.25], [-0.75, 0.5, 0.25], [0.5, 1.0, -0.5], [-1.0, 1.0, -0.5], [0.5, 9.0, 9.0]])
+    bodies = [(sheet.vertices, sheet.faces), (particles, [])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, loose_points=[False, True])
+    end = mesh.vertices.copy()
+    end[:4, 0] += 1.0  # the sheet comes towards +x, through the first particle after 1/2 - separation
+    end[5, 0] -= 1.0
+    options = {"minimum_separation": 0.0625, "length_scale": 1.0, "precision": precision, "device": device}
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end, **options)
+    accuracy = 1e-9 if precision == "float64" else 1e-5
+    toi = result.vertex_toi[4:]
+    # two particles lie in the way of the sheet, and no particle in the way of another
+    assert toi[[0, 2]] == pytest.approx([0.4375, 0.4375], abs=accuracy)
+    assert np.isinf(toi[[1, 3, 4]]).all()
+    assert set(result.contacts.kind.tolist()) == {ccd.PairKind.VERTEX_FACE}
+    end[:4] = mesh.vertices[:4]
+    end[4] = particles[1]  # through the sheet, to where the second has just left
+    end[6] = particles[3]  # through the sheet, into the resting fourth
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end, **options)
+    contacts = result.contacts
+    meeting = contacts.kind == ccd.PairKind.POINT_POINT
+    assert contacts.primitives[meeting].tolist() == [[6, 7]]
+    assert contacts.toi[meeting] == pytest.approx((1.5 - 0.0625) / 1.5, abs=accuracy)
+    np.testing.assert_allclose(contacts.normal[meeting], [[1, 0, 0]], atol=1e-12)
+    assert result.counts["point-point contacts"] == 1 and result.counts["loose points"] == 5
+    assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, **options)
+    assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=accuracy)
+
+
+def test_two_cables_cross(precision):
+    along_y = np.array([[0, -1, 0], [0, 0.5, 0], [0, 1, 0]], dtype=float)
+    along_z = np.array([[2, 0, -1], [2, 0, 0.25], [2, 0, 1]], dtype=float)
+    segments = [[0, 1], [1, 2]]
+    mesh = ccd.CollisionMesh.from_arrays([(along_y, [], segments), (along_z, [], segments)], static=[0])
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices - [4, 0, 0], precision=precision)
+    assert result.toi == pytest.approx(0.5, abs=1e-9 if precision == "float64" else 1e-5) and result.toi <= 0.5
+    first = result.contacts.toi == result.toi
+    assert [[0, 2]] == result.contacts.primitives[first].tolist()
+    assert result.contacts.kind[first].tolist() == [ccd.PairKind.EDGE_EDGE]
+    np.testing.assert_allclose(np.abs(result.contacts.normal[first]), [[1, 0, 0]], atol=1e-12)
+    assert "loose points" not in result.counts and result.counts["loose edges"] == 4
+
+
+def test_particle_passes_a_cable_at_less_than_the_separation(precision):
+    cable = np.array([[0, -1, 0], [0.1, 0.2, 0], [0, 1, 0.1]])
+    particle = np.array([[-1.0, 0.5, 0.07]])
+    bodies = [(cable, [], [[0, 1], [1, 2]]), (particle, [])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], loose_points=True)
+    end = mesh.vertices + [2, 0, 0]
+    options = {"length_scale": 1.0, "precision": precision}
+    assert np.isinf(ccd.mesh_ccd(mesh, mesh.vertices, end, **options).toi)
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.05, **options)
+    start = mesh.vertices[[3, 1, 2]]
+    (exact,) = exact_tois(
+        "point-segment", start[None], start[None] + [[2, 0, 0], [0, 0, 0], [0, 0, 0]], separation=0.05
+    )
+    assert exact.hit and not exact.late(result.toi)
+    assert exact.early_by(result.toi) < (1e-9 if precision == "float64" else 1e-4)
+    assert result.contacts.kind.tolist() == [ccd.PairKind.POINT_SEGMENT]
+    assert result.contacts.primitives.tolist() == [[3, 1]]
+    assert (result.vertex_toi == [np.inf, *[result.toi] * 3]).all()
+    assert (result.body_toi == result.toi).all()
+    (normal,) = result.contacts.normal
+    assert np.linalg.norm(normal) == pytest.approx(1) and normal @ (cable[2] - cable[1]) == pytest.approx(0, abs=1e-12)
+    assert normal[0] < -0.9
+    assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, minimum_separation=0.05, **options)
+
+
+def test_normal_of_points_that_rest_within_the_separation():
+    cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
+    mesh = ccd.CollisionMesh.from_arrays([(cable, [], [[0, 1]]), (particles, [])], loose_points=True)
+    for motion in ([0, 0, 0], [0, 0.125, 0]):  # at rest, and sliding along the cable
+        end = mesh.vertices + np.array([[0, 0, 0]] * 2 + [motion] * 2)
+        contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.5, length_scale=1.0).contacts
+        assert contacts.kind.tolist() == [2, 2, 3] and (contacts.toi == 0).all()
+        across = [[1, 0, 0], [0.5**0.5, 0, 0.5**0.5], [0, -(0.8**0.5), -(0.2**0.5)]]
+        np.testing.assert_allclose(contacts.normal, across, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_sheet_cables_and_particles_match_brute_force(seed, precision):
+    rng = np.random.default_rng(seed)
+    sheet = (rng.uniform(-1, 1, (4, 3)), [[0, 1, 2], [0, 2, 3]])
+    cable = (rng.uniform(-1, 1, (4, 3)), [], [[0, 1], [1, 2], [2, 3]])
+    mixed = (rng.uniform(-1, 1, (9, 3)), [], [[0, 1]])
+    mesh = ccd.CollisionMesh.from_arrays([sheet, cable, mixed, mixed], loose_points=True)
+    start, end = mesh.vertices, rng.uniform(-1, 1, mesh.vertices.shape)
+    start = start + np.where(mesh.vertex_body == 3, 0.4, 0.0)[:, None]
+    separation = 0.125
+    result = ccd.mesh_ccd(mesh, start, end, minimum_separation=separation, length_scale=1.0, precision=precision)
+    contacts = result.contacts
+    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
+    assert keys == sorted(keys)
+    points, segments = mesh.loose_points.tolist(), mesh.loose_edges.tolist()
+    every = {
+        ccd.PairKind.POINT_SEGMENT: [(p, s) for p in points for s in segments],
+        ccd.PairKind.POINT_POINT: [(p, q) for p in points for q in points if p < q],
+    }
+    vertex_toi = np.full(mesh.num_vertices, np.inf)
+    for kind in ccd.PairKind:
+        vertices = contact_vertices(mesh, result, kind)
+        name = kind.name.lower().replace("_", "-")
+        tois = contacts.toi[contacts.kind == kind]
+        for row, toi in zip(vertices, tois, strict=True):
+            vertex_toi[row] = np.minimum(vertex_toi[row], toi)
+        exact = exact_tois(name, start[vertices], end[vertices], separation)
+        assert not any(e.late(float(t)) for e, t in zip(exact, tois, strict=True))
+        if kind in every:
+            index = np.array([[p, *(mesh.edges[q] if name == "point-segment" else [q])] for p, q in every[kind]])
+            hits = [e.hit for e in exact_tois(name, start[index], end[index], separation)]
+            expected = [pair for pair, hit in zip(every[kind], hits, strict=True) if hit]
+            found = list(map(tuple, contacts.primitives[contacts.kind == kind].tolist()))
+            assert set(expected) <= set(found)
+            assert len(found) == result.counts[f"{name} contacts"] <= result.counts[f"{name} candidates"]
+            assert len(expected) > 0
+    assert (result.vertex_toi == vertex_toi).all()
+
+
+def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
+    cloth = (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0], [3, 0, 1]], dtype=float), [[0, 1, 2]])
+    mesh = ccd.CollisionMesh.from_arrays([cloth])
+    end = mesh.vertices.copy()
+    end[3] = end[4]  # the unused vertices meet
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end)
+    assert np.isinf(result.toi)
+    assert not [name for name in result.counts if "point" in name or "loose" in name]
+    asked = ccd.CollisionMesh.from_arrays([cloth], loose_points=True)
+    assert ccd.mesh_ccd(asked, mesh.vertices, end).toi == pytest.approx(1.0, abs=1e-6)
 
 
 # --- bad input ---

@@ -1,0 +1,309 @@
+"""Fuzz driver of the narrow phase: random hard queries and options against the exact oracle, until something breaks.
+
+    python benchmarks/fuzz.py --queries 300000        # about five minutes on two cores
+    python benchmarks/fuzz.py --queries 0             # until interrupted
+
+Every batch draws a kind, a source of queries, a precision and options. A query fails if it is
+
+- missed: the exact trajectories touch (or come within the separation), and toi is inf;
+- late: toi is after the exact time of impact;
+- phantom: at a finite toi the exact gap is above separation + tolerance + 100 u · size. The kernel accepts at ten
+  rounding bounds of at most 8.25 u each (kernels/rounding.py), so 100 u of the pair's size and separation cover them;
+- capped: the default max_iterations was reached, or the resolution's limit though the tolerance is above 100 u · size;
+- gap: the reported bound of the gap is below the exact gap;
+- insane: a status that contradicts toi, toi outside [0, t_max], or parameters that are not finite.
+
+Failing queries are saved as CSV in the public format beside a JSON with the options; the exit status is then 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from queries import FAMILIES, POINTS, SOLVE, UNIT_ROUNDOFF, all_queries, exact_gap, exact_tois, has_published, write_csv
+from queries import size_of as size_of_pairs
+from tqdm import tqdm
+
+import ccd_warp as ccd
+
+KINDS = tuple(SOLVE)
+MUTATIONS = ("published_noise", "published_crossover", "published_scaled_axes", "published_snapped", "family_mutated")
+CHECKS = ("missed", "late", "phantom", "capped", "gap", "insane")
+BATCH = 100
+ROUNDING = {name: 100 * u for name, u in UNIT_ROUNDOFF.items()}
+# A reported gap is formed from a separation rounded up by 8 u (kernels/rounding.py, step 6).
+SEPARATION_ROUNDING = {name: 16 * u for name, u in UNIT_ROUNDOFF.items()}
+
+_published: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+
+# ---- Sources of queries ----------------------------------------------------------------------------------------------
+
+
+def with_ulp_noise(points: np.ndarray, rng: np.random.Generator, share: float = 0.2) -> np.ndarray:
+    """Some coordinates moved by up to three ulp, which keeps queries near their degeneracy but not on it."""
+    ulps = rng.integers(-3, 4, points.shape) * (rng.random(points.shape) < share)
+    return points + ulps * np.spacing(points)
+
+
+def crossover(points: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Single points or single axes of the other query in place of one's own; the frames are mixed alike."""
+    by_point = rng.random((*points.shape[:3], 1)) < 0.25
+    by_axis = rng.random((len(points), 1, 1, points.shape[3])) < 0.25
+    return np.where(np.where(rng.random((len(points), 1, 1, 1)) < 0.5, by_point, by_axis), other, points)
+
+
+def with_scaled_axes(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Each axis times a power of two of its own: exact, so the truth stays, but no bound may be shared by the axes."""
+    reach = rng.choice([8, 40, 150])
+    return np.ldexp(points, rng.integers(-reach, reach + 1, (len(points), 1, 1, points.shape[3])))
+
+
+def snapped(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Coordinates on a coarse lattice of the query's own size: repeated points, common planes, exact contacts."""
+    size = np.abs(points).max(axis=(1, 2, 3), keepdims=True)
+    step = np.ldexp(1.0, np.frexp(size)[1] - rng.integers(2, 7, size.shape))
+    return np.round(points / step) * step
+
+
+def draw(source: str, kind: str, dimension: int, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Queries of a family or a mutation."""
+    if source in FAMILIES:
+        return FAMILIES[source](kind, n, rng, dimension=dimension)
+    if source == "family_mutated":
+        names = rng.choice(list(FAMILIES), 2)
+        points, other = (np.stack(FAMILIES[name](kind, n, rng, dimension=dimension), axis=1) for name in names)
+    else:
+        # The first points of a published query make a pair of a smaller kind.
+        frames = _published[kind if POINTS[kind] == 4 else rng.choice(["vertex-face", "edge-edge"])]
+        points, other = (
+            np.stack([frame[chosen][:, : POINTS[kind], :dimension] for frame in frames], axis=1)
+            for chosen in rng.integers(0, len(frames[0]), (2, n))
+        )
+    if source in ("published_crossover", "family_mutated"):
+        points = crossover(points, other, rng)
+    if source == "published_snapped" or (source == "family_mutated" and rng.random() < 0.3):
+        points = snapped(points, rng)
+    if source in ("published_noise", "published_crossover") or (source == "family_mutated" and rng.random() < 0.5):
+        points = with_ulp_noise(points, rng)
+    if source == "published_scaled_axes" or (source == "family_mutated" and rng.random() < 0.3):
+        points = with_scaled_axes(points, rng)
+    return np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+
+
+def draw_options(arguments: dict, rng: np.random.Generator) -> dict:
+    """Options of one batch; those that the command line names are taken as they are."""
+    options = {"precision": str(rng.choice(arguments["precision"])), "num_threads": 1}
+    options["tolerance"] = 1e-6 if rng.random() < 0.5 else float(10.0 ** rng.uniform(-14, -1))
+    options["t_max"] = arguments["t_max"]
+    if options["t_max"] is None:
+        options["t_max"] = (
+            1.0 if rng.random() < 0.7 else float(rng.choice([0.0, 1 - 2.0**-53, 0.5, rng.random(), 1e-9]))
+        )
+    separation = arguments["separation"]
+    if separation is None:
+        separation = 0.0 if rng.random() < 0.8 else float(10.0 ** rng.uniform(-12, 0))
+    options["minimum_separation"] = separation
+    if separation > 0.0 or rng.random() < 0.3:
+        # a power of two: the product with the separation is exact, and the oracle gets the length that the kernel uses
+        options["length_scale"] = float(2.0 ** rng.integers(-3, 4))
+    if rng.random() < 0.05:
+        options["max_iterations"] = int(rng.integers(1, 20))
+    return options
+
+
+# ---- Checks ----------------------------------------------------------------------------------------------------------
+
+
+def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict) -> tuple[list, dict]:
+    """Failures of a batch as (query, check, message), and counts."""
+    result = SOLVE[kind](points_t0, points_t1, **options)
+    scale = options.get("length_scale")
+    separation = options["minimum_separation"] * (scale or 1.0)
+    t_max = options["t_max"]
+    exact = exact_tois(kind, points_t0, points_t1, separation, t_max)
+    size = size_of_pairs(points_t0, points_t1)
+    precision = options["precision"]
+    failures = []
+    counts = Counter(queries=len(exact), collisions=sum(e.hit for e in exact), hits=int(result.hit.sum()))
+    for i, (truth, toi, status) in enumerate(zip(exact, result.toi.tolist(), result.status.tolist(), strict=True)):
+        hit = np.isfinite(toi)
+        if truth.hit and not hit:
+            failures.append((i, "missed", f"exact {truth!r}, toi inf"))
+        elif truth.late(toi):
+            failures.append((i, "late", f"toi {toi!r} is late by {-truth.early_by(toi):.3e}"))
+        rounding = ROUNDING[precision] * (size[i] + separation)
+        tolerance = options["tolerance"] * (scale or size[i])
+        limited = status == ccd.CCDStatus.ITERATION_LIMIT
+        unresolved = status == ccd.CCDStatus.RESOLUTION_LIMIT
+        counts["unresolved"] += unresolved
+        if (limited and "max_iterations" not in options) or (unresolved and tolerance > rounding):
+            failures.append((i, "capped", f"status {status} after {result.iterations[i]} iterations"))
+        if (status == ccd.CCDStatus.NO_COLLISION) == hit or status == ccd.CCDStatus.INVALID:
+            failures.append((i, "insane", f"status {status} with toi {toi}"))
+        if hit and not 0.0 <= toi <= t_max:
+            failures.append((i, "insane", f"toi {toi!r} outside [0, {t_max!r}]"))
+        if not (np.isfinite(result.parameters[i]).all() and result.gap[i] >= 0 and result.width[i] >= 0):
+            failures.append((i, "insane", f"parameters {result.parameters[i]}, gap {result.gap[i]}"))
+        if not hit:
+            continue
+        counts["phantoms"] += not truth.hit
+        gap = exact_gap(kind, points_t0[i], points_t1[i], toi)
+        reported = float(result.gap[i])
+        # 1e-15: the oracle's gap is rounded once; 5e-324: it may be subnormal
+        if gap > (separation + reported) * (1 + 1e-15) + SEPARATION_ROUNDING[precision] * separation + 5e-324:
+            failures.append((i, "gap", f"gap {gap!r} above separation + reported gap {reported!r}"))
+        bound = separation + tolerance + rounding
+        if gap > bound and not limited:
+            failures.append((i, "phantom", f"gap {gap!r} above {bound!r} at toi {toi!r}"))
+    return failures, counts
+
+
+def start_worker(published: dict) -> None:
+    """Set-up of a worker process."""
+    wp.config.log_level = wp.LOG_WARNING
+    _published.update(published)
+
+
+def run_batch(task: tuple) -> dict:
+    """One batch in a worker: drawn from its own seed, so that it can be repeated alone."""
+    seed, index, kind, dimension, source, arguments = task
+    rng = np.random.default_rng([seed, index])
+    options = draw_options(arguments, rng)
+    points_t0, points_t1 = draw(source, kind, dimension, BATCH, rng)
+    report = {"index": index, "kind": kind, "source": source, "dimension": dimension, "options": options}
+    failures, report["counts"] = check(kind, points_t0, points_t1, options)
+    report["failures"] = [(i, name, message, points_t0[i], points_t1[i]) for i, name, message in failures]
+    return report
+
+
+def tasks(seed: int, batches: int, sources: list[str], kinds: list[str], arguments: dict, room: threading.Semaphore):
+    """Batches in turn over kinds, dimensions and sources, so that each combination gets its share; 0 is endless.
+
+    A pool draws tasks as fast as it can, so each waits for room that a finished one has made.
+    """
+    shapes = [(kind, d) for kind in kinds for d in ((3,) if POINTS[kind] == 4 else (2, 3))]
+    # pairs of four points are what most users have: three batches to one of the others
+    shapes = [shape for shape in shapes for _ in range(3 if POINTS[shape[0]] == 4 else 1)]
+    combinations = [(*shape, source) for source in sources for shape in shapes]
+    index = 0
+    while index < batches or batches == 0:
+        room.acquire()
+        kind, dimension, source = combinations[index % len(combinations)]
+        yield seed, index, kind, dimension, source, arguments
+        index += 1
+
+
+def save(folder: Path, seed: int, report: dict) -> Path:
+    """Failing queries of a batch as CSV, and all that is needed to repeat them as JSON."""
+    folder.mkdir(parents=True, exist_ok=True)
+    queries = {i: (p0, p1) for i, _, _, p0, p1 in report["failures"]}
+    points_t0, points_t1 = (np.stack(points) for points in zip(*queries.values(), strict=True))
+    options = report["options"]
+    separation = options["minimum_separation"] * options.get("length_scale", 1.0)
+    truth = [e.hit for e in exact_tois(report["kind"], points_t0, points_t1, separation, options["t_max"])]
+    path = folder / f"seed{seed}_batch{report['index']}_{report['kind']}_{report['source']}.csv"
+    write_csv(path, points_t0, points_t1, np.array(truth))
+    rows = {i: row for row, i in enumerate(queries)}
+    failures = [
+        {"row": rows[i], "query": i, "check": name, "message": text} for i, name, text, *_ in report["failures"]
+    ]
+    about = {key: report[key] for key in ("kind", "dimension", "source", "index", "options")}
+    path.with_suffix(".json").write_text(json.dumps({"seed": seed, **about, "failures": failures}, indent=1))
+    return path
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Fuzz the narrow phase against exact arithmetic.")
+    parser.add_argument("--queries", type=int, default=300_000, help="number of queries; 0 goes on until interrupted")
+    parser.add_argument("--seed", type=int, help="seed of the run; by default a fresh one, printed")
+    parser.add_argument("--families", nargs="+", choices=[*FAMILIES, *MUTATIONS], help="sources; by default all")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--precision", nargs="+", choices=list(UNIT_ROUNDOFF), default=list(UNIT_ROUNDOFF))
+    parser.add_argument("--separation", type=float, help="minimum separation of every batch; by default drawn")
+    parser.add_argument("--t-max", type=float, help="t_max of every batch; by default drawn")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--save", type=Path, default=Path("fuzz_failures"), help="folder of the failing queries")
+    parser.add_argument("--json", type=Path, help="file for the counts")
+    parsed = parser.parse_args()
+
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if parsed.seed is None else parsed.seed
+    print(f"seed {seed}")
+    sources = parsed.families or [*FAMILIES, *MUTATIONS]
+    published = {}
+    if has_published():
+        sets = all_queries()
+        for kind in ("vertex-face", "edge-edge"):
+            parts = [(q.points_t0, q.points_t1) for q in sets if q.kind == kind]
+            published[kind] = tuple(np.concatenate(frames) for frames in zip(*parts, strict=True))
+    else:
+        sources = [source for source in sources if not source.startswith("published")]
+        print("the published sample queries are absent: their mutations are left out")
+    wp.config.log_level = wp.LOG_WARNING
+    for precision in parsed.precision:  # compiled once here, so that the workers find it in the cache
+        SOLVE["vertex-face"](np.zeros((1, 4, 3)), np.zeros((1, 4, 3)), precision=precision)
+
+    arguments = {"precision": parsed.precision, "separation": parsed.separation, "t_max": parsed.t_max}
+    batches = -(-parsed.queries // BATCH)
+    counts: Counter = Counter()
+    checks: Counter = Counter()
+    by_source: Counter = Counter()
+    begin = time.perf_counter()
+    room = threading.Semaphore(8 * parsed.processes)
+    context = multiprocessing.get_context("spawn")  # a forked Warp would share its threads' locks
+    with (
+        context.Pool(parsed.processes, start_worker, (published,)) as pool,
+        tqdm(total=parsed.queries or None, unit=" queries", file=sys.stderr) as bar,
+    ):
+        try:
+            queue = tasks(seed, batches, sources, parsed.kinds, arguments, room)
+            for report in pool.imap_unordered(run_batch, queue):
+                room.release()
+                counts.update(report["counts"])
+                for key in ("kind", "source"):
+                    by_source[report[key]] += BATCH
+                by_source[report["options"]["precision"]] += BATCH
+                if report["failures"]:
+                    checks.update(name for _, name, *_ in report["failures"])
+                    path = save(parsed.save, seed, report)
+                    _, name, message, *_ = report["failures"][0]
+                    tqdm.write(f"{name} in {path.name}: {message}", file=sys.stderr)
+                bar.set_postfix(failures=checks.total(), refresh=False)
+                bar.update(BATCH)
+        except KeyboardInterrupt:
+            room.release(10**6)  # lets the pool's feeding thread go
+            pool.terminate()
+    seconds = time.perf_counter() - begin
+
+    rate = counts["queries"] / seconds
+    print(
+        f"{counts['queries']} queries in {seconds:.0f} s ({rate:.0f} a second, {parsed.processes} processes), "
+        f"{counts['collisions']} exact collisions, {counts['hits']} hits, {counts['phantoms']} phantoms within bounds, "
+        f"{counts['unresolved']} at the limit of the resolution"
+    )
+    print(", ".join(f"{by_source[name]} {name}" for name in (*parsed.kinds, *parsed.precision)))
+    print(", ".join(f"{name}: {checks[name]}" for name in CHECKS))
+    if parsed.json:
+        summary = {
+            "seed": seed,
+            "seconds": seconds,
+            "version": ccd.__version__,
+            **counts,
+            "failures": dict(checks),
+            "of": dict(by_source),
+        }
+        parsed.json.write_text(json.dumps(summary, indent=1))
+    return 1 if checks.total() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,116 @@
+"""The points of a pair, and the corners of its patch: the differences that everything else starts from, in float64."""
+
+import warp as wp
+
+from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
+from .rounding import LARGEST
+
+vec3d = wp.vec3d
+Corners = make_patch(wp.float64).Corners
+
+
+@wp.struct
+class Points:
+    """The four points of a pair at one time."""
+
+    p0: vec3d
+    p1: vec3d
+    p2: vec3d
+    p3: vec3d
+
+
+@wp.func
+def scaled(p: Points, s: vec3d) -> Points:
+    r = Points()
+    r.p0 = wp.cw_mul(p.p0, s)
+    r.p1 = wp.cw_mul(p.p1, s)
+    r.p2 = wp.cw_mul(p.p2, s)
+    r.p3 = wp.cw_mul(p.p3, s)
+    return r
+
+
+@wp.func
+def side(a: Points, b: Points, k: int) -> wp.float64:
+    """Side k of the box around both frames, without overflow."""
+    low = wp.min(wp.min(wp.min(a.p0[k], a.p1[k]), wp.min(a.p2[k], a.p3[k])), wp.min(b.p0[k], b.p1[k]))
+    low = wp.min(low, wp.min(b.p2[k], b.p3[k]))
+    high = wp.max(wp.max(wp.max(a.p0[k], a.p1[k]), wp.max(a.p2[k], a.p3[k])), wp.max(b.p0[k], b.p1[k]))
+    high = wp.max(high, wp.max(b.p2[k], b.p3[k]))
+    return wp.min(high - low, LARGEST)
+
+
+@wp.func
+def pair_points(
+    kind: int,
+    pair: wp.vec2i,
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    x: wp.array[vec3d],
+) -> Points:
+    """Points of a pair of primitives of a mesh, from the vertices of each primitive."""
+    first = first_corners[pair[0]]
+    second = second_corners[pair[1]]
+    p = Points()
+    p.p0 = x[first[0]]
+    if kind == EDGE_EDGE:
+        p.p1 = x[first[1]]
+        p.p2 = x[second[0]]
+        p.p3 = x[second[1]]
+    else:
+        p.p1 = x[second[0]]
+        p.p2 = x[second[1]]
+        p.p3 = x[second[2]]
+    return p
+
+
+@wp.func
+def row_points(x: wp.array2d[vec3d], i: int) -> Points:
+    """Points of a row; absent ones repeat the last, so that they widen no box."""
+    p = Points()
+    p.p0 = x[i, 0]
+    p.p1 = x[i, 1]
+    p.p2 = x[i, wp.min(2, x.shape[1] - 1)]
+    p.p3 = x[i, wp.min(3, x.shape[1] - 1)]
+    return p
+
+
+@wp.func
+def corners(kind: int, p: Points) -> Corners:
+    """Corners and sides of the patch: one rounded difference each (rounding, step 1)."""
+    c = Corners()
+    if kind == VERTEX_FACE:
+        c.w00 = p.p0 - p.p1
+        c.w01 = p.p0 - p.p2
+        c.w10 = p.p0 - p.p3
+        c.w11 = c.w10
+        c.q = p.p1 - p.p2
+        c.r = p.p1 - p.p3
+    elif kind == EDGE_EDGE:
+        c.w00 = p.p0 - p.p2
+        c.w01 = p.p0 - p.p3
+        c.w10 = p.p1 - p.p2
+        c.w11 = p.p1 - p.p3
+        c.q = p.p2 - p.p3
+        c.r = p.p1 - p.p0
+    else:
+        c.w00 = p.p0 - p.p1
+        c.w01 = c.w00
+        if kind == POINT_SEGMENT:
+            c.w01 = p.p0 - p.p2
+            c.q = p.p1 - p.p2
+        c.w10 = c.w00
+        c.w11 = c.w01
+    return c
+
+
+@wp.func
+def magnitude(c: Corners) -> vec3d:
+    """Largest |corner| per axis."""
+    m = wp.max(wp.max(wp.abs(c.w00), wp.abs(c.w01)), wp.max(wp.abs(c.w10), wp.abs(c.w11)))
+    return m
+
+
+@wp.func
+def total(c: Corners) -> vec3d:
+    """Sum of the magnitudes: unlike a maximum it keeps NaN."""
+    return wp.abs(c.w00) + wp.abs(c.w01) + wp.abs(c.w10) + wp.abs(c.w11) + wp.abs(c.q) + wp.abs(c.r)
