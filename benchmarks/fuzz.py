@@ -64,7 +64,7 @@ def crossover(points: np.ndarray, other: np.ndarray, rng: np.random.Generator) -
 
 def with_scaled_axes(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Each axis times a power of two of its own: exact, so the truth stays, but no bound may be shared by the axes."""
-    reach = rng.choice([8, 40, 150])
+    reach = rng.choice([8, 40, 150, 500])
     return np.ldexp(points, rng.integers(-reach, reach + 1, (len(points), 1, 1, points.shape[3])))
 
 

@@ -233,7 +233,7 @@ def measure(queries: QuerySet, seconds: float, cap: float, rounds: int, overhead
     b0, b1 = (np.ascontiguousarray(p[sample]) for p in (queries.points_t0, queries.points_t1))
 
     times: dict[str, list[float]] = {name: [] for name in (*VARIANTS, "bisection", "clipping")}
-    for name, options in VARIANTS.items():  # nothing is measured on a first call
+    for options in VARIANTS.values():  # nothing is measured on a first call
         ours(kind, p0[:2], p1[:2], **options)
     for _ in range(rounds):
         for name, options in VARIANTS.items():

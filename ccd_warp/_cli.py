@@ -24,6 +24,7 @@ _OPTIONS = (
     "max_iterations",
     "length_scale",
     "precision",
+    "method",
     "device",
     "num_threads",
 )
@@ -122,6 +123,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--length-scale", type=float, metavar="L", help="unit of the two above (longest side of the motion's box)"
     )
     group.add_argument("--precision", choices=("float64", "float32"), help="arithmetic of the kernels (float64)")
+    group.add_argument(
+        "--method", choices=("clipping", "bisection"), help="bisection: the literature's, for comparison (clipping)"
+    )
     group.add_argument("--device", metavar="NAME", help="cpu, cuda, cuda:1, … (Warp's default device)")
     group.add_argument("--num-threads", type=int, metavar="N", help="threads on the CPU (all cores)")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")

@@ -221,10 +221,13 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 outcome.gap = gap_of(answer.point, n)
         return outcome
 
-    module = wp.get_module(f"ccd_warp.narrow_phase.{real.__name__}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+    def own_module(name: str):
+        """A Warp module a kernel, so that a scene compiles only the one that it launches."""
+        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}")
+        wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+        return module
 
-    @wp.kernel(module=module)
+    @wp.kernel(module=own_module("points_toi"))
     def points_toi(
         begin: int,
         # in
@@ -250,7 +253,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
-    @wp.kernel(module=module)
+    @wp.kernel(module=own_module("pairs_toi"))
     def pairs_toi(
         begin: int,
         # in
@@ -281,7 +284,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
-    @wp.kernel(module=module)
+    @wp.kernel(module=own_module("pairs_bound"))
     def pairs_bound(
         begin: int,
         # in

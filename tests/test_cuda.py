@@ -20,7 +20,8 @@ def warp_modules():
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
-        modules[f"narrow_phase {real.__name__}"] = make_narrow_phase(real).pairs_toi.module
+        for kernel in ("points_toi", "pairs_toi", "pairs_bound"):
+            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
     return {name: module for name, module in modules.items() if module.kernels}
 
 
