@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _OPTIONS = (
     "tolerance",
     "minimum_separation",
+    "start_gap_fraction",
     "t_max",
     "max_iterations",
     "length_scale",
@@ -116,6 +117,12 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--minimum-separation", type=float, metavar="X", help="gap that counts as a contact, in length scales (0)"
+    )
+    group.add_argument(
+        "--start-gap-fraction",
+        type=float,
+        metavar="F",
+        help="separation of a pair at most F times its start gap, so that a close start can move (off)",
     )
     group.add_argument("--t-max", type=float, metavar="T", help="look at [0, T] of the step only (1)")
     group.add_argument("--max-iterations", type=int, metavar="N", help="limit of the work on a pair (10000)")

@@ -54,6 +54,7 @@ def vertex_face_ccd(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -71,6 +72,9 @@ def vertex_face_ccd(
         tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
             ``length_scale``, above 0.
         minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
+        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
+            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
+            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
         t_max: End of the step that is checked, in [0, 1].
         max_iterations: Limit of the work on a pair; at the limit the toi is early, never late.
         length_scale: Length that the two multiples refer to. By default each pair has its own: the longest side of the
@@ -98,6 +102,7 @@ def vertex_face_ccd(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,
@@ -115,6 +120,7 @@ def edge_edge_ccd(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -131,6 +137,7 @@ def edge_edge_ccd(
         points_t1: End positions, likewise.
         tolerance: See :func:`vertex_face_ccd`, as all that follow.
         minimum_separation: Distance (L∞) at which a pair counts as touching.
+        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
         t_max: End of the step that is checked.
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
@@ -155,6 +162,7 @@ def edge_edge_ccd(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,
@@ -172,6 +180,7 @@ def point_segment_ccd(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -191,6 +200,7 @@ def point_segment_ccd(
         points_t1: End positions, likewise.
         tolerance: See :func:`vertex_face_ccd`, as all that follow.
         minimum_separation: Distance (L∞) at which a pair counts as touching.
+        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
         t_max: End of the step that is checked.
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
@@ -215,6 +225,7 @@ def point_segment_ccd(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,
@@ -232,6 +243,7 @@ def point_point_ccd(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -250,6 +262,7 @@ def point_point_ccd(
         points_t1: End positions, likewise.
         tolerance: See :func:`vertex_face_ccd`, as all that follow.
         minimum_separation: Distance (L∞) at which a pair counts as touching.
+        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
         t_max: End of the step that is checked.
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
@@ -274,6 +287,7 @@ def point_point_ccd(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,

@@ -24,6 +24,7 @@ class Options:
 
     tolerance: float = DEFAULT_TOLERANCE
     minimum_separation: float = 0.0
+    start_gap_fraction: float | None = None
     t_max: float = 1.0
     max_iterations: int = DEFAULT_MAX_ITERATIONS
     length_scale: float | None = None
@@ -35,6 +36,9 @@ class Options:
     def __post_init__(self) -> None:
         _check_real("tolerance", self.tolerance, "a finite number above 0", lambda x: x > 0)
         _check_real("minimum_separation", self.minimum_separation, "a finite number of at least 0", lambda x: x >= 0)
+        if self.start_gap_fraction is not None:
+            expected = "a number between 0 and 1, or None"
+            _check_real("start_gap_fraction", self.start_gap_fraction, expected, lambda x: 0 < x < 1)
         _check_real("t_max", self.t_max, "a number in [0, 1]", lambda x: 0 <= x <= 1)
         _check_count("max_iterations", self.max_iterations, 2**31 - 1)
         if self.length_scale is not None:
@@ -65,6 +69,7 @@ class Options:
         options = narrow_phase.make_narrow_phase(self.real).Options()
         options.tolerance = self.tolerance
         options.minimum_separation = self.minimum_separation
+        options.start_gap_fraction = 0.0 if self.start_gap_fraction is None else self.start_gap_fraction
         options.length_scale = 0.0 if length_scale is None else length_scale
         options.t_max = self.t_max
         options.t_end = self.rounded_up(self.t_max)

@@ -42,6 +42,7 @@ def mesh_ccd(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -60,6 +61,9 @@ def mesh_ccd(
         tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
             ``length_scale``, above 0.
         minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
+        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
+            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
+            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
         t_max: End of the step that is checked, in [0, 1].
         max_iterations: Limit of the work on a pair; at the limit its toi is early, never late.
         length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
@@ -86,6 +90,7 @@ def mesh_ccd(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,
@@ -104,6 +109,7 @@ def collision_free_step(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
     length_scale: float | None = None,
@@ -120,6 +126,8 @@ def collision_free_step(
         vertices_t1: End positions.
         tolerance: Largest gap that counts as contact.
         minimum_separation: Distance at which a pair counts as touching.
+        start_gap_fraction: Largest separation of a pair as a fraction of its start gap; makes a line search's step
+            positive where the minimum separation alone would make it 0.
         t_max: End of the step that is checked.
         max_iterations: Limit of the work on a pair.
         length_scale: Length that the two multiples refer to.
@@ -144,6 +152,7 @@ def collision_free_step(
     options = Options(
         tolerance=tolerance,
         minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
         length_scale=length_scale,

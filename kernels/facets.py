@@ -109,6 +109,28 @@ def make_facets(real) -> SimpleNamespace:
         return kept
 
     @wp.func
+    def separation_share(c: Corners, d: vec3, problem: Problem) -> real:
+        """Lower bound of the gap along one direction, as a share of the separation along it."""
+        low = wp.min(wp.min(wp.dot(d, c.w00), wp.dot(d, c.w01)), wp.min(wp.dot(d, c.w10), wp.dot(d, c.w11)))
+        high = wp.max(wp.max(wp.dot(d, c.w00), wp.dot(d, c.w01)), wp.max(wp.dot(d, c.w10), wp.dot(d, c.w11)))
+        m = wp.abs(d)
+        along = wp.dot(m, problem.separation)
+        share = real(0.0)
+        if wp.max(m) > tiny_direction and along > real(0.0):
+            share = (wp.max(low, -high) - wp.dot(m, problem.error) * round_up) / along
+        return share
+
+    @wp.func
+    def start_gap_share(c: Corners, is_face: bool, problem: Problem) -> real:
+        """Lower bound of the gap (L∞) of a patch at rest, as a share of the separation; complete, so close to it."""
+        share = separation_share(c, wp.cross(side_of(c, 0), side_of(c, 1)), problem)
+        for axis in range(3):
+            for side in range(-1, 3):
+                if side < 2 or is_face:
+                    share = wp.max(share, separation_share(c, direction(c, side, axis), problem))
+        return share
+
+    @wp.func
     def first_zero(h0: real, h1: real, h2: real, first: real) -> real:
         """First zero of the hull of three control points at 0, 1, 2, at most ``first``; 0 if h0 is not positive."""
         if not h0 > real(0.0):
@@ -180,6 +202,7 @@ def make_facets(real) -> SimpleNamespace:
     return SimpleNamespace(
         corners_at=corners_at,
         direction=direction,
+        start_gap_share=start_gap_share,
         widest_facet=widest_facet,
         first_zero=first_zero,
         clip_facet=clip_facet,

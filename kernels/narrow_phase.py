@@ -40,6 +40,9 @@ from .volume import make_volume
 CLIPPING = wp.constant(0)
 BISECTION = wp.constant(1)
 
+# A separation beyond any corner, in normalised units; small enough for every product in float32.
+_FAR = wp.constant(wp.float64(2.0**60))
+
 vec3d = wp.vec3d
 
 
@@ -62,6 +65,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
     parameters = make_subdivide(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
+    start_gap_share = make_facets(real).start_gap_share
+    round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
     round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
 
@@ -83,6 +88,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
 
         tolerance: wp.float64
         minimum_separation: wp.float64
+        start_gap_fraction: wp.float64  # 0: the minimum separation holds for every pair
         length_scale: wp.float64  # 0 stands for the pair's own
         t_max: wp.float64
         t_end: real  # t_max rounded up
@@ -135,14 +141,16 @@ def make_narrow_phase(real) -> SimpleNamespace:
             separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             m = wp.max(magnitude(c0), magnitude(c1))
             s = vec3d()
+            is_cut = bool(False)
             for k in range(3):
                 # an axis shorter than the tolerance needs no magnification beyond it
                 s[k] = inverse_power_of_two(wp.max(m[k], delta_length * pre[k]))
                 n.unit[k] = wp.float64(1.0) / s[k] / pre[k]
-                # corners are below 4 in these units: more separation or tolerance means no more
-                length = wp.min(separation_length * pre[k] * s[k], wp.float64(8.0))
+                # corners are below 4 in these units: far more separation or tolerance means no more
+                length = wp.min(separation_length * pre[k] * s[k], _FAR)
+                is_cut = is_cut or length == _FAR
                 n.problem.separation[k] = real(length) * round_up
-                length = wp.min(delta_length * pre[k] * s[k], wp.float64(8.0))
+                length = wp.min(delta_length * pre[k] * s[k], _FAR)
                 n.problem.delta[k] = real(length)
             n.size = vec3(wp.cw_mul(m, s))
             n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
@@ -152,6 +160,12 @@ def make_narrow_phase(real) -> SimpleNamespace:
             n.patch.t1 = normalised(c1, s)
             n.patch.is_face = kind == VERTEX_FACE
             n.patch.is_triangle = kind == VERTEX_FACE
+            if options.start_gap_fraction > wp.float64(0.0) and n.problem.has_separation and not is_cut:
+                share = start_gap_share(n.patch.t0, n.patch.is_face, n.problem)
+                share = wp.max(share * real(options.start_gap_fraction), real(0.0)) * round_down
+                if share < real(1.0):
+                    n.problem.separation = share * n.problem.separation
+                    n.problem.has_separation = share > real(0.0)
             n.problem = with_volume(n.problem, n.patch.t0, n.patch.t1)
         return n
 

@@ -101,6 +101,39 @@ def test_minimum_separation_is_monotone(kind, precision):
     assert (tois[-1] == 0).all()  # a separation of the whole size of the pair: always too close
 
 
+def test_start_gap_fraction_gives_a_positive_step_from_a_close_start(precision):
+    p0, p1 = falling_vertex(height=0.01)
+    options = {"minimum_separation": 0.1, "length_scale": 1.0, "precision": precision}
+    stuck = ccd.vertex_face_ccd(p0, p1, **options)
+    assert stuck.toi[0] == 0
+    assert stuck.status[0] == ccd.CCDStatus.INITIAL_CONTACT
+    result = ccd.vertex_face_ccd(p0, p1, start_gap_fraction=0.5, **options)
+    # half of the gap of 0.01 at a speed of 1.01, early by no more than the tolerance
+    assert 0.005 / 1.01 - 1e-5 <= result.toi[0] <= 0.005 / 1.01
+    touching = ccd.vertex_face_ccd(*falling_vertex(height=0.0), start_gap_fraction=0.5, **options)
+    assert touching.toi[0] == 0
+    assert touching.status[0] == ccd.CCDStatus.INITIAL_CONTACT
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_start_gap_fraction_against_the_oracle(kind, precision):
+    fraction, separation = 0.5, 0.2
+    p0, p1 = FAMILIES["random_colliding"](kind, 60, np.random.default_rng(31))
+    result = SOLVE[kind](
+        p0, p1, minimum_separation=separation, start_gap_fraction=fraction, length_scale=1.0, precision=precision
+    )
+    for i in range(len(p0)):
+        reduced = min(separation, fraction * exact_gap(kind, p0[i], p1[i], 0.0))
+        # the kernel's start gap is a lower bound: its separation is smaller by rounding, never larger
+        slack = ROUNDING[precision] * (1 + size_of(p0, p1)[i])
+        (exact,) = exact_tois(kind, p0[i : i + 1], p1[i : i + 1], max(reduced - slack, 0.0))
+        assert not (exact.hit and exact.late(float(result.toi[i])))
+        if reduced > 1e-4:
+            assert result.toi[i] > 0
+            gap = exact_gap(kind, p0[i], p1[i], min(float(result.toi[i]), 1.0))
+            assert gap >= reduced - slack
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("t_max", [0.0, 1e-9, 0.1, 0.5, 1 - 2.0**-53])
 def test_t_max(t_max, kind, precision):
@@ -129,6 +162,73 @@ def test_iteration_limit_is_conservative_and_monotone(kind, precision):
         before = result.toi
     assert capped > 0
     assert not (result.status == ccd.CCDStatus.ITERATION_LIMIT).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "family", ["random", "lattice", "random_colliding", "parallel_edges", "contact_exactly_at_end"]
+)
+def test_bisection_is_conservative_and_agrees(family, kind, precision):
+    p0, p1 = FAMILIES[family](kind, 60, np.random.default_rng(32))
+    exact = exact_tois(kind, p0, p1)
+    result = SOLVE[kind](p0, p1, method="bisection", tolerance=1e-2, precision=precision)
+    assert_never_missed_never_late(exact, result)
+    capped = result.status == ccd.CCDStatus.ITERATION_LIMIT
+    assert capped.mean() < 0.2
+    clipped = SOLVE[kind](p0, p1, precision=precision)
+    assert not (clipped.hit & ~result.hit & ~capped).any()
+    # the box is within the tolerance in time, too: what is reported is a lower bound of the sharper answer
+    both = clipped.hit & result.hit
+    assert (result.toi[both] <= clipped.toi[both] + 1e-5).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gap_bounds_the_exact_gap(kind, precision):
+    for family, options in (("random_colliding", {}), ("slivers", {}), ("random", {"minimum_separation": 0.05})):
+        p0, p1 = FAMILIES[family](kind, 60, np.random.default_rng(33))
+        result = SOLVE[kind](p0, p1, length_scale=1.0, precision=precision, **options)
+        for i in np.flatnonzero(result.hit):
+            gap = exact_gap(kind, p0[i], p1[i], float(result.toi[i]))
+            assert gap <= options.get("minimum_separation", 0.0) * (1 + 1e-6) + result.gap[i]
+        assert (result.width[result.status == ccd.CCDStatus.COLLISION] == 0).all()
+        capped = SOLVE[kind](p0, p1, length_scale=1.0, precision=precision, max_iterations=1, **options)
+        at_limit = capped.status == ccd.CCDStatus.ITERATION_LIMIT
+        assert at_limit.any()
+        np.testing.assert_array_equal(capped.width[at_limit], 1.0 - capped.toi[at_limit])
+
+
+# --- points and segments ---
+
+POINT_KINDS = {"point-segment": ccd.point_segment_ccd, "point-point": ccd.point_point_ccd}
+
+
+@pytest.mark.parametrize("kind", POINT_KINDS)
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("separation", [0.0, 1e-3, 0.3])
+def test_points_and_segments(separation, dimension, kind, precision):
+    for family, generate in FAMILIES.items():
+        p0, p1 = generate(kind, 30, np.random.default_rng(34), dimension)
+        exact = exact_tois(kind, p0, p1, separation)
+        result = POINT_KINDS[kind](p0, p1, minimum_separation=separation, length_scale=1.0, precision=precision)
+        assert_never_missed_never_late(exact, result)
+        assert (result.status < ccd.CCDStatus.ITERATION_LIMIT).all(), family
+        for i in np.flatnonzero(result.hit):
+            size = size_of(p0, p1)[i]
+            gap = exact_gap(kind, p0[i], p1[i], float(result.toi[i]))
+            assert gap <= separation + 1e-6 + ROUNDING[precision] * (size + separation), family
+
+
+def test_bullet_of_the_literature():
+    p0 = np.array([[[0.5, 3.5], [5.0, 1.0], [5.0, 6.0]]])
+    p1 = np.array([[[9.5, 3.5], [5.0, 1.0], [5.0, 6.0]]])
+    result = ccd.point_segment_ccd(p0, p1)
+    assert 0.5 - 1e-12 <= result.toi[0] <= 0.5
+    np.testing.assert_allclose(result.parameters[0], [0.5, 0.0], atol=1e-12)
+    bisected = ccd.point_segment_ccd(p0, p1, method="bisection", tolerance=1e-4, length_scale=1.0)
+    assert 0.5 - 1e-4 <= bisected.toi[0] <= 0.5
+    assert bisected.iterations[0] > 10 * result.iterations[0]
+    flat = wp.array(p0, dtype=wp.vec2d, device="cpu"), wp.array(p1, dtype=wp.vec2d, device="cpu")
+    assert ccd.point_segment_ccd(*flat).toi.numpy()[0] == result.toi[0]
 
 
 # --- invariances ---
@@ -333,6 +433,8 @@ GOOD = np.zeros((2, 4, 3))
             "minimum_separation is -1.0; expected a finite number of at least",
         ),
         ((GOOD, GOOD), {"minimum_separation": np.inf}, "minimum_separation is inf"),
+        ((GOOD, GOOD), {"start_gap_fraction": 1.0}, "start_gap_fraction is 1.0; expected a number between 0 and 1"),
+        ((GOOD, GOOD), {"method": "newton"}, "method is 'newton'; expected 'clipping' or 'bisection'"),
         ((GOOD, GOOD), {"t_max": 1.5}, r"t_max is 1.5; expected a number in \[0, 1\]"),
         ((GOOD, GOOD), {"t_max": -0.1}, "t_max is -0.1"),
         ((GOOD, GOOD), {"max_iterations": 0}, "max_iterations is 0; expected a positive integer"),
