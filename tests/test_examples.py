@@ -26,7 +26,7 @@ def _number(text: str, label: str) -> float:
 
 
 def test_no_example_is_left_out():
-    assert {path.name for path in EXAMPLES.glob("*.py")} == {"bullet_through_wall.py", "mesh_against_mesh.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {"bullet_2d.py", "bullet_through_wall.py", "mesh_against_mesh.py"}
 
 
 def test_bullet_through_wall(tmp_path):
@@ -36,6 +36,15 @@ def test_bullet_through_wall(tmp_path):
     toi = _number(output, r"CCD over the whole step:\s+toi =")
     # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
     assert 0.5 - 1e-6 <= toi <= 0.5
+
+
+def test_bullet_2d(tmp_path):
+    output = _run("bullet_2d.py", tmp_path)
+    for method in ("bisection", "clipping"):
+        # Never later than the exact 0.5; earlier by at most δ = 1e-4 over the speed 9, and the bisection's box.
+        assert 0.5 - 1e-4 <= _number(output, rf"{method}\s+toi =") <= 0.5
+    steps = {name: int(re.search(rf"(\d+) {name}", output)[1]) for name in ("boxes", "steps")}
+    assert steps["steps"] < steps["boxes"] < 1000
 
 
 def test_mesh_against_mesh(tmp_path):
