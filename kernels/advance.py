@@ -108,7 +108,7 @@ def make_advance(real) -> SimpleNamespace:
                     d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
                     if use_facets:
                         facet = widest_facet(c, patch.is_face, problem)
-                        s = advance_facets(patch, problem, facet, t, t_max)
+                        s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
                         at_floor = facet.floor_excess <= real(0.0)
                         new_gap = facet.slack * facet.slack
                     else:

@@ -56,11 +56,14 @@ def make_closest_point(real) -> SimpleNamespace:
         va = d3 * d6 - d5 * d4
         n = wp.cross(ab, ac)
         n_squared = wp.dot(n, n)
-        if va <= real(0.0) or n_squared <= real(0.0):
+        total = va + vb + vc
+        if va <= real(0.0) or n_squared <= real(0.0) or total <= real(0.0):
             q, w = closest_on_edge(b, c - b)
             return q, real(1.0) - w, w
-        total = real(1.0) / (va + vb + vc)
-        return (wp.dot(n, a) / n_squared) * n, vb * total, vc * total
+        # a sliver's normal leans: make it orthogonal to a side again
+        q = (wp.dot(n, a) / n_squared) * n
+        q = q - (wp.dot(q, ab) / wp.dot(ab, ab)) * ab
+        return q, vb / total, vc / total
 
     @wp.func
     def closest_on_patch(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):

@@ -2,8 +2,9 @@
 
 It is the volume's hull (`volume`) in float64 on the corners as they are, without normalisation: about 90 flops, no
 division, no branch. The bound is that of `rounding`, step 9, with sums of magnitudes where `volume` takes maxima.
-Products of three lengths neither overflow nor lose their bound to underflow while the lengths are within 2^±250 of one;
-beyond, the test proves nothing and the pair goes on to the solver, which normalises.
+Underflow is covered by an absolute term that grows with P, so axes may differ in scale as they like; where a product of
+three lengths comes near overflow, or is so small that the absolute term hides it (lengths far below 2^-250), the test
+proves nothing and the pair goes on to the solver, which normalises.
 """
 
 import warp as wp
@@ -37,7 +38,9 @@ def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: w
     n = wp.vec3d(q[1] * r[2] + q[2] * r[1], q[2] * r[0] + q[0] * r[2], q[0] * r[1] + q[1] * r[0])
     size = wp.dot(p, n)
     # |n_k| of the normal at any time is at most n_k, so this is above the sum of separation and rounding
-    bound = _BOUND * size + separation * (n[0] + n[1] + n[2]) * _SEPARATION_UP + _GUARD
+    bound = _BOUND * size + separation * (n[0] + n[1] + n[2]) * _SEPARATION_UP
+    # an underflow in Q×R is multiplied by P and by the separation
+    bound += _GUARD * (_ONE + p[0] + p[1] + p[2] + separation)
     if not (size < _LARGEST and bound < _LARGEST):
         return False
     if t_end < _ONE:

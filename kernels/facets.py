@@ -26,6 +26,7 @@ def make_facets(real) -> SimpleNamespace:
     Problem = types.Problem
     unit = UNIT_ROUNDOFF[real]
     half = wp.constant(real(0.5))
+    one_percent = wp.constant(real(0.01))
     moving = wp.constant(real(MOVING))
     floor_errors = wp.constant(real(8.0))
     round_down = wp.constant(real(1.0 - RELATIVE * unit))
@@ -84,8 +85,9 @@ def make_facets(real) -> SimpleNamespace:
         if size > tiny_direction:
             gap = gap - wp.dot(m, problem.separation)
             facet.floor_excess = wp.max(facet.floor_excess, gap - floor_errors * wp.dot(m, problem.error))
+            # of two that separate alike the first one stays: axes stand still, and a side may vanish
             slack = gap / size
-            if slack > facet.slack:
+            if slack > facet.slack + one_percent * wp.abs(facet.slack):
                 facet.slack = slack
                 facet.side = side
                 facet.axis = axis
@@ -97,8 +99,8 @@ def make_facets(real) -> SimpleNamespace:
         facet = Facet()
         facet.slack = -real(1.0e30)
         facet.floor_excess = -real(1.0e30)
-        for axis in range(3):
-            for side in range(-1, 3):
+        for side in range(-1, 3):
+            for axis in range(3):
                 if side < 2 or is_face:  # opposite sides of a parallelogram have one direction
                     facet = consider(facet, side, axis, direction(c, side, axis), c, problem)
         n = wp.cross(side_of(c, 0), side_of(c, 1))
@@ -190,13 +192,16 @@ def make_facets(real) -> SimpleNamespace:
         return t
 
     @wp.func
-    def advance_facets(patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real) -> real:
-        """Clip with the widest facet; where it stands in its own way (its side vanishes, say), with every other."""
+    def advance_facets(
+        patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
+    ) -> real:
+        """Clip with the widest facet; where it stands in its own way (its side vanishes, say), with every one."""
         t = clip_facet(patch, problem, facet.side, facet.axis, t_start, t_max)
-        if t <= t_start and facet.slack > real(0.0):
+        if (thorough or t <= t_start) and facet.slack > real(0.0):
             for axis in range(3):
                 for side in range(-1, 3):
-                    t = wp.max(t, clip_facet(patch, problem, side, axis, t_start, t_max))
+                    if side < 2 or patch.is_face:
+                        t = wp.max(t, clip_facet(patch, problem, side, axis, t_start, t_max))
         return t
 
     return SimpleNamespace(

@@ -174,9 +174,10 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """Upper bound of the gap (L∞) beyond the separation at a point of the patch, as a length."""
         gap = wp.float64(0.0)
         for k in range(3):
-            beyond = wp.abs(point[k]) - n.problem.separation[k]
+            # the separation was rounded up, the point carries the error of a corner and of its interpolation
+            beyond = wp.abs(point[k]) + real(2.0) * n.problem.error[k] - round_down * n.problem.separation[k]
             if beyond > real(0.0):
-                gap = wp.max(gap, wp.float64(beyond + real(2.0) * n.problem.error[k]) * n.unit[k])
+                gap = wp.max(gap, wp.float64(beyond) * n.unit[k])
         return gap
 
     @wp.func

@@ -26,7 +26,11 @@ def _number(text: str, label: str) -> float:
 
 
 def test_no_example_is_left_out():
-    assert {path.name for path in EXAMPLES.glob("*.py")} == {"bullet_2d.py", "bullet_through_wall.py", "mesh_against_mesh.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "bullet_2d.py",
+        "bullet_through_wall.py",
+        "mesh_against_mesh.py",
+    }
 
 
 def test_bullet_through_wall(tmp_path):

@@ -369,6 +369,43 @@ def test_subnormal_coordinates(precision):
     assert 0.49 <= result.toi[0] <= 0.5
 
 
+def test_side_along_an_axis_that_nearly_vanishes():
+    # one axis of 2^30 beside axes of 2^-443 and 2^-163, thin beside the separation: the sides are almost along y, so
+    # their facets stand as well as the axis does, for an instant
+    e = float.fromhex
+    p0 = [
+        [
+            [0, 3 * 2.0**29, 2.0**-162],
+            [0, 3 * 2.0**29, 3 * 2.0**-163],
+            [3 * 2.0**-444, 2.0**29, 0],
+            [2.0**-443, 0, 2.0**-163],
+        ]
+    ]
+    p1 = [
+        [
+            [2.0**-444, 2.0**29, 2.0**-163],
+            [3 * 2.0**-444, 2.0**30, 2.0**-163],
+            [0, e("0x1.ffffffffffffcp+29"), 0],
+            [0, 0, e("0x1.8000000000002p-162")],
+        ]
+    ]
+    result = ccd.edge_edge_ccd(p0, p1, minimum_separation=0.0820116453693335, length_scale=1.0)
+    assert result.status[0] == ccd.CCDStatus.COLLISION
+    assert 2 / 3 - 1e-9 <= result.toi[0] <= 2 / 3
+    assert result.iterations[0] < 10
+
+
+def test_vertex_leaves_a_face_whose_squares_underflow_in_float32():
+    small = 2.0**-83
+    p0 = np.array([[[0, small, 0], [-(2.0**-92), 0, 2], [2.0**-92, 0, 2], [0, 0, -2]]])
+    p1 = p0.copy()
+    p1[0, :, 1] = small / 2
+    result = ccd.vertex_face_ccd(p0, p1, tolerance=3.5e-8, precision="float32")
+    assert np.isfinite(result.parameters).all()
+    assert np.isfinite(result.gap).all()
+    assert not exact_tois("vertex-face", p0, p1)[0].late(float(result.toi[0]))
+
+
 def test_no_pairs():
     empty = np.zeros((0, 4, 3))
     result = ccd.vertex_face_ccd(empty, empty)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from families import FAMILIES
 from oracle import exact_tois
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 
@@ -165,6 +166,20 @@ def test_collision_free_step_really_is_free():
     assert np.isinf(ccd.mesh_ccd(mesh, start, shortened).toi)
     assert ccd.collision_free_step(mesh, start, shortened) == 1.0
     assert 0 < step < brute_force_toi(mesh, start, end)
+
+
+def test_edges_that_touch_beside_axes_of_very_different_scale():
+    # one axis of 2^700 beside two near 2^-535: products of the small ones underflow, and the large one magnifies that
+    found = 0
+    for seed in range(30, 60):
+        p0, p1 = FAMILIES["random_colliding"]("edge-edge", 1, np.random.default_rng(seed))
+        p0, p1 = (np.ldexp(p, [700, -537, -530])[0] for p in (p0, p1))
+        mesh = ccd.CollisionMesh.from_arrays([(p0[k : k + 2], np.zeros((0, 3), int), [[0, 1]]) for k in (0, 2)])
+        (exact,) = exact_tois("edge-edge", p0[None], p1[None])
+        found += exact.hit
+        assert not exact.late(ccd.mesh_ccd(mesh, p0, p1).toi)
+        assert not exact.late(ccd.collision_free_step(mesh, p0, p1))
+    assert found > 10
 
 
 # --- what a scene needs ---
