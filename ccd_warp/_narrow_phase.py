@@ -97,7 +97,8 @@ def vertex_face_ccd(
 
     Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
     toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
+    says.
     """
     options = Options(
         tolerance=tolerance,
@@ -157,7 +158,8 @@ def edge_edge_ccd(
 
     Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
     toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
+    says.
     """
     options = Options(
         tolerance=tolerance,
@@ -220,7 +222,8 @@ def point_segment_ccd(
 
     Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
     toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
+    says.
     """
     options = Options(
         tolerance=tolerance,
@@ -282,7 +285,8 @@ def point_point_ccd(
 
     Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
     toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound.
+    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
+    says.
     """
     options = Options(
         tolerance=tolerance,

@@ -85,7 +85,7 @@ def mesh_ccd(
     Guarantee: if the exact trajectories of a pair that passes the mesh's filter (vertex-face, edge-edge, and where the
     mesh has loose primitives point-segment and point-point) first touch (or come within the minimum separation) at
     τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
-    possible only where the L∞ gap falls below separation + δ + ε.
+    possible only where the L∞ gap falls below separation + δ + ε, or where a limit was reached, which the status says.
     """
     options = Options(
         tolerance=tolerance,
@@ -192,7 +192,7 @@ class _Step:
         """Pairs whose boxes, each grown by half the minimum separation, overlap."""
         with self.timed("broad phase"):
             inflation = 0.5 * self.separation
-            if inflation > 0.0:
+            if self.separation > 0.0:
                 inflation = min(math.nextafter(inflation, math.inf), np.finfo(np.float64).max)
             return find_candidates_on_device(self.mesh, self.x_t0, self.x_t1, inflation, self.execution)
 

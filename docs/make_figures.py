@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -25,8 +26,8 @@ FIGURES = Path(__file__).parent / "figures"
 BOX_TOLERANCE = 1e-2  # of the boxes drawn: smaller ones are not seen
 TOLERANCE = 1e-6  # of the convergence
 MANY = 10_000_000
-SMALLEST_ERROR = 1e-17
-MARGIN = 1e-14  # of the illustrated boxes, in place of the rounding bounds
+SMALLEST_ERROR = 1e-15  # of the illustrated clips, which have no rounding bounds
+ROUNDING = 25 * 2.0**-53  # about the library's, of boxes, relative to the largest corner per axis
 DARK, MID, LIGHT = "0.0", "0.45", "0.85"
 
 
@@ -52,7 +53,7 @@ class Case:
         rows = zip(self.start.tolist(), self.end.tolist(), strict=True)
         return [[(1 - t) * Fraction(x) + t * Fraction(y) for x, y in zip(a, b, strict=True)] for a, b in rows]
 
-    def solved(self, **options: float | str) -> ccd.PairResult:
+    def solved(self, **options: Any) -> ccd.PairResult:
         return ccd.vertex_face_ccd(self.start[None], self.end[None], **options)
 
     def corners(self, t: float) -> np.ndarray:
@@ -112,14 +113,15 @@ def illustrated_boxes(case: Case, tolerance: float) -> list[tuple[tuple[float, .
     """Boxes (t0, t1, u0, u1, v0, v1) of plain bisection in the order of their tests; "free", "split" or "accepted"."""
     ends = [case.corners(0.0), case.corners(1.0)]
     both = np.concatenate([case.start, case.end])
-    delta = tolerance * (both.max(axis=0) - both.min(axis=0)).max()
+    rounding = ROUNDING * np.abs(np.concatenate(ends)).max(axis=0)
+    delta = tolerance * (both.max(axis=0) - both.min(axis=0)).max() + rounding
 
     def point(t: float, u: float, v: float) -> np.ndarray:
         w00, w01, w10 = (1 - t) * ends[0] + t * ends[1]
         return (1 - u) * ((1 - v) * w00 + v * w01) + u * w10
 
-    boxes = []
-    stack = [(0.0, 1.0, 0.0, 1.0, 0.0, 1.0)]
+    boxes: list[tuple[tuple[float, ...], str]] = []
+    stack: list[tuple[float, ...]] = [(0.0, 1.0, 0.0, 1.0, 0.0, 1.0)]
     best = 2.0
     while stack:
         box = stack.pop()
@@ -127,14 +129,14 @@ def illustrated_boxes(case: Case, tolerance: float) -> list[tuple[tuple[float, .
             continue
         hull = np.array([[[point(t, u, v) for v in box[4:]] for u in box[2:4]] for t in box[:2]])
         low, high = hull.min(axis=(0, 1, 2)), hull.max(axis=(0, 1, 2))
-        if (low > MARGIN).any() or (high < -MARGIN).any():
+        if (low > rounding).any() or (high < -rounding).any():
             boxes.append((box, "free"))
-        elif (high - low).max() <= delta:
+        elif (high - low <= delta).all():
             boxes.append((box, "accepted"))
             best = box[0]
         else:
             boxes.append((box, "split"))
-            k = int(np.argmax([np.abs(np.diff(hull, axis=axis)).max() for axis in range(3)]))
+            k = int(np.argmax([np.abs(np.diff(hull, axis=axis) / delta).max() for axis in range(3)]))
             middle = 0.5 * (box[2 * k] + box[2 * k + 1])
             stack.append((*box[: 2 * k], middle, *box[2 * k + 1 :]))  # the later half waits
             stack.append((*box[: 2 * k + 1], middle, *box[2 * k + 2 :]))
@@ -197,6 +199,7 @@ def draw_boxes(ax: Axes, case: Case) -> None:
     free = sorted((b for b, fate in boxes if fate == "free"), key=lambda b: -(b[1] - b[0]) * (b[3] - b[2]))
     rectangles = [Rectangle((b[0], b[2]), b[1] - b[0], b[3] - b[2]) for b in free]
     ax.add_collection(PatchCollection(rectangles, facecolor=LIGHT, edgecolor=MID, linewidth=0.6))
+    ax.plot([], [], "s", color=LIGHT, markeredgecolor=MID, markersize=7, label="certified free")
     *_, accepted = (b for b, fate in boxes if fate == "accepted")  # each is earlier than the one before
     ax.plot(accepted[0], 0.5 * (accepted[2] + accepted[3]), "v", color=DARK, markersize=7, label="box reported")
     ax.axvline(case.toi(), color=DARK, linewidth=1.0, linestyle="--", label="exact toi")
@@ -218,27 +221,28 @@ def draw_intervals(ax: Axes, case: Case, clips: list[float]) -> None:
 def draw_convergence(ax: Axes, case: Case, clips: list[float]) -> None:
     toi = case.toi()
 
-    def error(t: np.ndarray | list[float]) -> np.ndarray:
-        return np.maximum(toi - np.array(t), SMALLEST_ERROR)
+    def error(t: Any) -> Any:
+        return toi - np.asarray(t)
 
     answer = case.solved(method="bisection", tolerance=TOLERANCE, max_iterations=MANY)
     count = int(answer.iterations[0])
     limits = sorted({int(k) for k in np.geomspace(1, count, 60)})
     ax.step(limits, error(reached_bounds(case, "bisection", limits)), where="post", color=MID, linewidth=1.6)
-    ax.text(count, float(error(answer.toi)[0]) * 0.2, f"bisection,\n{count:,} boxes", ha="right", va="top", color=MID)
+    ax.text(count, float(error(answer.toi)[0]) * 0.3, f"bisection,\n{count:,} boxes", ha="right", va="top", color=MID)
     steps = int(case.solved(tolerance=TOLERANCE).iterations[0])
     bounds = reached_bounds(case, "clipping", list(range(1, steps + 1)))
-    at = len(clips) - 1 + np.arange(steps)
-    ax.plot(range(1, len(clips)), error(clips[1:]), "o-", color=DARK, markersize=3.5, linewidth=0.8)
+    clips = [t for t in clips[1:] if error(t) > SMALLEST_ERROR]
+    at = len(clips) + 1 + np.arange(steps)
+    ax.plot(range(1, len(clips) + 1), error(clips), "o-", color=DARK, markersize=3.5, linewidth=0.8)
     ax.plot(at, error(bounds), "s", color=DARK, markerfacecolor="white", markersize=7)
     ax.plot([], [], "o", color=DARK, markersize=3.5, label="default: clips of step 1")
     ax.plot([], [], "s", color=DARK, markerfacecolor="white", markersize=7, label=f"bound after steps 1 to {steps}")
-    ax.set(xscale="log", yscale="log", ylim=(SMALLEST_ERROR / 3, 3), xlim=(0.8, max(2 * count, 1000)))
+    ax.set(xscale="log", yscale="log", ylim=(1e-16, 3), xlim=(0.8, max(2 * count, 1000)))
     ax.set_xlabel("boxes, or clips")
     ax.set_ylabel("exact toi − lower bound")
     ax.set_title(f"How early the bound of toi still is, δ = {TOLERANCE:g}", fontsize=10)
     ax.grid(True, color="0.9", linewidth=0.6)
-    ax.legend(loc="upper right" if case.name != "simple" else "lower right", framealpha=1.0)
+    ax.legend(loc="lower right", framealpha=1.0)
 
 
 def draw(case: Case) -> Path:

@@ -26,6 +26,7 @@ FREE = wp.constant(0)  # no contact in [t_start, t_max]
 CONTACT = wp.constant(1)  # a gap within tolerance at the time reached, and no cheap progress beyond it
 SLOW = wp.constant(2)  # a gap beyond tolerance, but single directions clip little: subdivide
 LIMIT = wp.constant(3)  # iteration limit
+_UNDECIDED = wp.constant(-1)
 
 # Small steps in a row before an advance counts as slow.
 _PATIENCE = wp.constant(3)
@@ -40,7 +41,7 @@ def make_advance(real) -> SimpleNamespace:
     Problem = types.Problem
     closest_on_patch = make_closest_point(real).closest_on_patch
     Corners = types.Corners
-    reaches_box = make_contact_test(real).reaches_box
+    point_in_box = make_contact_test(real).point_in_box
     clip = make_inclusion(real).clip
     advance_volume = make_volume(real).advance_volume
     facets = make_facets(real)
@@ -66,16 +67,30 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def point_of(c: Corners, wb: real, wc: real, from_w11: bool) -> vec3:
-        """The point that the weights name: a real point of the patch, whatever rounding did to them."""
+        """The point that the weights name: a real point of the patch, for any weights that lie on it."""
         origin = c.w00
         if from_w11:
             origin = c.w11
         return origin + wb * (c.w01 - origin) + wc * (c.w10 - origin)
 
     @wp.func
-    def is_contact(c: Corners, size: vec3, wb: real, wc: real, from_w11: bool) -> bool:
-        """Whether a real point of the patch lies in [-size, size]: the closest one at hand, or else any."""
-        return is_within(point_of(c, wb, wc, from_w11), size) or reaches_box(c, size)
+    def find_contact(c: Corners, patch: Patch, size: vec3, reached: Reached) -> Reached:
+        """Look for a real point of the patch in [-size, size]: the closest one at hand, or else any.
+
+        Sets the point and its weights where it finds one, and the outcome.
+        """
+        point = point_of(c, reached.wb, reached.wc, reached.from_w11)
+        found = is_within(point, size)
+        if not found:
+            found, point, wb, wc = point_in_box(c, patch.narrowing, size)
+            if found:
+                reached.wb = wb
+                reached.wc = wc
+                reached.from_w11 = False
+        if found:
+            reached.point = point
+            reached.outcome = CONTACT
+        return reached
 
     @wp.func
     def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Reached:
@@ -85,27 +100,28 @@ def make_advance(real) -> SimpleNamespace:
         """
         floor = real(8.0) * problem.error  # a smaller gap is beyond what rounding can tell apart
         contact_size = problem.separation + problem.delta + floor
-        t = t_start
-        outcome = int(-1)
-        iterations = int(0)
+        reached = Reached()
+        reached.t = t_start
+        reached.outcome = _UNDECIDED
         slow = int(0)
         gap = real(1.0e30)
-        wb = real(0.0)
-        wc = real(0.0)
-        from_w11 = bool(False)
         use_facets = problem.has_separation or problem.is_flat
-        while outcome < 0:
-            if iterations >= max_iterations:
-                outcome = LIMIT
+        while reached.outcome == _UNDECIDED:
+            if reached.iterations >= max_iterations:
+                reached.outcome = LIMIT
             else:
-                iterations += 1
-                start = t
-                t = advance_volume(problem, t, t_max)
+                reached.iterations += 1
+                start = reached.t
+                t = advance_volume(problem, start, t_max)
+                reached.t = t
                 if t > t_max:
-                    outcome = FREE
+                    reached.outcome = FREE
                 else:
                     c = corners_at(patch, t)
                     d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
+                    reached.wb = wb
+                    reached.wc = wc
+                    reached.from_w11 = from_w11
                     if use_facets:
                         facet = widest_facet(c, patch.is_face, problem)
                         s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
@@ -116,35 +132,34 @@ def make_advance(real) -> SimpleNamespace:
                         at_floor = is_within(d, floor)
                         new_gap = wp.dot(d, d)
                     if s > t_max:
-                        outcome = FREE
-                    elif at_floor and is_contact(c, contact_size, wb, wc, from_w11):
-                        outcome = CONTACT
+                        reached.outcome = FREE
                     else:
-                        if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
-                            slow += 1
-                        gap = new_gap
-                        if s <= t:
-                            slow += _PATIENCE
-                        if slow >= _PATIENCE:
-                            if is_contact(c, contact_size, wb, wc, from_w11):
-                                outcome = CONTACT
-                                # the later time stands only if the gap there is within tolerance as well
-                                if not is_contact(corners_at(patch, s), contact_size, wb, wc, from_w11):
-                                    s = t
-                            elif use_facets:
-                                outcome = SLOW
-                            use_facets = True
-                            slow = 0
-                        t = s
-        reached = Reached()
-        reached.t = t
-        reached.outcome = outcome
-        reached.iterations = iterations
-        reached.wb = wb
-        reached.wc = wc
-        reached.from_w11 = from_w11
-        if outcome != FREE:
-            reached.point = point_of(corners_at(patch, t), wb, wc, from_w11)
+                        if at_floor:
+                            reached = find_contact(c, patch, contact_size, reached)
+                        if reached.outcome != CONTACT:
+                            if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
+                                slow += 1
+                            gap = new_gap
+                            if s <= t:
+                                slow += _PATIENCE
+                            reached.t = s
+                            if slow >= _PATIENCE:
+                                reached = find_contact(c, patch, contact_size, reached)
+                                if reached.outcome == CONTACT:
+                                    # the later time stands only if the gap there is within tolerance as well
+                                    reached.outcome = _UNDECIDED
+                                    later = find_contact(corners_at(patch, s), patch, contact_size, reached)
+                                    if later.outcome == CONTACT:
+                                        reached = later
+                                    else:
+                                        reached.outcome = CONTACT
+                                        reached.t = t
+                                elif use_facets:
+                                    reached.outcome = SLOW
+                                use_facets = True
+                                slow = 0
+        if reached.outcome == LIMIT or reached.outcome == SLOW:
+            reached.point = point_of(corners_at(patch, reached.t), reached.wb, reached.wc, reached.from_w11)
         return reached
 
     return SimpleNamespace(Reached=Reached, advance=advance, point_of=point_of)

@@ -63,7 +63,7 @@ def make_closest_point(real) -> SimpleNamespace:
         # a sliver's normal leans: make it orthogonal to a side again
         q = (wp.dot(n, a) / n_squared) * n
         q = q - (wp.dot(q, ab) / wp.dot(ab, ab)) * ab
-        return q, vb / total, vc / total
+        return q, wp.max(vb, real(0.0)) / total, wp.max(vc, real(0.0)) / total
 
     @wp.func
     def closest_on_patch(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):

@@ -21,7 +21,8 @@ _MAX_VERTICES = 10
 def make_contact_test(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
-    polygon = wp.types.matrix(shape=(_MAX_VERTICES, 3), dtype=real)
+    vertex = wp.types.vector(length=5, dtype=real)  # position, and the weights of w01 and w10 that name it
+    polygon = wp.types.matrix(shape=(_MAX_VERTICES, 5), dtype=real)
     Corners = make_patch(real).Corners
 
     @wp.func
@@ -46,17 +47,18 @@ def make_contact_test(real) -> SimpleNamespace:
         return out, m
 
     @wp.func
-    def reaches_box(c: Corners, size: vec3) -> bool:
-        """Whether a point of the patch lies in [-size, size]."""
+    def point_in_box(c: Corners, narrowing: real, size: vec3):
+        """Whether a point of the patch lies in [-size, size], such a point, and its weights of w01 and w10."""
         p = polygon()
-        p[0] = c.w00
-        p[1] = c.w01
-        p[2] = c.w11
-        p[3] = c.w10
+        p[0] = vertex(c.w00[0], c.w00[1], c.w00[2], real(0.0), real(0.0))
+        p[1] = vertex(c.w01[0], c.w01[1], c.w01[2], real(1.0), real(0.0))
+        p[2] = vertex(c.w11[0], c.w11[1], c.w11[2], narrowing, real(1.0))
+        p[3] = vertex(c.w10[0], c.w10[1], c.w10[2], real(0.0), real(1.0))
         n = int(4)
         for axis in range(3):
             p, n = clip_polygon(p, n, axis, real(1.0), size[axis])
             p, n = clip_polygon(p, n, axis, real(-1.0), size[axis])
-        return n > 0
+        q = p[0]
+        return n > 0, vec3(q[0], q[1], q[2]), q[3], q[4]
 
-    return SimpleNamespace(reaches_box=reaches_box)
+    return SimpleNamespace(point_in_box=point_in_box)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .patch import make_patch
-from .rounding import MOVING, RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
+from .rounding import MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 
 
 @cache
@@ -33,6 +33,7 @@ def make_facets(real) -> SimpleNamespace:
     round_up = wp.constant(real(1.0 + RELATIVE * unit))
     fraction_down = wp.constant(real(1.0 - 4.0 * RELATIVE * unit))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
+    underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
 
     @wp.struct
     class Facet:
@@ -168,8 +169,8 @@ def make_facets(real) -> SimpleNamespace:
                 return t
             c_x = corners_at(patch, x)
             d_x = direction(c_x, side, axis)
-            o_t = wp.dot(wp.abs(d_t), margin) * round_up
-            o_x = wp.dot(wp.abs(d_x), margin) * round_up
+            o_t = wp.dot(wp.abs(d_t), margin) * round_up + underflow
+            o_x = wp.dot(wp.abs(d_x), margin) * round_up + underflow
             first = real(3.0)
             first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w00, c_x.w00, first)
             first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w01, c_x.w01, first)

@@ -16,7 +16,7 @@ from .cull import is_free_by_volume
 from .facets import make_facets
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
-from .points import Points, corners, magnitude, pair_points, row_points, scaled, side, total
+from .points import Points, corners, longest_side, magnitude, pair_points, row_points, scaled, total
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -123,20 +123,28 @@ def make_narrow_phase(real) -> SimpleNamespace:
         c0 = corners(kind, x_t0)
         c1 = corners(kind, x_t1)
         sums = total(c0) + total(c1)
-        pre = vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0))
+        one = wp.float64(1.0)
+        smaller = wp.float64(1.0 / 1024.0)
+        pre = vec3d(one, one, one)
         if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
             # an overflow, or no numbers at all: try again with the axes that overflowed at 1/1024 of their size
             for k in range(3):
                 if not sums[k] <= LARGEST:
-                    pre[k] = wp.float64(1.0 / 1024.0)
+                    pre[k] = smaller
             c0 = corners(kind, scaled(x_t0, pre))
             c1 = corners(kind, scaled(x_t1, pre))
             sums = total(c0) + total(c1)
         n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
         if n.is_valid:
-            scale = options.length_scale
+            # lengths are kept at 1/1024, too, where the points or their box come near overflow
+            shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
+            scale = options.length_scale * shrink
             if scale <= wp.float64(0.0):
-                scale = wp.max(wp.max(side(x_t0, x_t1, 0), side(x_t0, x_t1, 1)), side(x_t0, x_t1, 2))
+                scale = longest_side(x_t0, x_t1)
+                if shrink < one or not scale <= LARGEST:
+                    shrink = smaller
+                    small = vec3d(smaller, smaller, smaller)
+                    scale = longest_side(scaled(x_t0, small), scaled(x_t1, small))
             delta_length = wp.min(options.tolerance * scale, LARGEST)
             separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             m = wp.max(magnitude(c0), magnitude(c1))
@@ -144,13 +152,14 @@ def make_narrow_phase(real) -> SimpleNamespace:
             is_cut = bool(False)
             for k in range(3):
                 # an axis shorter than the tolerance needs no magnification beyond it
-                s[k] = inverse_power_of_two(wp.max(m[k], delta_length * pre[k]))
-                n.unit[k] = wp.float64(1.0) / s[k] / pre[k]
+                unit = pre[k] / shrink
+                s[k] = inverse_power_of_two(wp.max(m[k], delta_length * unit))
+                n.unit[k] = one / s[k] / pre[k]
                 # corners are below 4 in these units: far more separation or tolerance means no more
-                length = wp.min(separation_length * pre[k] * s[k], _FAR)
+                length = wp.min(separation_length * unit * s[k], _FAR)
                 is_cut = is_cut or length == _FAR
                 n.problem.separation[k] = real(length) * round_up
-                length = wp.min(delta_length * pre[k] * s[k], _FAR)
+                length = wp.min(delta_length * unit * s[k], _FAR)
                 n.problem.delta[k] = real(length)
             n.size = vec3(wp.cw_mul(m, s))
             n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
@@ -160,6 +169,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
             n.patch.t1 = normalised(c1, s)
             n.patch.is_face = kind == VERTEX_FACE
             n.patch.is_triangle = kind == VERTEX_FACE
+            n.patch.narrowing = wp.where(kind == VERTEX_FACE, real(0.0), real(1.0))
             if options.start_gap_fraction > wp.float64(0.0) and n.problem.has_separation and not is_cut:
                 share = start_gap_share(n.patch.t0, n.patch.is_face, n.problem)
                 share = wp.max(share * real(options.start_gap_fraction), real(0.0)) * round_down
@@ -175,7 +185,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         gap = wp.float64(0.0)
         for k in range(3):
             # the separation was rounded up, the point carries the error of a corner and of its interpolation
-            beyond = wp.abs(point[k]) + real(2.0) * n.problem.error[k] - round_down * n.problem.separation[k]
+            beyond = wp.abs(point[k]) + real(3.0) * n.problem.error[k] - round_down * n.problem.separation[k]
             if beyond > real(0.0):
                 gap = wp.max(gap, wp.float64(beyond) * n.unit[k])
         return gap

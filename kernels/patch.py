@@ -51,6 +51,7 @@ def make_patch(real) -> SimpleNamespace:
         t1: Corners
         is_face: bool  # its sides along u meet
         is_triangle: bool  # they meet at u = 1, so w11 = w10
+        narrowing: real  # length of the side u = 1 over that of the parallel side u = 0
 
     @wp.struct
     class Problem:

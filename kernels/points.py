@@ -3,7 +3,6 @@
 import warp as wp
 
 from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
-from .rounding import LARGEST
 
 vec3d = wp.vec3d
 Corners = make_patch(wp.float64).Corners
@@ -31,12 +30,18 @@ def scaled(p: Points, s: vec3d) -> Points:
 
 @wp.func
 def side(a: Points, b: Points, k: int) -> wp.float64:
-    """Side k of the box around both frames, without overflow."""
+    """Side k of the box around both frames."""
     low = wp.min(wp.min(wp.min(a.p0[k], a.p1[k]), wp.min(a.p2[k], a.p3[k])), wp.min(b.p0[k], b.p1[k]))
     low = wp.min(low, wp.min(b.p2[k], b.p3[k]))
     high = wp.max(wp.max(wp.max(a.p0[k], a.p1[k]), wp.max(a.p2[k], a.p3[k])), wp.max(b.p0[k], b.p1[k]))
     high = wp.max(high, wp.max(b.p2[k], b.p3[k]))
-    return wp.min(high - low, LARGEST)
+    return high - low
+
+
+@wp.func
+def longest_side(a: Points, b: Points) -> wp.float64:
+    """Longest side of the box around both frames."""
+    return wp.max(wp.max(side(a, b, 0), side(a, b, 1)), side(a, b, 2))
 
 
 @wp.func

@@ -7,8 +7,8 @@ of a pair at one end of the step (a difference of two input points), W a corner 
 below are in the normalised units of step 2.
 
 1. **Differences.** x and y are the float64 numbers of the input, so they are exact. fl(x - y) = (x - y)(1 + δ) in
-   float64; no underflow error (a difference that is subnormal is exact). If it overflows, the axis is scaled by 1/4
-   first: exact up to 2^-1074, nothing beside the 2^1022 or more that overflowed.
+   float64; no underflow error (a difference that is subnormal is exact). If it overflows, the axis is scaled by 1/1024
+   first: exact up to 2^-1074, nothing beside the 2^1020 or more that overflowed.
 2. **Normalisation.** Axis k is multiplied by a power of two s_k with s_k·max|V_k| ≤ 1: exact but for underflow, and
    that is part of the absolute term of step 5. In float32 the product is then rounded to float32: one more (1 + δ) with
    u = 2^-24, beside which the 2^-53 of step 1 is lost in the slack of step 4. So |V̂_k - V_k| ≤ 1.001·u·|V̂_k|.
@@ -21,8 +21,8 @@ below are in the normalised units of step 2.
    anything, so it carries no error). With steps 2 and 3, |a - d·W| ≤ Σ|d_k|·E_k with
    E_k = (1 + 3)·u·M_k → PROJECTION_ROOT = 4.25 u for the root and (5 + 3)·u·M_k → PROJECTION_PATCH = 8.25 u else;
    the quarter covers the factors 1.001 and the roundings of E_k itself.
-5. **Underflow.** After normalisation every operand is at most 1 (directions at most 4), so an underflow adds at most a
-   few smallest subnormals. E_k gets the absolute term TINY, and a direction whose largest component is below
+5. **Underflow.** After normalisation corners are at most 1, sides 2, directions 8, so an underflow adds at most a few
+   tens of smallest subnormals. E_k gets the absolute term TINY, and a direction whose largest component is below
    TINY_DIRECTION is never used: then Σ|d_k|·TINY ≥ TINY·TINY_DIRECTION exceeds all of them together.
 6. **Offset.** off = fl(Σ|d_k|·(E_k + separation_k)) is computed with at most five roundings; it is multiplied by
    (1 + 8u), so it is an upper bound of the exact sum.
@@ -44,7 +44,8 @@ below are in the normalised units of step 2.
 10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (again no
    approximation of anything). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of
    step 8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k a unit of direction, at most MOVING = 2 times the E_k
-   of step 4, for the root as for a sub-patch. |d_k| is convex in t, so the offsets of both ends interpolate to an upper
+   of step 4, for the root as for a sub-patch. A direction may vanish at x, so the offsets get TINY·TINY_DIRECTION, the
+   absolute term of step 5. |d_k| is convex in t, so the offsets of both ends interpolate to an upper
    bound of the offset between them. Crossings are treated as in step 9.
 
 Constants are in units of u.
@@ -73,7 +74,7 @@ _MIRRORED_EXPONENT = wp.constant(wp.int64(2045))
 
 @wp.func
 def inverse_power_of_two(x: wp.float64) -> wp.float64:
-    """Power of two s with 1/2 <= s·x < 1 for normal x (s·x < 1 for every finite x); exact, x >= 0."""
+    """Power of two s with 1/2 <= s·x < 1 for normal x below 2^1022 (s·x < 4 for every finite x); exact, x >= 0."""
     exponent = (wp.cast(x, wp.int64) >> _MANTISSA_BITS) & _EXPONENT_MASK
     # biased exponent e means x < 2^(e-1022), so s = 2^(1022-e) has biased exponent 2045 - e
     mirrored = wp.clamp(_MIRRORED_EXPONENT - exponent, wp.int64(1), _MIRRORED_EXPONENT)

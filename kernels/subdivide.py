@@ -38,7 +38,7 @@ def make_subdivide(real) -> SimpleNamespace:
         """Earliest contact of a pair."""
 
         toi: real  # 2: none
-        width: real  # of the reported box in time: 0, but for boxes of the bisection and answers at a limit
+        width: real  # of the reported box in time: 0 but for boxes of the bisection
         status: int
         iterations: int
         parameters: wp.vec2d
@@ -100,6 +100,9 @@ def make_subdivide(real) -> SimpleNamespace:
                 patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
                 patch.is_face = root.is_face
                 patch.is_triangle = root.is_triangle and u1 == real(1.0)
+                patch.narrowing = real(1.0)
+                if root.is_face:
+                    patch.narrowing = (real(1.0) - u1) / (real(1.0) - u0)
                 end = wp.min(answer.toi, t_max)
                 reached = advance(patch, problem, t, end, max_iterations - answer.iterations)
                 answer.iterations += reached.iterations

@@ -363,6 +363,35 @@ def test_differences_that_overflow(precision):
     assert np.isinf(ccd.vertex_face_ccd(p0, p0, precision=precision).toi[0])
 
 
+@pytest.mark.parametrize(
+    "options", [{"minimum_separation": 0.7}, {"minimum_separation": 1.0, "length_scale": 1.05e308}]
+)
+def test_separation_near_overflow(options, precision):
+    p0 = np.array([[[0, 0, 0], [1.5e308, 0, 0]]], dtype=float)
+    p1 = np.array([[[0, 0, 0], [0.9e308, 0, 0]]], dtype=float)
+    result = ccd.point_point_ccd(p0, p1, precision=precision, **options)
+    # the points are 1.05e308 apart after three quarters of the step, give or take the tolerance
+    assert 0.75 - 1e-5 <= result.toi[0] <= 0.75 + 1e-15
+    small = ccd.point_point_ccd(p0 / 2.0**500, p1 / 2.0**500, precision=precision, minimum_separation=0.7)
+    assert small.toi[0] == pytest.approx(result.toi[0], abs=1e-5)
+
+
+def test_needle_that_touches_names_its_point(precision):
+    # slivers at rest, 1e-6 of their length wide: the gap is measured at a point that is in contact, in float64 and
+    # float32, though a closest point computed from the needle's normal is not
+    rng = np.random.default_rng(35)
+    n = 500
+    along, across = rng.normal(size=(2, n, 3))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    face = np.stack([-along, along + 1e-7 * across, 0.3 * along + 1e-7 * across], axis=1)
+    weights = rng.dirichlet([1, 1, 1], size=n)
+    points = np.concatenate([np.einsum("nk,nkd->nd", weights, face)[:, None], face], axis=1)
+    result = ccd.vertex_face_ccd(points, points, precision=precision)
+    assert (result.status == ccd.CCDStatus.INITIAL_CONTACT).all()
+    assert (result.gap <= (1e-6 + ROUNDING[precision]) * 2 * size_of(points, points)).all()
+    assert ((result.parameters >= -1e-3) & (result.parameters <= 1 + 1e-3)).all()
+
+
 def test_subnormal_coordinates(precision):
     p0, p1 = falling_vertex()
     result = ccd.vertex_face_ccd(np.round(p0 * 100) * 5e-324, np.round(p1 * 100) * 5e-324, precision=precision)
