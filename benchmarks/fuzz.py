@@ -7,8 +7,9 @@ Every batch draws a kind, a source of queries, a precision and options. A query 
 
 - missed: the exact trajectories touch (or come within the separation), and toi is inf;
 - late: toi is after the exact time of impact;
-- phantom: at a finite toi the exact gap is above separation + tolerance + 100 u · size. The kernel accepts at ten
-  rounding bounds of at most 8.25 u each (kernels/rounding.py), so 100 u of the pair's size and separation cover them;
+- phantom: at a finite toi, no limit reached, the exact gap is above separation + tolerance + 100 u · size. The kernel
+  accepts at ten rounding bounds of at most 8.25 u each (kernels/rounding.py), so 100 u of the pair's size and
+  separation cover them;
 - capped: the default max_iterations was reached, or the resolution's limit though the tolerance is above 100 u · size;
 - gap: the reported bound of the gap is below the exact gap;
 - insane: a status that contradicts toi, toi outside [0, t_max], or parameters that are not finite.
@@ -163,7 +164,7 @@ def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict
         if gap > (separation + reported) * (1 + 1e-15) + SEPARATION_ROUNDING[precision] * separation + 5e-324:
             failures.append((i, "gap", f"gap {gap!r} above separation + reported gap {reported!r}"))
         bound = separation + tolerance + rounding
-        if gap > bound and not limited:
+        if gap > bound and not (limited or unresolved):
             failures.append((i, "phantom", f"gap {gap!r} above {bound!r} at toi {toi!r}"))
     return failures, counts
 

@@ -105,7 +105,9 @@ def make_advance(real) -> SimpleNamespace:
         reached.outcome = _UNDECIDED
         slow = int(0)
         gap = real(1.0e30)
-        use_facets = problem.has_separation or problem.is_flat
+        margin = problem.error + problem.separation
+        # a separation that rounding hides is a margin like any other; a larger one needs the facets of its box
+        use_facets = problem.is_flat or not is_within(problem.separation, real(256.0) * problem.error)
         while reached.outcome == _UNDECIDED:
             if reached.iterations >= max_iterations:
                 reached.outcome = LIMIT
@@ -128,8 +130,8 @@ def make_advance(real) -> SimpleNamespace:
                         at_floor = facet.floor_excess <= real(0.0)
                         new_gap = facet.slack * facet.slack
                     else:
-                        s = clip(d, problem.error, t, patch)
-                        at_floor = is_within(d, floor)
+                        s = clip(d, margin, t, patch)
+                        at_floor = is_within(d, floor + problem.separation)
                         new_gap = wp.dot(d, d)
                     if s > t_max:
                         reached.outcome = FREE
