@@ -85,12 +85,14 @@ def _write_npz(path: Path, bodies: list[Body], mesh, result) -> None:
         "contact_parameters": np.asarray(contacts.parameters),
         "contact_normal": np.asarray(contacts.normal),
         "contact_status": np.asarray(contacts.status),
+        "contact_gap": np.asarray(contacts.gap),
+        "contact_width": np.asarray(contacts.width),
     }
     with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
         np.savez_compressed(file, **arrays)
 
 
-_CONTACT_FIELDS = ("kind", "primitives", "vertices", "toi", "parameters", "normal", "status")
+_CONTACT_FIELDS = ("kind", "primitives", "vertices", "toi", "parameters", "normal", "status", "gap", "width")
 
 
 def _contact_rows(mesh, contacts) -> list[dict[str, Any]]:
@@ -105,6 +107,8 @@ def _contact_rows(mesh, contacts) -> list[dict[str, Any]]:
         np.asarray(contacts.parameters).tolist(),
         np.asarray(contacts.normal).tolist(),
         [CCDStatus(int(status)).name.lower() for status in np.asarray(contacts.status)],
+        np.asarray(contacts.gap).tolist(),
+        np.asarray(contacts.width).tolist(),
     )
     return [dict(zip(_CONTACT_FIELDS, row, strict=True)) for row in zip(*columns, strict=True)]
 
@@ -130,11 +134,7 @@ def _write_json(path: Path, bodies: list[Body], mesh, result) -> None:
         "counts": {name: int(count) for name, count in result.counts.items()},
         "timings": {name: float(seconds) for name, seconds in result.timings.items()},
         "vertex_toi": [finite_or_none(toi) for toi in np.asarray(result.vertex_toi)],
-        "contacts": [
-            # A normal is not finite where a contact has none (zero-area faces, parallel edges).
-            row | {name: [finite_or_none(x) for x in row[name]] for name in ("parameters", "normal")}
-            for row in _contact_rows(mesh, result.contacts)
-        ],
+        "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in _contact_rows(mesh, result.contacts)],
     }
     path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -145,13 +145,13 @@ def _write_csv(path: Path, mesh, result) -> list[Path]:
         writer = csv.writer(file)
         writer.writerow(
             "kind primitive_0 primitive_1 vertex_0 vertex_1 vertex_2 vertex_3 toi u v "
-            "normal_x normal_y normal_z status".split()
+            "normal_x normal_y normal_z status gap width".split()
         )
         for row in _contact_rows(mesh, result.contacts):
             writer.writerow(
                 [row["kind"], *row["primitives"], *row["vertices"], repr(row["toi"])]
                 + [repr(x) for x in row["parameters"] + row["normal"]]
-                + [row["status"]]
+                + [row["status"], repr(row["gap"]), repr(row["width"])]
             )
     with vertices_path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

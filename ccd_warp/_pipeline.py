@@ -268,7 +268,7 @@ class _Step:
             total = sum(sizes)
             outputs = [
                 wp.empty(total, dtype=dtype, device=device)
-                for dtype in (wp.int32, wp.vec2i, wp.float64, wp.int32, wp.vec2d, wp.vec3d)
+                for dtype in (wp.int32, wp.vec2i, wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.vec3d)
             ]
             serial = Execution(device, 1)
             first_slot = 0
@@ -285,6 +285,8 @@ class _Step:
                             out.toi,
                             out.status,
                             out.parameters,
+                            out.gap,
+                            out.width,
                             slot,
                             self.arrays[first][0],
                             self.arrays[second][0],
@@ -295,9 +297,16 @@ class _Step:
                         outputs=[*outputs, vertex_toi, body_toi],
                     )
                 first_slot += size
-            kind_, primitives, toi, status, parameters, normal = (array.numpy() for array in outputs)
+            kind_, primitives, toi, status, parameters, gap, width, normal = (array.numpy() for array in outputs)
         contacts = Contacts(
-            kind_, primitives.reshape(-1, 2), toi, parameters.reshape(-1, 2), normal.reshape(-1, 3), status
+            kind=kind_,
+            primitives=primitives.reshape(-1, 2),
+            toi=toi,
+            parameters=parameters.reshape(-1, 2),
+            normal=normal.reshape(-1, 3),
+            status=status,
+            gap=gap,
+            width=width,
         )
         survivors = {kind: len(pairs) for kind, pairs in open_pairs}
         counts = {

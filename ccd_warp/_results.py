@@ -21,6 +21,9 @@ class Contacts:
             it is against the relative velocity, across the segment if there is one, or along the gap where nothing
             moves that way.
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
+        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
+        width: Width in time that was left open, 0 but at a limit, as in :class:`ccd_warp.PairResult`, float64,
+            shape [m].
     """
 
     kind: NDArray[np.int32]
@@ -29,6 +32,8 @@ class Contacts:
     parameters: NDArray[np.float64]
     normal: NDArray[np.float64]
     status: NDArray[np.int32]
+    gap: NDArray[np.float64]
+    width: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.toi)

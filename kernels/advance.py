@@ -120,19 +120,23 @@ def make_advance(real) -> SimpleNamespace:
                     reached.outcome = FREE
                 else:
                     c = corners_at(patch, t)
-                    d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
-                    reached.wb = wb
-                    reached.wc = wc
-                    reached.from_w11 = from_w11
+                    at_floor = bool(False)
+                    new_gap = real(0.0)
+                    s = t
                     if use_facets:
                         facet = widest_facet(c, patch.is_face, problem)
                         s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
                         at_floor = facet.floor_excess <= real(0.0)
                         new_gap = facet.slack * facet.slack
-                    else:
-                        s = clip(d, margin, t, patch)
-                        at_floor = is_within(d, floor + problem.separation)
-                        new_gap = wp.dot(d, d)
+                    if not use_facets or at_floor or s <= t or slow > 0:
+                        d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
+                        reached.wb = wb
+                        reached.wc = wc
+                        reached.from_w11 = from_w11
+                        if not use_facets:
+                            s = clip(d, margin, t, patch)
+                            at_floor = is_within(d, floor + problem.separation)
+                            new_gap = wp.dot(d, d)
                     if s > t_max:
                         reached.outcome = FREE
                     else:

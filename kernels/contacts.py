@@ -107,6 +107,8 @@ def write_contacts(
     toi: wp.array[wp.float64],
     status: wp.array[wp.int32],
     parameters: wp.array[wp.vec2d],
+    gap: wp.array[wp.float64],
+    width: wp.array[wp.float64],
     slots: wp.array[wp.int32],
     first_corners: wp.array[wp.vec3i],
     second_corners: wp.array[wp.vec3i],
@@ -119,6 +121,8 @@ def write_contacts(
     toi_out: wp.array[wp.float64],
     status_out: wp.array[wp.int32],
     parameters_out: wp.array[wp.vec2d],
+    gap_out: wp.array[wp.float64],
+    width_out: wp.array[wp.float64],
     normal_out: wp.array[wp.vec3d],
     vertex_toi: wp.array[wp.float64],
     body_toi: wp.array[wp.float64],
@@ -161,6 +165,8 @@ def write_contacts(
         primitives_out[slot] = pairs[i]
         toi_out[slot] = t
         status_out[slot] = status[i]
+        gap_out[slot] = gap[i]
+        width_out[slot] = width[i]
         parameters_out[slot] = uv
         if kind == EDGE_EDGE or kind == VERTEX_FACE:
             normal_out[slot] = contact_normal(q, r, va - vb)

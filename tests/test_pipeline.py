@@ -153,7 +153,7 @@ def test_contacts_are_ordered_and_the_same_for_any_number_of_threads():
         keys = np.column_stack([c.kind, c.primitives]).tolist()
         assert keys == sorted(keys)
         assert len({tuple(k) for k in keys}) == len(keys) > 100
-        for name in ("kind", "primitives", "toi", "parameters", "normal", "status"):
+        for name in ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width"):
             assert getattr(c, name).tobytes() == getattr(results[0].contacts, name).tobytes()
         assert result.vertex_toi.tobytes() == results[0].vertex_toi.tobytes()
 
