@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .patch import make_patch
-from .rounding import MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
+from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 
 
 @cache
@@ -31,7 +31,7 @@ def make_facets(real) -> SimpleNamespace:
     floor_errors = wp.constant(real(8.0))
     round_down = wp.constant(real(1.0 - RELATIVE * unit))
     round_up = wp.constant(real(1.0 + RELATIVE * unit))
-    fraction_down = wp.constant(real(1.0 - 4.0 * RELATIVE * unit))
+    fraction_down = wp.constant(real(1.0 - CROSSING * unit))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
     underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
 

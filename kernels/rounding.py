@@ -38,8 +38,9 @@ below are in the normalised units of step 2.
    (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
    a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
    Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
-   of errors, and the roundings of T. A crossing of the hull is at most ten roundings of a fraction of the interval:
-   that fraction times (1 - 32u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
+   of errors, and the roundings of T. A crossing of the hull is a quotient of two control points (4u, their own
+   rounding included), its place between them (2u), and its share of the interval (5u, 1/3 and the interval rounded):
+   that fraction times (1 - 12u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
    coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products.
 10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (again no
    approximation of anything). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of
@@ -58,6 +59,7 @@ PROJECTION_PATCH = 8.25
 MOVING = 2.0
 VOLUME = 25.0
 RELATIVE = 8.0
+CROSSING = 12.0
 
 # Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
 MAX_SPLITS = {wp.float64: 50, wp.float32: 21}

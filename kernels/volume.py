@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .patch import make_patch
-from .rounding import RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
+from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
 
 
 @cache
@@ -31,7 +31,7 @@ def make_volume(real) -> SimpleNamespace:
     half = wp.constant(real(0.5))
     round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
-    fraction_down = wp.constant(real(1.0 - 4.0 * RELATIVE * UNIT_ROUNDOFF[real]))
+    fraction_down = wp.constant(real(1.0 - CROSSING * UNIT_ROUNDOFF[real]))
 
     @wp.func
     def with_volume(problem: Problem, c0: Corners, c1: Corners) -> Problem:

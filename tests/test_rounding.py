@@ -407,25 +407,25 @@ def _(s: Sample):
     return found - exact, np.repeat(s.out["volume_bound"], 4, axis=1)
 
 
-# The factor 1 - 32u covers ten roundings between a crossing and a time; the functions measured here make few of them.
-@step("9 crossing of the hull", least=0.03)
+# The factor 1 - 12u covers eleven roundings between a crossing and a time; the functions measured here make fewer.
+@step("9 crossing of the hull")
 def _(s: Sample):
     h = [s.h[:, k] for k in range(4)]
     pairs = [(i, j) for i in range(4) for j in range(i + 1, 4)]
     exact = np.minimum.reduce([np.where(h[0] > 0, (i + (j - i) * _crossing(h[i], h[j])), 9) for i, j in pairs])
     valid = (h[0] > 0) & (exact < 4)
     fraction = np.where(valid, exact / s.constant(3), 1)
-    return np.where(valid, s.out["hull"][:, 0] - fraction, 0), 32 * s.u * fraction
+    return np.where(valid, s.out["hull"][:, 0] - fraction, 0), 12 * s.u * fraction
 
 
-@step("10 crossing of a facet", least=0.03)
+@step("10 crossing of a facet")
 def _(s: Sample):
     h = [s.h[:, k] for k in range(3)]
     pairs = [(0, 1), (0, 2), (1, 2)]
     exact = np.minimum.reduce([np.where(h[0] > 0, (i + (j - i) * _crossing(h[i], h[j])), 9) for i, j in pairs])
     valid = (h[0] > 0) & (exact < 3)
     fraction = np.where(valid, exact / s.constant(2), 1)
-    return np.where(valid, s.out["zero"][:, 0] - fraction, 0), 32 * s.u * fraction
+    return np.where(valid, s.out["zero"][:, 0] - fraction, 0), 12 * s.u * fraction
 
 
 @step("10 moving facet")
