@@ -94,7 +94,7 @@ def test_minimum_separation(separation, family, kind, precision):
 def test_minimum_separation_is_monotone(kind, precision):
     p0, p1 = FAMILIES["random"](kind, 200, np.random.default_rng(23))
     # a toi is reported to within tolerance and rounding in gap; steps of the separation are larger than that
-    separations = (0.0, 1e-5, 1e-4, 1e-2, 0.1, 1.0) if precision == "float64" else (0.0, 1e-4, 1e-2, 0.1, 1.0)
+    separations = (0.0, 1e-6, 1e-4, 1e-2, 0.1, 1.0) if precision == "float64" else (0.0, 1e-4, 1e-2, 0.1, 1.0)
     tois = [SOLVE[kind](p0, p1, minimum_separation=d, precision=precision).toi for d in separations]
     for smaller, larger in itertools.pairwise(tois):
         assert (larger <= smaller).all()
