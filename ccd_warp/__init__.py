@@ -4,10 +4,10 @@ CCD here means: every vertex moves on a straight line over a step, and the quest
 in [0, t_max]. A collision is never missed and never reported late.
 """
 
-from ccd_warp._broad_phase import Candidates, find_candidates
+from ccd_warp._candidates import Candidates
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
-from ccd_warp._pipeline import collision_free_step, mesh_ccd
+from ccd_warp._pipeline import CollisionPipeline, collision_free_step, find_candidates, mesh_ccd
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
 
@@ -17,6 +17,7 @@ __all__ = [
     "CCDStatus",
     "Candidates",
     "CollisionMesh",
+    "CollisionPipeline",
     "Contacts",
     "MeshResult",
     "PairKind",

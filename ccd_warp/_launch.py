@@ -6,10 +6,16 @@ Every kernel launched here takes ``begin: int`` as its first parameter and works
 
 import itertools
 import os
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import warp as wp
+
+_loading = threading.Lock()
 
 
 @cache
@@ -24,31 +30,66 @@ def default_num_threads() -> int:
     return os.cpu_count() or 1
 
 
-def launch(kernel, count: int, inputs: list, outputs: list, *, device, num_threads: int, grain: int = 1024) -> None:
-    """Run ``kernel`` for items 0 … count-1.
+def load(kernel: Any, device: Any) -> None:
+    """Compile and load a kernel once, before threads race for it."""
+    with _loading:
+        wp.load_module(module=kernel.module, device=device)
 
-    Args:
-        kernel: Warp kernel whose first parameter is ``begin: int``.
-        count: Number of items; nothing is launched for zero.
-        inputs: Kernel inputs after ``begin``.
-        outputs: Kernel outputs.
-        device: Warp device.
-        num_threads: Parts that run at a time on the CPU; ignored on CUDA.
-        grain: Smallest number of items that is worth a part of its own.
-    """
-    if count == 0:
-        return
-    parts = 1
-    if not wp.get_device(device).is_cuda:
-        parts = max(1, min(num_threads, count // grain))
-    if parts == 1:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=device)
-        return
-    wp.load_module(module=kernel.module, device=device)  # once, before the threads race for it
-    bounds = [count * k // parts for k in range(parts + 1)]
-    futures = [
-        _pool().submit(wp.launch, kernel, dim=end - begin, inputs=[begin, *inputs], outputs=outputs, device=device)
-        for begin, end in itertools.pairwise(bounds)
-    ]
-    for future in futures:
-        future.result()
+
+@dataclass(frozen=True)
+class Execution:
+    """Where and on how many threads to run."""
+
+    device: Any
+    num_threads: int
+
+    @property
+    def is_cuda(self) -> bool:
+        """True on a CUDA device."""
+        return self.device.is_cuda
+
+    def launch(self, kernel: Any, count: int, inputs: list, outputs: list, grain: int = 1024) -> None:
+        """Run ``kernel`` for items 0 … count-1.
+
+        Args:
+            kernel: Warp kernel whose first parameter is ``begin: int``.
+            count: Number of items; nothing is launched for zero.
+            inputs: Kernel inputs after ``begin``.
+            outputs: Kernel outputs.
+            grain: Smallest number of items that is worth a part of its own.
+        """
+        if count == 0:
+            return
+        parts = 1 if self.is_cuda else max(1, min(self.num_threads, count // grain))
+        if parts == 1:
+            wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=self.device)
+            return
+        load(kernel, self.device)
+        bounds = [count * k // parts for k in range(parts + 1)]
+
+        def part(begin: int, end: int) -> None:
+            wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=outputs, device=self.device)
+
+        self.run([lambda b=b, e=e: part(b, e) for b, e in itertools.pairwise(bounds)])  # type: ignore[misc]
+
+    def run(self, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
+        """Call the tasks, at most ``num_threads`` at a time, one of them here; their results in order."""
+        if self.num_threads == 1 or self.is_cuda or len(tasks) == 1:
+            return [task() for task in tasks]
+        results: list[Any] = [None] * len(tasks)
+        pending = iter(range(len(tasks)))
+        lock = threading.Lock()
+
+        def work() -> None:
+            while True:
+                with lock:
+                    k = next(pending, None)
+                if k is None:
+                    return
+                results[k] = tasks[k]()
+
+        futures = [_pool().submit(work) for _ in range(min(self.num_threads, len(tasks)) - 1)]
+        work()
+        for future in futures:
+            future.result()
+        return results

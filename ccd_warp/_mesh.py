@@ -33,6 +33,9 @@ class CollisionMesh:
         static: Bodies that do not move, bool, shape [B].
         self_collision: Bodies whose primitives may collide with each other, bool, shape [B].
         moving_vertices: Indices of the vertices of bodies that move, ascending, int32, shape [V_moving].
+        body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B], or None: all.
+        exclusion_rings: Pairs of primitives this many edges apart or less, less one, are left out: 1, those that share
+            a vertex; 2, also those with vertices that an edge joins; and so on.
     """
 
     vertices: NDArray[np.float64]
@@ -47,6 +50,8 @@ class CollisionMesh:
     static: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
     moving_vertices: NDArray[np.int32]
+    body_pairs: NDArray[np.bool_] | None
+    exclusion_rings: int
 
     def __init__(
         self,
@@ -57,6 +62,8 @@ class CollisionMesh:
         self_collision: NDArray[np.bool_],
         given_edges: NDArray[np.int32],
         with_loose_points: NDArray[np.bool_],
+        body_pairs: NDArray[np.bool_] | None,
+        exclusion_rings: int,
     ) -> None:
         """Join already validated arrays; use :meth:`from_trimesh` or :meth:`from_arrays` instead."""
         num_bodies = len(static)
@@ -79,7 +86,12 @@ class CollisionMesh:
         for name, value in values.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+        if body_pairs is not None:
+            body_pairs.flags.writeable = False
+        object.__setattr__(self, "body_pairs", body_pairs)
+        object.__setattr__(self, "exclusion_rings", exclusion_rings)
         object.__setattr__(self, "_device_cache", {})
+        object.__setattr__(self, "_idle_steps", {})
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"CollisionMesh does not change after construction; cannot set {name}")
@@ -101,6 +113,9 @@ class CollisionMesh:
         static: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
         loose_points: bool | Sequence[bool] = False,
+        *,
+        body_pairs: ArrayLike | None = None,
+        exclusion_rings: int = 1,
     ) -> "CollisionMesh":
         """Join trimesh objects.
 
@@ -111,18 +126,24 @@ class CollisionMesh:
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
             loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
                 all bodies or one for each. Those of a point cloud always are.
+            body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
+                (``self_collision`` has it). By default all may.
+            exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
+                edges join, too.
 
         Returns:
             The joined mesh.
 
         Raises:
-            ValueError: If there is no body, or a body, ``static``, ``self_collision`` or ``loose_points`` is not as
-                described.
+            ValueError: If there is no body, or an argument is not as described.
         """
         given = _validated_flags(loose_points, len(bodies), "loose_points")
         arrays = [_arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
         is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
-        return cls.from_arrays(arrays, static, self_collision, (given | np.array(is_cloud, dtype=bool)).tolist())
+        loose = (given | np.array(is_cloud, dtype=bool)).tolist()
+        return cls.from_arrays(
+            arrays, static, self_collision, loose, body_pairs=body_pairs, exclusion_rings=exclusion_rings
+        )
 
     @classmethod
     def from_arrays(
@@ -131,6 +152,9 @@ class CollisionMesh:
         static: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
         loose_points: bool | Sequence[bool] = False,
+        *,
+        body_pairs: ArrayLike | None = None,
+        exclusion_rings: int = 1,
     ) -> "CollisionMesh":
         """Join bodies given by arrays.
 
@@ -141,13 +165,16 @@ class CollisionMesh:
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
             loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
                 all bodies or one for each.
+            body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
+                (``self_collision`` has it). By default all may.
+            exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
+                edges join, too.
 
         Returns:
             The joined mesh.
 
         Raises:
-            ValueError: If there is no body, or a body, ``static``, ``self_collision`` or ``loose_points`` is not as
-                described.
+            ValueError: If there is no body, or an argument is not as described.
         """
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
@@ -178,6 +205,8 @@ class CollisionMesh:
             _validated_flags(self_collision, len(bodies), "self_collision"),
             np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32),
             _validated_flags(loose_points, len(bodies), "loose_points"),
+            _validated_body_pairs(body_pairs, len(bodies)),
+            _validated_rings(exclusion_rings),
         )
 
     @property
@@ -324,6 +353,9 @@ def _as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def _check_finite(array: NDArray[np.float64], name: str) -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(array.sum()):
+            return  # no infinity and no NaN could leave it finite; a sum that overflows proves nothing
     finite = np.isfinite(array)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
@@ -377,3 +409,23 @@ def _validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) 
     if array.shape not in ((), (num_bodies,)):
         raise ValueError(f"{name} has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
     return np.array(np.broadcast_to(array, (num_bodies,)))
+
+
+def _validated_body_pairs(values: ArrayLike | None, num_bodies: int) -> NDArray[np.bool_] | None:
+    if values is None:
+        return None
+    array = np.asarray(values)
+    if array.dtype != bool or array.shape != (num_bodies, num_bodies):
+        raise ValueError(
+            f"body_pairs has dtype {array.dtype} and shape {array.shape}; expected bool and {(num_bodies, num_bodies)}"
+        )
+    if not np.array_equal(array, array.T):
+        a, b = np.argwhere(array != array.T)[0]
+        raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}); expected a symmetric array")
+    return array.copy()
+
+
+def _validated_rings(value: int) -> int:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"exclusion_rings is {value!r}; expected a positive integer")
+    return int(value)

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ccd_warp._launch import launch
+from ccd_warp._launch import Execution
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.contacts import lift
@@ -356,13 +356,11 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
 
     count = x_t0.shape[0]
     out = PairArrays.empty(count, device)
-    launch(
+    Execution(device, options.threads).launch(
         make_narrow_phase(options.real).points_toi,
         count,
         inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale)],
         outputs=out.as_list(),
-        device=device,
-        num_threads=options.threads,
     )
     if from_warp:
         return PairResult(*out.as_list())

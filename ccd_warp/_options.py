@@ -2,6 +2,7 @@
 
 import math
 import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._launch import default_num_threads
+from ccd_warp._status import PairKind
 from ccd_warp.kernels import narrow_phase
 
 DEFAULT_TOLERANCE = 1e-6
@@ -30,6 +32,8 @@ class Options:
     length_scale: float | None = None
     precision: str = "float64"
     method: str = "clipping"
+    pair_kinds: Sequence[PairKind | str] | None = None
+    memory_limit: int | None = None
     device: Any = None
     num_threads: int | None = None
 
@@ -47,8 +51,23 @@ class Options:
             raise ValueError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
         if self.method not in _METHODS:
             raise ValueError(f"method is {self.method!r}; expected 'clipping' or 'bisection'")
+        if self.memory_limit is not None:
+            _check_count("memory_limit", self.memory_limit, 2**63 - 1)
+        _ = self.kinds
         if self.num_threads is not None:
             _check_count("num_threads", self.num_threads, 2**31 - 1)
+
+    @property
+    def kinds(self) -> tuple[PairKind, ...]:
+        """Kinds of pairs to look at, in their order."""
+        if self.pair_kinds is None:
+            return tuple(PairKind)
+        names = {kind.name.lower(): kind for kind in PairKind}
+        values = [] if isinstance(self.pair_kinds, (str, int)) else list(self.pair_kinds)
+        chosen = {names.get(value) if isinstance(value, str) else value for value in values}
+        if not chosen or not chosen <= set(PairKind):
+            raise ValueError(f"pair_kinds is {self.pair_kinds!r}; expected a list of {', '.join(map(repr, names))}")
+        return tuple(kind for kind in PairKind if kind in chosen)
 
     @property
     def real(self) -> Any:

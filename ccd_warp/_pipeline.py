@@ -1,38 +1,91 @@
-"""The main job: two frames of a mesh in, earliest times of impact out."""
+"""The main job: two frames of a mesh in, earliest times of impact out; one-shot calls, and an object to hold."""
 
-import math
-import time
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike
 
-from ccd_warp._box_grid import Execution
-from ccd_warp._broad_phase import DeviceCandidates, find_candidates_on_device, mesh_arrays
+from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._narrow_phase import PairArrays
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
-from ccd_warp._results import Contacts, MeshResult
-from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp.kernels import contacts as contact_kernels
-from ccd_warp.kernels import cull as cull_kernels
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
-
-# Primitives of each kind, as named in the mesh arrays.
-_PRIMITIVES = {
-    PairKind.VERTEX_FACE: ("vertex", "face"),
-    PairKind.EDGE_EDGE: ("edge", "edge"),
-    PairKind.POINT_SEGMENT: ("vertex", "edge"),
-    PairKind.POINT_POINT: ("vertex", "vertex"),
-}
+from ccd_warp._results import MeshResult
+from ccd_warp._status import PairKind
+from ccd_warp._step import Step, Workspace
 
 
-# Pairs of the first and of the largest chunk of the search for a bound.
-_FIRST_CHUNK = 4096
-_LARGEST_CHUNK = 1 << 18
+@contextmanager
+def borrowed_workspace(mesh: CollisionMesh, options: Options) -> Iterator[Workspace]:
+    """A workspace of the mesh that no other thread uses; it stays with the mesh for the next call."""
+    device = resolve_device(options.device)
+    idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
+    try:
+        workspace = idle.pop()
+    except IndexError:
+        workspace = Workspace(mesh, device)
+    try:
+        yield workspace
+    finally:
+        idle.append(workspace)
+
+
+def find_candidates(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    inflation: float = 0.0,
+    *,
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    device: Any = None,
+    num_threads: int | None = None,
+) -> Candidates:
+    """Find the pairs of primitives whose swept axis-aligned boxes overlap.
+
+    The box of a primitive encloses its vertices at both ends of the step, grows by ``inflation`` on every side, rounded
+    outward, and is closed: boxes that only touch overlap. Left out are pairs that share a vertex, pairs of two static
+    bodies, pairs within a body whose self-collision is off, and what ``body_pairs`` and ``exclusion_rings`` of the mesh
+    leave out.
+
+    Four kinds of pair are enough: vertices with faces, edges with edges, loose points with loose edges, and loose
+    points with each other. What collides are faces, loose edges and loose points: convex sets, two of which, A and B,
+    are as far apart in any norm as the origin is from the polytope A - B, which is at its boundary while they do not
+    touch. For two faces, or a face and a loose edge, that boundary consists of differences (vertex) - (face) and
+    (edge) - (edge), and where A - B is flat these cover all of it. Two loose edges are an edge-edge pair as they stand,
+    a loose point and a face a vertex-face pair. So a loose point and an edge of a face need no pair: the edge is part
+    of the face and no nearer. Nor do a vertex of an edge and a loose edge: the vertex is part of its own edge. Loose
+    points with loose edges, and with each other, are all that is left, and are looked for only where they exist.
+    Because pairs that share a vertex are left out, a cable that folds back on itself at a joint is not noticed by the
+    two segments of that joint, as two faces with a common edge meet only through their other vertices.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
+            only, shape [V_moving, 3].
+        inflation: Growth of every box on every side, a length in the unit of the mesh, finite and not negative.
+        pair_kinds: Kinds of pairs to look for (:class:`ccd_warp.PairKind` or their names); by default all.
+        device: Warp device; by default Warp's current one.
+        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+
+    Returns:
+        The pairs, sorted.
+
+    Raises:
+        ValueError: If the frames do not match the mesh, a value that is read is not finite, ``inflation`` is negative
+            or not finite, or ``num_threads`` is less than one.
+
+    References:
+        Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (boxes along a
+        space-filling curve); Ericson 2005, "Real-time collision detection", section 6 (bounding volume hierarchies).
+
+    Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair. The boxes of two primitives
+    that come within ``inflation`` of each other (L∞) during the step overlap.
+    """
+    inflation = validated_inflation(inflation)
+    options = Options(pair_kinds=pair_kinds, device=device, num_threads=num_threads)
+    with borrowed_workspace(mesh, options) as workspace:
+        return sorted_candidates(Step(workspace, vertices_t0, vertices_t1, options), inflation)
 
 
 def mesh_ccd(
@@ -48,6 +101,8 @@ def mesh_ccd(
     length_scale: float | None = None,
     precision: str = "float64",
     method: str = "clipping",
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    memory_limit: int | None = None,
     device: Any = None,
     num_threads: int | None = None,
 ) -> MeshResult:
@@ -70,6 +125,10 @@ def mesh_ccd(
             motion.
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
         method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
+        pair_kinds: Kinds of pairs to look at (:class:`ccd_warp.PairKind` or their names, as ``"vertex_face"``); by
+            default all that the mesh can form.
+        memory_limit: Bytes that the step may take beside its input, its contacts included. Where the pairs do not fit
+            they come in batches; no result depends on it. By default what the boxes need, and 1 GiB for the pairs.
         device: Warp device; by default Warp's current one.
         num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
 
@@ -77,7 +136,8 @@ def mesh_ccd(
         The result, NumPy arrays.
 
     Raises:
-        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
+            ``memory_limit`` is too small, with the least that works.
 
     References:
         Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
@@ -96,10 +156,13 @@ def mesh_ccd(
         length_scale=length_scale,
         precision=precision,
         method=method,
+        pair_kinds=pair_kinds,
+        memory_limit=memory_limit,
         device=device,
         num_threads=num_threads,
     )
-    return _Step(mesh, vertices_t0, vertices_t1, options).run()
+    with borrowed_workspace(mesh, options) as workspace:
+        return Step(workspace, vertices_t0, vertices_t1, options).contacts()
 
 
 def collision_free_step(
@@ -115,6 +178,8 @@ def collision_free_step(
     length_scale: float | None = None,
     precision: str = "float64",
     method: str = "clipping",
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    memory_limit: int | None = None,
     device: Any = None,
     num_threads: int | None = None,
 ) -> float:
@@ -133,6 +198,8 @@ def collision_free_step(
         length_scale: Length that the two multiples refer to.
         precision: ``"float64"`` or ``"float32"``.
         method: ``"clipping"`` or ``"bisection"``.
+        pair_kinds: Kinds of pairs to look at.
+        memory_limit: Bytes that the step may take beside its input.
         device: Warp device.
         num_threads: Threads on the CPU.
 
@@ -141,7 +208,8 @@ def collision_free_step(
         at the start.
 
     Raises:
-        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
+            ``memory_limit`` is too small, with the least that works.
 
     References:
         Wang et al. 2021, section 4.
@@ -158,211 +226,135 @@ def collision_free_step(
         length_scale=length_scale,
         precision=precision,
         method=method,
+        pair_kinds=pair_kinds,
+        memory_limit=memory_limit,
         device=device,
         num_threads=num_threads,
     )
-    return _Step(mesh, vertices_t0, vertices_t1, options).bound()
+    with borrowed_workspace(mesh, options) as workspace:
+        return Step(workspace, vertices_t0, vertices_t1, options).bound()
 
 
-class _Step:
-    """One step on its way through the stages."""
+class CollisionPipeline:
+    """The calls on one mesh with one set of options, for a time loop.
 
-    def __init__(self, mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, options: Options) -> None:
-        self.timings: dict[str, float] = {}
+    It holds the topology, the trees of what rests and all buffers: a step of a size that was seen before allocates
+    nothing but its result. The one-shot calls do the same with a workspace that they leave with the mesh, so this is
+    for those who want to own it, release it, or read what it does.
+
+    Attributes:
+        mesh: The bodies.
+        counts: What the last call did, by stage.
+        timings: Seconds of each stage of the last call.
+    """
+
+    def __init__(
+        self,
+        mesh: CollisionMesh,
+        *,
+        tolerance: float = DEFAULT_TOLERANCE,
+        minimum_separation: float = 0.0,
+        start_gap_fraction: float | None = None,
+        t_max: float = 1.0,
+        max_iterations: int = DEFAULT_MAX_ITERATIONS,
+        length_scale: float | None = None,
+        precision: str = "float64",
+        method: str = "clipping",
+        pair_kinds: Sequence[PairKind | str] | None = None,
+        memory_limit: int | None = None,
+        device: Any = None,
+        num_threads: int | None = None,
+    ) -> None:
+        """Hold a mesh and options, which are those of :func:`ccd_warp.mesh_ccd`.
+
+        Raises:
+            ValueError: If an option is out of its range.
+        """
         self.mesh = mesh
-        self.options = options
-        self.execution = Execution(resolve_device(options.device), options.threads)
-        with self.timed("input"):
-            start, end = mesh.frames(vertices_t0, vertices_t1)
-            self.length_scale = longest_side(start, end) if options.length_scale is None else options.length_scale
-            self.separation = min(options.minimum_separation * self.length_scale, np.finfo(np.float64).max)
-            self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=self.execution.device, copy=False)
-            self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=self.execution.device, copy=False)
-            self.arrays = mesh_arrays(mesh, self.execution.device)
+        self.counts: dict[str, int] = {}
+        self.timings: dict[str, float] = {}
+        self._options = Options(
+            tolerance=tolerance,
+            minimum_separation=minimum_separation,
+            start_gap_fraction=start_gap_fraction,
+            t_max=t_max,
+            max_iterations=max_iterations,
+            length_scale=length_scale,
+            precision=precision,
+            method=method,
+            pair_kinds=pair_kinds,
+            memory_limit=memory_limit,
+            device=device,
+            num_threads=num_threads,
+        )
+        self._workspace = Workspace(mesh, resolve_device(device))
+        self._lock = threading.Lock()
 
     @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        begin = time.perf_counter()
-        yield
-        if self.execution.device.is_cuda:
-            wp.synchronize_device(self.execution.device)
-        self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+    def _step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> Iterator[Step]:
+        with self._lock:
+            step = Step(self._workspace, vertices_t0, vertices_t1, self._options)
+            yield step
+            self.timings = step.timings
+            self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
 
-    def candidates(self) -> DeviceCandidates:
-        """Pairs whose boxes, each grown by half the minimum separation, overlap."""
-        with self.timed("broad phase"):
-            inflation = 0.5 * self.separation
-            if self.separation > 0.0:
-                inflation = min(math.nextafter(inflation, math.inf), np.finfo(np.float64).max)
-            return find_candidates_on_device(self.mesh, self.x_t0, self.x_t1, inflation, self.execution)
+    @property
+    def num_allocations(self) -> int:
+        """Device arrays that were allocated so far."""
+        return self._workspace.buffers.num_allocations
 
-    def pair_inputs(self, kind: PairKind, pairs: wp.array) -> list:
-        """Inputs that every kernel over pairs begins with."""
-        first, second = _PRIMITIVES[kind]
-        return [int(kind), pairs, self.arrays[first][0], self.arrays[second][0], self.x_t0, self.x_t1]
+    def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
+        """Like :func:`ccd_warp.find_candidates`.
 
-    def cull(self, kind: PairKind, pairs: wp.array) -> wp.array:
-        """The pairs that one inclusion test over the whole step does not settle."""
-        with self.timed("cull"):
-            flags = wp.empty(len(pairs), dtype=wp.int32, device=self.execution.device)
-            self.execution.launch(
-                cull_kernels.flag_survivors,
-                len(pairs),
-                inputs=[*self.pair_inputs(kind, pairs), self.separation],
-                outputs=[flags],
-            )
-            count = counted(flags)
-            survivors = wp.empty(count, dtype=wp.vec2i, device=self.execution.device)
-            self.execution.launch(cull_kernels.keep_survivors, len(pairs), inputs=[pairs, flags], outputs=[survivors])
-        return survivors
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions, as there.
+            inflation: Growth of every box on every side, a length.
 
-    def narrow_phase(self, kind: PairKind, pairs: wp.array) -> PairArrays:
-        """The toi of each pair."""
-        with self.timed("narrow phase"):
-            out = PairArrays.empty(len(pairs), self.execution.device)
-            self.execution.launch(
-                make_narrow_phase(self.options.real).pairs_toi,
-                len(pairs),
-                inputs=[*self.pair_inputs(kind, pairs), self.options.for_kernel(self.length_scale)],
-                outputs=out.as_list(),
-                grain=64,
-            )
-        return out
+        Returns:
+            The pairs, sorted.
 
-    def bound(self) -> float:
-        """Earliest toi of all pairs, or t_max: pairs that are free up to the best one so far stop at once.
+        Raises:
+            ValueError: As there.
 
-        Pairs come in chunks, each with the bound that the chunks before it left, so that the result depends on nothing
-        but the order of the pairs. The first chunk is small: a first bound makes the rest cheap.
+        Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair.
         """
-        found = self.candidates()
-        best = self.options.t_max
-        with self.timed("narrow phase"):
-            kernel = make_narrow_phase(self.options.real).pairs_bound
-            options = self.options.for_kernel(self.length_scale)
-            for kind, pairs in found.by_kind():
-                begin, size = 0, _FIRST_CHUNK
-                while begin < len(pairs):
-                    chunk = pairs[begin : min(begin + size, len(pairs))]
-                    toi = wp.empty(len(chunk), dtype=wp.float64, device=self.execution.device)
-                    inputs = [*self.pair_inputs(kind, chunk), self.separation, best, self.options.rounded_up(best)]
-                    self.execution.launch(kernel, len(chunk), inputs=[*inputs, options], outputs=[toi])
-                    best = min(best, float(toi.numpy().min()))
-                    begin += size
-                    size = min(4 * size, _LARGEST_CHUNK)
-        return best
+        inflation = validated_inflation(inflation)
+        with self._step(vertices_t0, vertices_t1) as step:
+            return sorted_candidates(step, inflation)
 
-    def run(self) -> MeshResult:
-        mesh = self.mesh
-        device = self.execution.device
-        found = self.candidates()
-        candidates = {kind: len(pairs) for kind, pairs in found.by_kind()}
-        # A kind without candidates is neither compiled nor launched.
-        open_pairs = [(kind, self.cull(kind, pairs)) for kind, pairs in found.by_kind()]
-        solved = [(kind, pairs, self.narrow_phase(kind, pairs)) for kind, pairs in open_pairs if len(pairs)]
-        with self.timed("gather"):
-            vertex_toi = wp.full(mesh.num_vertices, value=math.inf, dtype=wp.float64, device=device)
-            body_toi = wp.full(mesh.num_bodies, value=math.inf, dtype=wp.float64, device=device)
-            slots = [self.slots(out) for _, _, out in solved]
-            sizes = [counted(slot) for slot in slots]
-            total = sum(sizes)
-            outputs = [
-                wp.empty(total, dtype=dtype, device=device)
-                for dtype in (wp.int32, wp.vec2i, wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.vec3d)
-            ]
-            serial = Execution(device, 1)
-            first_slot = 0
-            for (kind, pairs, out), slot, size in zip(solved, slots, sizes, strict=True):
-                first, second = _PRIMITIVES[kind]
-                if size:
-                    serial.launch(
-                        contact_kernels.write_contacts,
-                        len(pairs),
-                        inputs=[
-                            int(kind),
-                            first_slot,
-                            pairs,
-                            out.toi,
-                            out.status,
-                            out.parameters,
-                            out.gap,
-                            out.width,
-                            slot,
-                            self.arrays[first][0],
-                            self.arrays[second][0],
-                            self.arrays["vertex"][1],
-                            self.x_t0,
-                            self.x_t1,
-                        ],
-                        outputs=[*outputs, vertex_toi, body_toi],
-                    )
-                first_slot += size
-            kind_, primitives, toi, status, parameters, gap, width, normal = (array.numpy() for array in outputs)
-        contacts = Contacts(
-            kind=kind_,
-            primitives=primitives.reshape(-1, 2),
-            toi=toi,
-            parameters=parameters.reshape(-1, 2),
-            normal=normal.reshape(-1, 3),
-            status=status,
-            gap=gap,
-            width=width,
-        )
-        survivors = {kind: len(pairs) for kind, pairs in open_pairs}
-        counts = {
-            "bodies": mesh.num_bodies,
-            "vertices": mesh.num_vertices,
-            "edges": mesh.num_edges,
-            "faces": mesh.num_faces,
-            **_loose_counts(mesh),
-            **{f"{_name(kind)} candidates": candidates.get(kind, 0) for kind in _kinds(mesh)},
-            **{f"{_name(kind)} after the cull": survivors.get(kind, 0) for kind in _kinds(mesh)},
-            **{f"{_name(kind)} contacts": int(np.count_nonzero(contacts.kind == kind)) for kind in _kinds(mesh)},
-            "contacts at the start": int(np.count_nonzero(contacts.status == CCDStatus.INITIAL_CONTACT)),
-            "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
-        }
-        self.timings["total"] = sum(self.timings.values())
-        scene = float(toi.min()) if total else math.inf
-        return MeshResult(scene, vertex_toi.numpy(), body_toi.numpy(), contacts, counts, self.timings)
+    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
+        """Like :func:`ccd_warp.mesh_ccd`.
 
-    def slots(self, out: PairArrays) -> wp.array:
-        """1 for every pair that is a contact."""
-        flags = wp.empty(len(out.toi), dtype=wp.int32, device=self.execution.device)
-        self.execution.launch(contact_kernels.flag_contacts, len(flags), inputs=[out.toi], outputs=[flags])
-        return flags
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions, as there.
 
+        Returns:
+            The result, NumPy arrays.
 
-def _kinds(mesh: CollisionMesh) -> list[PairKind]:
-    """Pair kinds that the primitives of a mesh can form."""
-    kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
-    if len(mesh.loose_points):
-        kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
-    return kinds
+        Raises:
+            ValueError: As there.
 
+        Guarantee: as there; no toi is late and no contact is missed.
+        """
+        with self._step(vertices_t0, vertices_t1) as step:
+            return step.contacts()
 
-def _name(kind: PairKind) -> str:
-    return kind.name.lower().replace("_", "-")
+    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+        """Like :func:`ccd_warp.collision_free_step`.
 
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions, as there.
 
-def _loose_counts(mesh: CollisionMesh) -> dict[str, int]:
-    """Numbers of codimensional primitives, where a mesh has any."""
-    counts = {"loose edges": len(mesh.loose_edges), "loose points": len(mesh.loose_points)}
-    return {name: count for name, count in counts.items() if count}
+        Returns:
+            A fraction of the step in [0, t_max].
 
+        Raises:
+            ValueError: As there.
 
-def counted(flags: wp.array) -> int:
-    """Turn flags into their inclusive scan, in place; the number of flags set."""
-    if len(flags) == 0:
-        return 0
-    wp.utils.array_scan(flags, flags, inclusive=True)
-    return int(flags[-1:].numpy()[0])
-
-
-def longest_side(start: np.ndarray, end: np.ndarray) -> float:
-    """Longest side of the box around both frames."""
-    if len(start) == 0:
-        return 0.0
-    low = np.minimum(start.min(axis=0), end.min(axis=0))
-    high = np.maximum(start.max(axis=0), end.max(axis=0))
-    with np.errstate(over="ignore"):
-        return float(min((high - low).max(), np.finfo(np.float64).max))
+        Guarantee: as there; no pair touches before the returned fraction.
+        """
+        with self._step(vertices_t0, vertices_t1) as step:
+            return step.bound()

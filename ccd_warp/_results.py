@@ -51,6 +51,9 @@ class MeshResult:
         counts: Sizes of the scene and of each stage's output; loose primitives and their pair kinds only where the mesh
             has them.
         timings: Seconds of each stage, and their ``total``.
+        vertex_contact: Index of the contact that the toi of a vertex is of, the first where several share it, -1 where
+            there is none, int32, shape [V].
+        body_contact: The same for each body, int32, shape [B].
     """
 
     toi: float
@@ -59,6 +62,8 @@ class MeshResult:
     contacts: Contacts
     counts: dict[str, int]
     timings: dict[str, float]
+    vertex_contact: NDArray[np.int32]
+    body_contact: NDArray[np.int32]
 
     @property
     def hit(self) -> bool:

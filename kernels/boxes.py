@@ -1,10 +1,21 @@
-"""Swept axis-aligned boxes of vertices, edges and faces."""
+"""The swept axis-aligned box of a primitive, in float64 and rounded outward."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LARGEST = wp.constant(wp.float64(1.7976931348623157e308))
+_ONE = wp.constant(wp.float64(1.0))
+_INTERPOLATION = wp.constant(wp.float64(2.0**-50))
+_UNDERFLOW = wp.constant(wp.float64(2.0**-1070))
+
+
+@wp.struct
+class Box:
+    """A closed box."""
+
+    lower: wp.vec3d
+    upper: wp.vec3d
 
 
 @wp.func
@@ -32,34 +43,77 @@ def vec3_max(a: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
     return wp.vec3d(wp.max(a[0], b[0]), wp.max(a[1], b[1]), wp.max(a[2], b[2]))
 
 
-@wp.kernel
-def swept_boxes(
-    begin: int,
-    # in
-    corners: wp.array[wp.vec3i],
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    inflation: wp.float64,
-    # out
-    box_lower: wp.array[wp.vec3d],
-    box_upper: wp.array[wp.vec3d],
-):
-    """Box around a primitive at both frames; a primitive with fewer than three vertices repeats one in ``corners``."""
-    i = begin + wp.tid()
-    c = corners[i]
-    lower = vec3_min(vertices_t0[c[0]], vertices_t1[c[0]])
-    upper = vec3_max(vertices_t0[c[0]], vertices_t1[c[0]])
+@wp.func
+def grown(box: Box, a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
+    """The box with a point that moves from a towards b and is looked at until ``t_end``."""
+    lower = b
+    upper = b
+    if t_end < _ONE:
+        # (1 - t) a + t b: three roundings of the first term, two of the second, and those of the bound itself; a
+        # product that underflows is off by a few of the smallest numbers
+        end = (_ONE - t_end) * a + t_end * b
+        error = _INTERPOLATION * vec3_max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
+        lower = vec3_max(end - error, vec3_min(a, b))
+        upper = vec3_min(end + error, vec3_max(a, b))
+    box.lower = vec3_min(box.lower, vec3_min(a, lower))
+    box.upper = vec3_max(box.upper, vec3_max(a, upper))
+    return box
+
+
+@wp.func
+def swept_box(
+    c: wp.vec3i, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], t_end: wp.float64, inflation: wp.float64
+) -> Box:
+    """Box around a primitive over [0, t_end]; one with fewer than three vertices repeats one in ``c``."""
+    box = Box()
+    a = x_t0[c[0]]
+    box.lower = a
+    box.upper = a
+    box = grown(box, a, x_t1[c[0]], t_end)
     if c[1] != c[0]:
-        lower = vec3_min(lower, vec3_min(vertices_t0[c[1]], vertices_t1[c[1]]))
-        upper = vec3_max(upper, vec3_max(vertices_t0[c[1]], vertices_t1[c[1]]))
-    if c[2] != c[0]:
-        lower = vec3_min(lower, vec3_min(vertices_t0[c[2]], vertices_t1[c[2]]))
-        upper = vec3_max(upper, vec3_max(vertices_t0[c[2]], vertices_t1[c[2]]))
+        box = grown(box, x_t0[c[1]], x_t1[c[1]], t_end)
+    if c[2] != c[0] and c[2] != c[1]:
+        box = grown(box, x_t0[c[2]], x_t1[c[2]], t_end)
+    return inflated(box, inflation)
+
+
+@wp.func
+def inflated(box: Box, inflation: wp.float64) -> Box:
+    """The box with ``inflation`` more on every side, rounded outward."""
     if inflation > wp.float64(0.0):
         # The sum rounds to nearest, so its neighbour outward bounds the exact sum.
         for k in range(3):
             # Where it overflows the largest number will do: nothing lies beyond.
-            lower[k] = wp.max(next_below(lower[k] - inflation), -LARGEST)
-            upper[k] = wp.min(-next_below(-(upper[k] + inflation)), LARGEST)
-    box_lower[i] = lower
-    box_upper[i] = upper
+            box.lower[k] = wp.max(next_below(box.lower[k] - inflation), -LARGEST)
+            box.upper[k] = wp.min(-next_below(-(box.upper[k] + inflation)), LARGEST)
+    return box
+
+
+@wp.func
+def boxes_overlap(a: Box, b: Box) -> bool:
+    """Closed boxes share a point: exact."""
+    lower = vec3_max(a.lower, b.lower)
+    upper = vec3_min(a.upper, b.upper)
+    return lower[0] <= upper[0] and lower[1] <= upper[1] and lower[2] <= upper[2]
+
+
+@wp.kernel
+def chunk_bounds(
+    begin: int,
+    # in
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    chunk: int,
+    # out
+    lower: wp.array[wp.vec3d],
+    upper: wp.array[wp.vec3d],
+):
+    """Box around both frames of a chunk of vertices: a reduction without atomics."""
+    c = begin + wp.tid()
+    low = x_t0[c * chunk]
+    high = low
+    for i in range(c * chunk, wp.min((c + 1) * chunk, x_t0.shape[0])):
+        low = vec3_min(low, vec3_min(x_t0[i], x_t1[i]))
+        high = vec3_max(high, vec3_max(x_t0[i], x_t1[i]))
+    lower[c] = low
+    upper[c] = high

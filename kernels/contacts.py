@@ -1,8 +1,14 @@
-"""Gather: contacts, and the earliest toi of every vertex and body, from the toi of the pairs."""
+"""Gather: contacts in order with their normals, and the earliest toi of every vertex and body, and whose it is.
+
+A toi is not negative, so its bits as an integer compare as the numbers do, and the minimum is an integer's: native on
+CUDA, and the same whatever comes first. Which contact it belongs to is settled in a second pass, the lowest index where
+several share it.
+"""
 
 import warp as wp
 
 from .patch import EDGE_EDGE, VERTEX_FACE
+from .points import pair_of
 from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -11,6 +17,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
+
+# Place of the number of contacts in a row of counts.
+CONTACTS = wp.constant(0)
+
+
+@wp.struct
+class Contacts:
+    """What the narrow phase writes of contacts of one kind."""
+
+    pair: wp.array[wp.int64]
+    toi: wp.array[wp.float64]
+    status: wp.array[wp.int32]
+    parameters: wp.array[wp.vec2d]
+    gap: wp.array[wp.float64]
+    width: wp.array[wp.float64]
 
 
 @wp.func
@@ -85,36 +106,17 @@ def lift(
 
 
 @wp.kernel
-def flag_contacts(
-    begin: int,
-    # in
-    toi: wp.array[wp.float64],
-    # out
-    flag: wp.array[wp.int32],
-):
-    """1 for every pair with a finite toi."""
-    i = begin + wp.tid()
-    flag[i] = wp.where(wp.isfinite(toi[i]), 1, 0)
-
-
-@wp.kernel
-def write_contacts(
+def describe_contacts(
     begin: int,
     # in
     kind: int,
-    first_slot: int,
-    pairs: wp.array[wp.vec2i],
-    toi: wp.array[wp.float64],
-    status: wp.array[wp.int32],
-    parameters: wp.array[wp.vec2d],
-    gap: wp.array[wp.float64],
-    width: wp.array[wp.float64],
-    slots: wp.array[wp.int32],
+    order: wp.array[wp.int64],
+    contacts: Contacts,
     first_corners: wp.array[wp.vec3i],
     second_corners: wp.array[wp.vec3i],
-    vertex_body: wp.array[wp.int32],
     x_t0: wp.array[wp.vec3d],
     x_t1: wp.array[wp.vec3d],
+    first_contact: int,
     # out
     kind_out: wp.array[wp.int32],
     primitives_out: wp.array[wp.vec2i],
@@ -124,52 +126,119 @@ def write_contacts(
     gap_out: wp.array[wp.float64],
     width_out: wp.array[wp.float64],
     normal_out: wp.array[wp.vec3d],
-    vertex_toi: wp.array[wp.float64],
-    body_toi: wp.array[wp.float64],
 ):
-    """Write the contact of a pair to its slot and lower the toi of its vertices and bodies.
+    """Write the contacts of a kind in their order, with their normals."""
+    n = begin + wp.tid()
+    k = wp.int32(order[n])
+    slot = first_contact + n
+    pair = pair_of(contacts.pair[k])
+    first = first_corners[pair[0]]
+    second = second_corners[pair[1]]
+    t = contacts.toi[k]
+    uv = contacts.parameters[k]
+    a0 = position(x_t0[first[0]], x_t1[first[0]], t)
+    b0 = position(x_t0[second[0]], x_t1[second[0]], t)
+    b1 = position(x_t0[second[1]], x_t1[second[1]], t)
+    # motion of the two points in contact over the step
+    va = x_t1[first[0]] - x_t0[first[0]]
+    vb = x_t1[second[0]] - x_t0[second[0]]
+    vb1 = x_t1[second[1]] - x_t0[second[1]]
+    if kind == EDGE_EDGE:
+        q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
+        r = b1 - b0
+        va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
+        vb = (_ONE - uv[1]) * vb + uv[1] * vb1
+    else:
+        q = b1 - b0
+        r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
+        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
+    kind_out[slot] = kind
+    primitives_out[slot] = pair
+    toi_out[slot] = t
+    status_out[slot] = contacts.status[k]
+    gap_out[slot] = contacts.gap[k]
+    width_out[slot] = contacts.width[k]
+    parameters_out[slot] = uv
+    if kind == EDGE_EDGE or kind == VERTEX_FACE:
+        normal_out[slot] = contact_normal(q, r, va - vb)
+    else:
+        # absent corners repeat the last one, so q is the segment, or 0 for a point
+        normal_out[slot] = point_normal(q, va - vb, a0 - b0 - uv[0] * q)
 
-    On the CPU this runs in one part: atomics are not atomic across threads there.
-    """
-    i = begin + wp.tid()
-    t = toi[i]
-    if wp.isfinite(t):
-        slot = first_slot + slots[i] - 1  # inclusive scan
-        first = first_corners[pairs[i][0]]
-        second = second_corners[pairs[i][1]]
-        uv = parameters[i]
-        a0 = position(x_t0[first[0]], x_t1[first[0]], t)
-        b0 = position(x_t0[second[0]], x_t1[second[0]], t)
-        b1 = position(x_t0[second[1]], x_t1[second[1]], t)
-        # motion of the two points in contact over the step
-        va = x_t1[first[0]] - x_t0[first[0]]
-        vb = x_t1[second[0]] - x_t0[second[0]]
-        vb1 = x_t1[second[1]] - x_t0[second[1]]
-        if kind == EDGE_EDGE:
-            q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
-            r = b1 - b0
-            va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
-            vb = (_ONE - uv[1]) * vb + uv[1] * vb1
-            wp.atomic_min(vertex_toi, first[1], t)
-        else:
-            q = b1 - b0
-            r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
-            vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
-            wp.atomic_min(vertex_toi, second[2], t)
-        wp.atomic_min(vertex_toi, first[0], t)
-        wp.atomic_min(vertex_toi, second[0], t)
-        wp.atomic_min(vertex_toi, second[1], t)
-        wp.atomic_min(body_toi, vertex_body[first[0]], t)
-        wp.atomic_min(body_toi, vertex_body[second[0]], t)
-        kind_out[slot] = kind
-        primitives_out[slot] = pairs[i]
-        toi_out[slot] = t
-        status_out[slot] = status[i]
-        gap_out[slot] = gap[i]
-        width_out[slot] = width[i]
-        parameters_out[slot] = uv
-        if kind == EDGE_EDGE or kind == VERTEX_FACE:
-            normal_out[slot] = contact_normal(q, r, va - vb)
-        else:
-            # absent corners repeat the last one, so q is the segment, or 0 for a point
-            normal_out[slot] = point_normal(q, va - vb, a0 - b0 - uv[0] * q)
+
+@wp.func
+def contact_vertex(
+    kind: int, pair: wp.vec2i, k: int, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i]
+) -> int:
+    """Vertex k of the four of a contact; absent ones repeat another."""
+    if kind == EDGE_EDGE and k < 2:
+        return first_corners[pair[0]][k]
+    if kind == EDGE_EDGE:
+        return second_corners[pair[1]][k - 2]
+    if k == 0:
+        return first_corners[pair[0]][0]
+    return second_corners[pair[1]][k - 1]
+
+
+@wp.kernel
+def lower_toi(
+    begin: int,
+    # in
+    kind: int,
+    first_contact: int,
+    primitives: wp.array[wp.vec2i],
+    toi: wp.array[wp.float64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertex_body: wp.array[wp.int32],
+    # out
+    vertex_toi_bits: wp.array[wp.int64],
+    body_toi_bits: wp.array[wp.int64],
+):
+    """Lower the toi of the vertices and bodies of a contact. Serial on the CPU: its atomics are none across threads."""
+    n = first_contact + begin + wp.tid()
+    bits = wp.cast(toi[n], wp.int64)
+    for k in range(4):
+        v = contact_vertex(kind, primitives[n], k, first_corners, second_corners)
+        wp.atomic_min(vertex_toi_bits, v, bits)
+        wp.atomic_min(body_toi_bits, vertex_body[v], bits)
+
+
+@wp.kernel
+def first_contacts(
+    begin: int,
+    # in
+    kind: int,
+    first_contact: int,
+    primitives: wp.array[wp.vec2i],
+    toi: wp.array[wp.float64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertex_body: wp.array[wp.int32],
+    vertex_toi_bits: wp.array[wp.int64],
+    body_toi_bits: wp.array[wp.int64],
+    # out
+    vertex_contact: wp.array[wp.int32],
+    body_contact: wp.array[wp.int32],
+):
+    """The contact that each toi belongs to: the lowest index. Serial on the CPU, as above."""
+    n = first_contact + begin + wp.tid()
+    bits = wp.cast(toi[n], wp.int64)
+    for k in range(4):
+        v = contact_vertex(kind, primitives[n], k, first_corners, second_corners)
+        if vertex_toi_bits[v] == bits:
+            wp.atomic_min(vertex_contact, v, n)
+        if body_toi_bits[vertex_body[v]] == bits:
+            wp.atomic_min(body_contact, vertex_body[v], n)
+
+
+@wp.kernel
+def widen(
+    # in
+    places: wp.array[wp.int32],
+    # out
+    order: wp.array[wp.int64],
+):
+    """The places of a 32-bit sort as those of a 64-bit one."""
+    k = wp.tid()
+    order[k] = wp.int64(places[k])

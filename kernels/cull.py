@@ -9,10 +9,8 @@ proves nothing and the pair goes on to the solver, which normalises.
 
 import warp as wp
 
-from .points import Corners, corners, pair_points
+from .points import Corners
 from .rounding import UNIT_ROUNDOFF, VOLUME
-
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
 _SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
@@ -55,42 +53,3 @@ def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: w
     if b0 > bound:
         return b1 > bound and b2 > bound and b3 > bound
     return b0 < -bound and b1 < -bound and b2 < -bound and b3 < -bound
-
-
-@wp.kernel
-def flag_survivors(
-    begin: int,
-    # in
-    kind: int,
-    pairs: wp.array[wp.vec2i],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    separation: wp.float64,
-    # out
-    flag: wp.array[wp.int32],
-):
-    """1 for every pair that the cull cannot settle."""
-    i = begin + wp.tid()
-    c0 = corners(kind, pair_points(kind, pairs[i], first_corners, second_corners, x_t0))
-    c1 = corners(kind, pair_points(kind, pairs[i], first_corners, second_corners, x_t1))
-    flag[i] = wp.where(is_free_by_volume(c0, c1, separation, _ONE), 0, 1)
-
-
-@wp.kernel
-def keep_survivors(
-    begin: int,
-    # in
-    pairs: wp.array[wp.vec2i],
-    count_to: wp.array[wp.int32],
-    # out
-    survivors: wp.array[wp.vec2i],
-):
-    """Move the flagged pairs together; ``count_to`` is the inclusive scan of the flags."""
-    i = begin + wp.tid()
-    before = int(0)
-    if i > 0:
-        before = count_to[i - 1]
-    if count_to[i] > before:
-        survivors[before] = pairs[i]

@@ -12,11 +12,11 @@ import warp as wp
 from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
 from .bisection import make_bisection
 from .closest_point import make_closest_point
-from .cull import is_free_by_volume
+from .contacts import CONTACTS, Contacts
 from .facets import make_facets
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
-from .points import Points, corners, longest_side, magnitude, pair_points, row_points, scaled, total
+from .points import Points, corners, longest_side, magnitude, pair_of, points_of, row_points, scaled, total
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -278,72 +278,77 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
-    @wp.kernel(module=own_module("pairs_toi"))
-    def pairs_toi(
+    @wp.kernel(module=own_module("pairs_contacts"))
+    def pairs_contacts(
         begin: int,
         # in
         kind: int,
-        pairs: wp.array[wp.vec2i],
+        first_pair: int,
+        pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
         x_t0: wp.array[vec3d],
         x_t1: wp.array[vec3d],
         options: Options,
+        slot: int,
+        first_contact: int,
         # out
-        toi: wp.array[wp.float64],
-        status: wp.array[wp.int32],
-        parameters: wp.array[wp.vec2d],
-        gap: wp.array[wp.float64],
-        width: wp.array[wp.float64],
-        iterations: wp.array[wp.int32],
+        counts: wp.array2d[wp.int64],
+        contacts: Contacts,
     ):
-        """Pairs given by primitive ids of a mesh, shape [n], and the vertices of each primitive."""
-        i = begin + wp.tid()
-        a = pair_points(kind, pairs[i], first_corners, second_corners, x_t0)
-        b = pair_points(kind, pairs[i], first_corners, second_corners, x_t1)
+        """Solve pairs of primitives of a mesh and write those with a finite toi, in any order, from a place on."""
+        key = pairs[first_pair + begin + wp.tid()]
+        pair = pair_of(key)
+        first = first_corners[pair[0]]
+        second = second_corners[pair[1]]
+        a = points_of(kind, first, second, x_t0)
+        b = points_of(kind, first, second, x_t1)
         outcome = solve(kind, normalise(kind, a, b, options), options)
-        toi[i] = outcome.toi
-        status[i] = outcome.status
-        parameters[i] = outcome.parameters
-        gap[i] = outcome.gap
-        width[i] = outcome.width
-        iterations[i] = outcome.iterations
+        if outcome.status != STATUS_NO_COLLISION:
+            n = first_contact + wp.int32(wp.atomic_add(counts, slot, CONTACTS, wp.int64(1)))
+            contacts.pair[n] = key
+            contacts.toi[n] = outcome.toi
+            contacts.status[n] = outcome.status
+            contacts.parameters[n] = outcome.parameters
+            contacts.gap[n] = outcome.gap
+            contacts.width[n] = outcome.width
 
     @wp.kernel(module=own_module("pairs_bound"))
     def pairs_bound(
         begin: int,
         # in
         kind: int,
-        pairs: wp.array[wp.vec2i],
+        first_pair: int,
+        pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
         x_t0: wp.array[vec3d],
         x_t1: wp.array[vec3d],
-        separation: wp.float64,
-        bound: wp.float64,
-        bound_end: real,
         options: Options,
+        slot: int,
         # out
-        toi: wp.array[wp.float64],
+        least_bits: wp.array2d[wp.int64],
     ):
-        """Toi of the pairs that are not certainly free up to ``bound`` after one step; inf for the others.
+        """Lower the least toi to that of a pair, unless the first step of its advance shows that it is no less.
 
-        The toi is that of the whole step, so it does not depend on the bound.
+        The step is the one that the solution of the pair begins with, so the least toi is that of all pairs, whatever
+        their order. As integers the bits of two numbers that are not negative compare as the numbers do.
         """
-        i = begin + wp.tid()
-        a = pair_points(kind, pairs[i], first_corners, second_corners, x_t0)
-        b = pair_points(kind, pairs[i], first_corners, second_corners, x_t1)
-        t = wp.float64(wp.inf)
-        if not is_free_by_volume(corners(kind, a), corners(kind, b), separation, bound):
-            n = normalise(kind, a, b, options)
-            is_free = bool(False)
-            if n.is_valid and options.method == CLIPPING:
-                is_free = advance(n.patch, n.problem, real(0.0), bound_end, 1).outcome == FREE
-            if not is_free:
-                outcome = solve(kind, n, options)
-                t = outcome.toi
-        toi[i] = t
+        pair = pair_of(pairs[first_pair + begin + wp.tid()])
+        first = first_corners[pair[0]]
+        second = second_corners[pair[1]]
+        n = normalise(kind, points_of(kind, first, second, x_t0), points_of(kind, first, second, x_t1), options)
+        is_later = bool(False)
+        if n.is_valid and options.method == CLIPPING:
+            reached = advance(n.patch, n.problem, real(0.0), options.t_end, 1)
+            is_later = reached.outcome == FREE or wp.cast(wp.float64(reached.t), wp.int64) >= least_bits[slot, 0]
+        if not is_later:
+            wp.atomic_min(least_bits, slot, 0, wp.cast(solve(kind, n, options).toi, wp.int64))
 
     return SimpleNamespace(
-        Options=Options, normalise=normalise, points_toi=points_toi, pairs_toi=pairs_toi, pairs_bound=pairs_bound
+        Options=Options,
+        normalise=normalise,
+        points_toi=points_toi,
+        pairs_contacts=pairs_contacts,
+        pairs_bound=pairs_bound,
     )

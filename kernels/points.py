@@ -45,16 +45,20 @@ def longest_side(a: Points, b: Points) -> wp.float64:
 
 
 @wp.func
-def pair_points(
-    kind: int,
-    pair: wp.vec2i,
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    x: wp.array[vec3d],
-) -> Points:
-    """Points of a pair of primitives of a mesh, from the vertices of each primitive."""
-    first = first_corners[pair[0]]
-    second = second_corners[pair[1]]
+def pair_key(first: int, second: int) -> wp.int64:
+    """A pair of primitives as one number; ascending keys are pairs in lexicographic order."""
+    return (wp.int64(first) << wp.int64(32)) | wp.int64(second)
+
+
+@wp.func
+def pair_of(key: wp.int64) -> wp.vec2i:
+    """The pair of a key."""
+    return wp.vec2i(wp.int32(key >> wp.int64(32)), wp.int32(key & wp.int64(0xFFFFFFFF)))
+
+
+@wp.func
+def points_of(kind: int, first: wp.vec3i, second: wp.vec3i, x: wp.array[vec3d]) -> Points:
+    """Points of a pair of primitives of a mesh, from the vertices of each."""
     p = Points()
     p.p0 = x[first[0]]
     if kind == EDGE_EDGE:

@@ -8,9 +8,10 @@ import ccd_warp.kernels
 import pytest
 import warp as wp
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
+from ccd_warp.kernels.pair_search import make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "cull", "broad_phase", "boxes"]
+PLAIN_MODULES = ["contacts", "boxes", "box_tree"]
 
 
 def warp_modules():
@@ -20,8 +21,10 @@ def warp_modules():
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
-        for kernel in ("points_toi", "pairs_toi", "pairs_bound"):
+        for kernel in ("points_toi", "pairs_contacts", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
+    for with_cull in (False, True):
+        modules[f"pair_search {with_cull}"] = make_pair_search(with_cull).search_pairs.module
     return {name: module for name, module in modules.items() if module.kernels}
 
 

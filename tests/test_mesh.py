@@ -105,7 +105,9 @@ def test_mesh_is_frozen():
         mesh.faces = None
     with pytest.raises(AttributeError):
         del mesh.faces
-    for name in CollisionMesh.__annotations__:
+    for name, kind in CollisionMesh.__annotations__.items():
+        if "NDArray" not in str(kind) or getattr(mesh, name) is None:
+            continue
         with pytest.raises(ValueError):
             getattr(mesh, name)[...] = 0
 

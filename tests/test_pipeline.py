@@ -273,7 +273,7 @@ def test_counts_and_timings_name_every_stage():
     assert result.counts["bodies"] == 2
     assert result.counts["vertices"] == mesh.num_vertices
     assert result.counts["vertex-face contacts"] + result.counts["edge-edge contacts"] == len(result.contacts)
-    assert set(result.timings) == {"input", "broad phase", "cull", "narrow phase", "gather", "total"}
+    assert set(result.timings) == {"input", "boxes", "pairs", "narrow phase", "gather", "total"}
     assert all(seconds >= 0 for seconds in result.timings.values())
 
 

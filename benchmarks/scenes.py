@@ -1,0 +1,162 @@
+"""Whole steps to measure: published frames, and generated scenes of any size."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import numpy as np
+import trimesh
+from published import requires_data, simulation_step
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Two frames of a mesh, and which of its bodies rest or ignore themselves."""
+
+    name: str
+    vertices_t0: np.ndarray
+    vertices_t1: np.ndarray
+    faces: np.ndarray
+    body_faces: tuple[int, ...] = ()  # faces of each body, in order; one body if empty
+    static: tuple[int, ...] = field(default=())
+    self_collision: bool = True
+
+    def mesh(self, ccd):
+        """The ``CollisionMesh`` of the scene."""
+        if not self.body_faces:
+            return ccd.CollisionMesh.from_arrays([(self.vertices_t0, self.faces)], self_collision=self.self_collision)
+        bodies = []
+        for faces in np.split(self.faces, np.cumsum(self.body_faces)[:-1]):
+            low, high = faces.min(), faces.max() + 1
+            bodies.append((self.vertices_t0[low:high], faces - low))
+        return ccd.CollisionMesh.from_arrays(bodies, static=self.static, self_collision=self.self_collision)
+
+
+def grid(rows: int, columns: int, width: float = 2.0, length: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet in the plane z = 0 around the origin: vertices and faces."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, rows) * width, np.linspace(-0.5, 0.5, columns) * length, indexing="ij")
+    k = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (corner.ravel() for corner in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1), faces
+
+
+def sphere(num_faces: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """A sphere of roughly so many faces: the surface of a finely cut cube, blown up."""
+    n = max(2, round((num_faces / 12) ** 0.5) + 1)
+    side, faces = grid(n, n)
+    turns = [np.roll(np.eye(3), k, axis=0) for k in range(3)]
+    vertices, all_faces = [], []
+    for turn in turns:
+        for sign in (1.0, -1.0):
+            all_faces.append((faces if sign > 0 else faces[:, ::-1]) + len(vertices) * n * n)
+            vertices.append((side + [0, 0, sign]) @ turn)
+    merged = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(all_faces), process=True)
+    points = np.asarray(merged.vertices)
+    return radius * points / np.linalg.norm(points, axis=1, keepdims=True), np.asarray(merged.faces)
+
+
+def joined(name: str, parts: list, **options) -> Scene:
+    """One scene of bodies (vertices_t0, vertices_t1, faces)."""
+    offset = np.cumsum([0] + [len(start) for start, _, _ in parts])
+    return Scene(
+        name,
+        np.concatenate([start for start, _, _ in parts]),
+        np.concatenate([end for _, end, _ in parts]),
+        np.concatenate([faces + offset[k] for k, (_, _, faces) in enumerate(parts)]),
+        tuple(len(faces) for _, _, faces in parts),
+        **options,
+    )
+
+
+def cloth_over_sphere(num_faces: int) -> Scene:
+    """A wavy sheet of four fifths of the faces falls on a sphere."""
+    n = int((0.4 * num_faces) ** 0.5) + 1
+    sheet, faces = grid(n, n)
+    sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
+    ball, ball_faces = sphere(num_faces // 5, 0.5)
+    ball = ball - [0, 0, 0.54]
+    return joined(
+        f"cloth over sphere, {num_faces:,}", [(sheet, sheet - [0, 0, 0.05], faces), (ball, ball, ball_faces)]
+    )
+
+
+def spheres_through_each_other(num_faces: int) -> Scene:
+    """Two dense spheres pass through each other within the step."""
+    ball, faces = sphere(num_faces // 2, 0.5)
+    left, right = ball - [0.6, 0, 0], ball + [0.6, 0.013, 0.017]
+    move = np.array([0.15, 0, 0])
+    return joined(f"two spheres, {num_faces:,}", [(left, left + move, faces), (right, right - move, faces)])
+
+
+def pile(num_bodies: int, faces_each: int) -> Scene:
+    """Many bodies, close to each other, that fall and turn a little."""
+    rng = np.random.default_rng(0)
+    ball, faces = sphere(faces_each, 0.5)
+    side = round(num_bodies ** (1 / 3) + 0.499)
+    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)[:num_bodies] * 1.02
+    parts = []
+    for place in places:
+        start = ball * rng.uniform(0.9, 1.1, 3) + place
+        turn = trimesh.transformations.rotation_matrix(0.05, rng.standard_normal(3))[:3, :3]
+        parts.append((start, (start - place) @ turn.T + place - [0, 0, 0.05], faces))
+    return joined(f"pile of {num_bodies:,} bodies, {num_bodies * len(faces):,}", parts)
+
+
+def ground_under_cloth(num_faces: int) -> Scene:
+    """One giant face under a fine sheet."""
+    n = int((num_faces / 2) ** 0.5) + 1
+    sheet, faces = grid(n, n)
+    sheet[:, 2] = 0.03 + 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
+    ground = 100.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+    return joined(
+        f"giant face under cloth, {num_faces:,}",
+        [(sheet, sheet - [0, 0, 0.04], faces), (ground, ground, np.array([[0, 1, 2]]))],
+    )
+
+
+def long_step(num_faces: int) -> Scene:
+    """Two sheets that slide past each other by many edge lengths, and never touch."""
+    n = int((num_faces / 4) ** 0.5) + 1
+    sheet, faces = grid(n, n)
+    upper = sheet + [0, 0, 0.01]
+    edge = 2.0 / (n - 1)
+    wave = 0.003 * np.sin(9 * sheet[:, :1])
+    return joined(
+        f"step of 20 edge lengths, {num_faces:,}",
+        [
+            (sheet, sheet + [20 * edge, 0, 0] + wave * [0, 0, 1], faces),
+            (upper, upper - [20 * edge, 0, 0] + wave * [0, 0, 1], faces),
+        ],
+    )
+
+
+def published_scenes() -> list[Callable[[], Scene]]:
+    """The published steps, where they are present."""
+    if requires_data.args[0]:
+        return []
+
+    def load(name: str) -> Scene:
+        step = simulation_step(name)
+        return Scene(name, step.vertices_t0, step.vertices_t1, step.faces)
+
+    return [lambda: load("cloth-funnel"), lambda: load("rod-twist")]
+
+
+def all_scenes(quick: bool) -> list[Callable[[], Scene]]:
+    """Every scene of the benchmark, built when it is its turn."""
+    scenes: list[Callable[[], Scene]] = [
+        *published_scenes(),
+        lambda: cloth_over_sphere(10_000),
+        lambda: cloth_over_sphere(100_000),
+        lambda: spheres_through_each_other(100_000),
+        lambda: pile(1_000, 100),
+        lambda: ground_under_cloth(100_000),
+        lambda: long_step(20_000),
+    ]
+    return scenes if quick else [*scenes, lambda: cloth_over_sphere(1_000_000)]

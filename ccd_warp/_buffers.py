@@ -1,0 +1,52 @@
+"""Device arrays that stay for the next step, and the count of what they take."""
+
+from typing import Any
+
+import warp as wp
+
+_GROWTH = 1.25
+
+
+class Buffers:
+    """Arrays by name, which only ever grow: a step of the same size allocates nothing.
+
+    Attributes:
+        num_allocations: Arrays that were allocated so far.
+    """
+
+    def __init__(self, device: Any) -> None:
+        self.device = device
+        self.num_allocations = 0
+        self._arrays: dict[str, wp.array] = {}
+
+    def get(self, name: str, count: int, dtype: Any) -> wp.array:
+        """An array of at least ``count`` elements, with whatever it held before; it is shared by all who ask for it."""
+        array = self._arrays.get(name)
+        if array is None or len(array) < count:
+            size = count if array is None else max(count, int(_GROWTH * len(array)))
+            self._arrays.pop(name, None)
+            array = self._arrays[name] = wp.empty(max(size, 1), dtype=dtype, device=self.device)
+            self.num_allocations += 1
+        return array
+
+    def rows(self, name: str, count: int, width: int, dtype: Any) -> wp.array:
+        """An array of at least ``count`` rows; a row of eight 64-bit numbers is a cache line, so threads share none."""
+        array = self.get(name, -(-count // 64) * 64 * width, dtype)
+        return array[: len(array) // width * width].reshape((-1, width))
+
+    def grown(self, name: str, used: int, count: int, dtype: Any) -> wp.array:
+        """Like :meth:`get`, keeping the first ``used`` elements."""
+        array = self._arrays.get(name)
+        if array is None or len(array) >= count or used == 0:
+            return self.get(name, count, dtype)
+        new = wp.empty(max(count, 2 * len(array)), dtype=dtype, device=self.device)
+        wp.copy(new, array, count=used)
+        self._arrays[name] = new
+        self.num_allocations += 1
+        return new
+
+    def num_bytes_but(self, *words: str) -> int:
+        """Bytes of all arrays whose name holds none of the words."""
+        return sum(
+            array.capacity for name, array in self._arrays.items() if not any(word in name.split() for word in words)
+        )

@@ -1,0 +1,283 @@
+"""Runs the search for pairs in parts, so that what it finds fits the room there is."""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import warp as wp
+
+from ccd_warp._buffers import Buffers
+from ccd_warp._launch import Execution, load
+from ccd_warp._status import PairKind
+from ccd_warp._step_boxes import StepBoxes, Tree
+from ccd_warp._topology import PRIMITIVES, WIDTH
+from ccd_warp.kernels import pair_search as kernels
+from ccd_warp.kernels.pair_search import make_pair_search
+
+_CANDIDATES = int(kernels.CANDIDATES)
+_FOUND = int(kernels.FOUND)
+_NUM_COUNTS = int(kernels.NUM_COUNTS)
+# Parts of a search for each thread, so that none waits long for another, and the fewest blocks worth a part.
+_PARTS_PER_THREAD = 8
+_SMALLEST_PART = 256
+KEY_BYTES = 8
+
+
+@dataclass(frozen=True)
+class Join:
+    """Two trees whose boxes may overlap; the same one twice for pairs within a set."""
+
+    kind: PairKind
+    query: Tree
+    target: Tree
+    swapped: bool = False
+
+    @property
+    def within(self) -> bool:
+        """Whether the pairs are those of one set."""
+        return self.query is self.target
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Items first, first + stride, … of a join: blocks of queries (level 1) or single queries (level 0)."""
+
+    join: Join
+    level: int
+    first: int
+    stride: int
+    count: int
+
+    def split(self) -> list["_Part"]:
+        """Smaller parts of the same items."""
+        if self.count > 1:
+            half = self.count // 2
+            return [
+                replace(self, count=half),
+                replace(self, first=self.first + half * self.stride, count=self.count - half),
+            ]
+        first = WIDTH * self.first
+        return [
+            replace(self, level=0, first=first, stride=1, count=min(WIDTH, self.join.query.primitives.count - first))
+        ]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Keys of pairs of one kind: ``keys[begin:begin + count]``."""
+
+    kind: PairKind
+    keys: wp.array
+    begin: int
+    count: int
+
+
+@dataclass
+class _Region:
+    """A thread's part of the room."""
+
+    slot: int
+    begin: int
+    end: int
+    found: list[Found] = field(default_factory=list)
+
+    @property
+    def filled(self) -> int:
+        return sum(f.count for f in self.found)
+
+
+def joins_of(boxes: StepBoxes, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
+    """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
+    joins = []
+
+    def add(join: Join) -> None:
+        if boxes.may_meet(join.query, join.target):
+            joins.append(join)
+
+    for kind in kinds:
+        first, second = PRIMITIVES[kind]
+        if first == second:
+            tree = boxes.tree(first, is_static=False)
+            resting = boxes.tree(first, is_static=True)
+            if tree and not skip_moving:
+                add(Join(kind, tree, tree))
+            if tree and resting:
+                add(Join(kind, tree, resting))
+            continue
+        for a_static, b_static in ((False, False), (False, True), (True, False)):
+            if not (a_static or b_static) and skip_moving:
+                continue
+            if not boxes.topology.primitives(first, a_static).count:
+                continue
+            if not boxes.topology.primitives(second, b_static).count:
+                continue
+            a, b = boxes.tree(first, a_static), boxes.tree(second, b_static)
+            assert a and b
+            # what moves asks, so that the tree of what rests is built for targets alone
+            add(Join(kind, b, a, swapped=True) if a_static else Join(kind, a, b))
+    return joins
+
+
+class PairSearch:
+    """A search over all joins of a step.
+
+    Attributes:
+        candidates: Pairs of each kind that passed the boxes and the mesh's filter.
+        num_batches: Times that the room was filled.
+        num_launches: Launches of the search, by kind.
+    """
+
+    def __init__(
+        self,
+        boxes: StepBoxes,
+        execution: Execution,
+        buffers: Buffers,
+        *,
+        with_cull: bool,
+        t_end: float,
+        separation: float,
+        largest_room: int,
+    ) -> None:
+        self.execution = execution
+        self.buffers = buffers
+        self.candidates: Counter[PairKind] = Counter()
+        self.num_launches: Counter[PairKind] = Counter()
+        self.num_batches = 0
+        self._boxes = boxes
+        self._kernel = make_pair_search(with_cull).search_pairs
+        self._with_cull = with_cull
+        self._t_end, self._separation = t_end, separation
+        self._largest_room = largest_room
+        self._num_workers = 1 if execution.is_cuda else execution.num_threads
+        self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
+
+    @property
+    def _num_slots(self) -> int:
+        return 64 if self.execution.is_cuda else self._num_workers
+
+    def batches(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+        """Search every ``stride``-th block of queries from ``first`` on; yields what the room holds at a time.
+
+        What comes in which batch depends on the room and the threads; all batches together do not.
+        """
+        pending = deque(part for join in joins for part in self._parts(join, first, stride))
+        if not pending:
+            return
+        load(self._kernel, self.execution.device)
+        # Room for all partners of one query is enough, and is what a thread needs.
+        least = max(join.target.primitives.count for join in joins)
+        wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
+        room = min(self._largest_room, max(self._num_workers * least, wanted, 1 << 16))
+        while pending:
+            keys = self.buffers.get("keys", room, wp.int64)
+            room = min(len(keys), self._largest_room)
+            regions = self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room)
+            self.num_batches += 1
+            yield [found for region in regions for found in region.found]
+            room = min(2 * room, self._largest_room)
+
+    def _parts(self, join: Join, first: int, stride: int) -> list[_Part]:
+        level = 0 if self.execution.is_cuda else 1
+        items = join.query.primitives.count if level == 0 else join.query.levels[0]
+        count = max(0, -(-(items - first) // stride))
+        if count == 0:
+            return []
+        parts = 1
+        if not self.execution.is_cuda:
+            parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
+        bounds = [count * k // parts for k in range(parts + 1)]
+        return [_Part(join, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k]) for k in range(parts)]
+
+    def _launch(self, part: _Part, slot: int, begin: int, room: int) -> None:
+        join = part.join
+        rules = kernels.Join()
+        rules.kind = int(join.kind)
+        rules.within = int(join.within)
+        rules.symmetric = int(len(set(PRIMITIVES[join.kind])) == 1)
+        rules.swapped = int(join.swapped)
+        rules.num_query_corners = join.query.primitives.num_corners
+        rules.num_target_corners = join.target.primitives.num_corners
+        rules.item_level = part.level
+        rules.first_item, rules.item_stride = part.first, part.stride
+        rules.t_end = self._t_end
+        rules.inflation = self._boxes.inflation
+        rules.separation = self._separation
+        boxes = self._boxes
+        wp.launch(
+            self._kernel,
+            dim=part.count,
+            inputs=[
+                0,
+                join.query.arrays,
+                join.target.arrays,
+                rules,
+                boxes.topology.rules,
+                boxes.x_t0,
+                boxes.x_t1,
+                slot,
+                begin,
+                room,
+            ],
+            outputs=[self._counts, self.buffers.get("keys", 0, wp.int64)],
+            device=self.execution.device,
+        )
+
+    def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
+        self.candidates[part.join.kind] += int(counts[_CANDIDATES])
+        self.num_launches[part.join.kind] += 1
+        count = int(counts[_FOUND])
+        if count == 0:
+            return
+        last = region.found[-1] if region.found else None
+        if last and last.kind == part.join.kind:
+            region.found[-1] = replace(last, count=last.count + count)
+        else:
+            region.found.append(Found(part.join.kind, self.buffers.get("keys", 0, wp.int64), begin, count))
+
+    def _cpu_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
+        """Threads take parts until there are none left or their room is full."""
+        bounds = [room * k // self._num_workers for k in range(self._num_workers + 1)]
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
+        lock = threading.Lock()
+        host = self._counts.numpy()
+
+        def work(region: _Region) -> None:
+            counts = host[region.slot]
+            while True:
+                with lock:
+                    if not pending:
+                        return
+                    part = pending.popleft()
+                begin = region.begin + region.filled
+                counts[:] = 0
+                self._launch(part, region.slot, begin, region.end - begin)
+                with lock:
+                    if counts[_FOUND] <= region.end - begin:
+                        self._keep(region, part, begin, counts)
+                    elif region.found:
+                        pending.appendleft(part)
+                        return
+                    else:
+                        pending.extendleft(part.split())
+
+        self.execution.run([lambda r=r: work(r) for r in regions])  # type: ignore[misc]
+        return regions
+
+    def _cuda_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
+        """Launch every part with an equal share of the room, and read all counts back at once."""
+        parts = [pending.popleft() for _ in range(min(len(pending), self._num_slots))]
+        self._counts.zero_()
+        bounds = [room * k // len(parts) for k in range(len(parts) + 1)]
+        for k, part in enumerate(parts):
+            self._launch(part, k, bounds[k], bounds[k + 1] - bounds[k])
+        host = self._counts.numpy()
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
+        for k, part in enumerate(parts):
+            if host[k, _FOUND] <= bounds[k + 1] - bounds[k]:
+                self._keep(regions[k], part, bounds[k], host[k])
+            else:
+                # alone it has more room; split it only where that is not enough
+                pending.extend([part] if len(parts) > 1 and host[k, _FOUND] <= room else part.split())
+        return regions

@@ -1,0 +1,405 @@
+"""One step of a mesh on its way through the stages: boxes, pairs, narrow phase, gather."""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._buffers import Buffers
+from ccd_warp._contacts import ContactStore
+from ccd_warp._launch import Execution, load
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._options import Options
+from ccd_warp._pair_search import KEY_BYTES, Found, PairSearch, joins_of
+from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._step_boxes import StepBoxes
+from ccd_warp._topology import CORNER_ARRAYS, Topology
+from ccd_warp.kernels import boxes as box_kernels
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
+
+# Room for pairs where the user sets no limit.
+DEFAULT_PAIR_BYTES = 1 << 30
+# The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
+_SAMPLE_STRIDE = 32
+_WORTH_SAMPLING = 1 << 14  # vertices
+_LARGEST = float(np.finfo(np.float64).max)
+_LEAST_KEYS = 1 << 12
+
+
+@dataclass(frozen=True)
+class _PairPart:
+    """Pairs first, first + 1, … of those found."""
+
+    found: Found
+    first: int
+    count: int
+
+
+class Workspace:
+    """What stays from step to step: a mesh's topology on a device, the boxes of what rests, buffers."""
+
+    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
+        self.topology = Topology.of(mesh, device)
+        self.buffers = Buffers(device)
+        self.boxes = StepBoxes(self.topology, self.buffers)
+        self._body_hull: Workspace | None = None
+
+    def body_hull(self) -> "Workspace":
+        """The workspace of a mesh of one point a body, for the search among the boxes of bodies."""
+        if self._body_hull is None:
+            mesh = self.topology.mesh
+            points = np.zeros((mesh.num_bodies, 3))
+            every = np.ones(mesh.num_bodies, dtype=bool)
+            hull = CollisionMesh(
+                points,
+                np.zeros((0, 3), dtype=np.int32),
+                np.arange(mesh.num_bodies + 1, dtype=np.int32),
+                ~every,
+                every,
+                np.zeros((0, 2), dtype=np.int32),
+                every,
+                mesh.body_pairs,
+                1,
+            )
+            self._body_hull = Workspace(hull, self.topology.device)
+        return self._body_hull
+
+
+class Step:
+    """One step."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        options: Options,
+    ) -> None:
+        self.timings: dict[str, float] = {}
+        self.options = options
+        self.workspace = workspace
+        self.topology = workspace.topology
+        self.mesh = workspace.topology.mesh
+        self.buffers = workspace.buffers
+        self.boxes = workspace.boxes
+        self.execution = Execution(workspace.topology.device, options.threads)
+        self.counts: Counter[str] = Counter()
+        with self.timed("input"):
+            self.host = self.mesh.frames(vertices_t0, vertices_t1)
+            device = self.execution.device
+            start, end = self.host
+            self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
+            self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
+            self.length_scale = options.length_scale
+            if self.length_scale is None:
+                self.length_scale = longest_side(self.x_t0, self.x_t1, self.execution, self.buffers)
+            self.separation = min(options.minimum_separation * self.length_scale, _LARGEST)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        if self.execution.is_cuda:
+            wp.synchronize_device(self.execution.device)
+        self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+
+    @property
+    def inflation(self) -> float:
+        """Half the minimum separation, rounded up."""
+        if self.separation <= 0.0:
+            return 0.0
+        return min(math.nextafter(0.5 * self.separation, math.inf), _LARGEST)
+
+    def kinds(self) -> tuple[PairKind, ...]:
+        """Kinds of pairs that the primitives of the mesh can form and the options ask for."""
+        mesh = self.mesh
+        possible = {
+            PairKind.VERTEX_FACE: mesh.num_faces > 0,
+            PairKind.EDGE_EDGE: mesh.num_edges > 0,
+            PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
+            PairKind.POINT_POINT: len(mesh.loose_points) > 0,
+        }
+        return tuple(kind for kind in self.options.kinds if possible[kind])
+
+    def begin_boxes(self, inflation: float, t_end: float) -> None:
+        """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
+        mesh = self.mesh
+        active = None
+        moving_alone = not mesh.self_collision[~mesh.static].any()
+        self.skip_moving = moving_alone and int((~mesh.static).sum()) == 1
+        self.counts["active bodies"] = mesh.num_bodies
+        if mesh.num_bodies > 1 and not mesh.self_collision[~mesh.static].all():
+            near = bodies_near(self.workspace, self.host, inflation, self.execution)
+            self.counts["active bodies"] = int((near | mesh.static).sum())
+            active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
+            active.assign(near.astype(np.int32))
+        self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, active)
+
+    def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> tuple[PairSearch, list]:
+        """A search over all joins, with the room that the memory limit leaves."""
+        joins = joins_of(self.boxes, self.kinds(), self.skip_moving)
+        room = self.room(joins, bytes_per_pair)
+        search = PairSearch(
+            self.boxes,
+            self.execution,
+            self.buffers,
+            with_cull=with_cull,
+            t_end=t_end,
+            separation=self.separation,
+            largest_room=room,
+        )
+        return search, joins
+
+    def room(self, joins: list, bytes_per_pair: int) -> int:
+        """Pairs that the memory limit has room for at a time."""
+        least = max([_LEAST_KEYS, *(join.target.primitives.count for join in joins)])
+        least *= 1 if self.execution.is_cuda else self.execution.num_threads
+        limit = self.options.memory_limit
+        if limit is None:
+            return max(least, DEFAULT_PAIR_BYTES // bytes_per_pair)
+        # half of what is left is for the pairs, half for the contacts
+        needed = self.fixed_bytes + 2 * least * bytes_per_pair
+        if needed > limit:
+            raise ValueError(
+                f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
+                f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
+            )
+        return (limit - self.fixed_bytes) // 2 // bytes_per_pair
+
+    @property
+    def fixed_bytes(self) -> int:
+        """Bytes of the mesh's topology and of the boxes."""
+        return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact")
+
+    def largest_contacts(self) -> int:
+        """Contacts that the memory limit has room for."""
+        if self.options.memory_limit is None:
+            return np.iinfo(np.int32).max
+        return (self.options.memory_limit - self.fixed_bytes) // 2 // ContactStore.BYTES_KEPT
+
+    def candidates(self, inflation: float) -> dict[PairKind, list[NDArray[np.int64]]]:
+        """Keys of all pairs whose boxes overlap, unsorted, in parts."""
+        with self.timed("boxes"):
+            self.begin_boxes(inflation, 1.0)
+        with self.timed("pairs"):
+            search, joins = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
+            parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
+            for batch in search.batches(joins):
+                for found in batch:
+                    keys = found.keys[found.begin : found.begin + found.count]
+                    parts[found.kind].append(np.array(keys.numpy()))
+        self.count_pairs(search)
+        return parts
+
+    def pair_inputs(self, found: Found, first: int) -> list:
+        """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
+        a, b = CORNER_ARRAYS[found.kind]
+        corners = self.topology.corners
+        return [int(found.kind), found.begin + first, found.keys, corners[a], corners[b], self.x_t0, self.x_t1]
+
+    def parts_of(self, batch: list[Found], grain: int = 64) -> list["_PairPart"]:
+        """A batch in parts that are worth a launch each, some for every thread."""
+        parts = []
+        total = sum(found.count for found in batch)
+        for found in batch:
+            share = 4 * self.execution.num_threads * found.count // max(total, 1)
+            pieces = 1 if self.execution.is_cuda else max(1, min(share, found.count // grain))
+            bounds = [found.count * k // pieces for k in range(pieces + 1)]
+            parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
+        return parts
+
+    def launch_on_pairs(self, kernel: Any, parts: list["_PairPart"], rest: Any, outputs: list) -> None:
+        """Launch a kernel on each part, in a slot of its own; ``rest(part, slot)`` gives the inputs after the pairs."""
+        load(kernel, self.execution.device)
+
+        def launch(slot: int) -> None:
+            part = parts[slot]
+            inputs = [0, *self.pair_inputs(part.found, part.first), *rest(part, slot)]
+            wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
+
+        self.execution.run([lambda k=k: launch(k) for k in range(len(parts))])  # type: ignore[misc]
+
+    def bound(self) -> float:
+        """Earliest toi of all pairs, or t_max.
+
+        A sample of the queries comes first. Where it finds a contact, the rest looks only at the part of the step
+        before it: boxes are shorter, and the cull stops there. The bound of each round is the least toi of the pairs of
+        the round before, which depends on the input alone, and so does the result.
+        """
+        best = self.options.t_max
+        with self.timed("boxes"):
+            self.begin_boxes(self.inflation, best)
+        for stride in (_SAMPLE_STRIDE, 1):
+            if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
+                continue
+            with self.timed("boxes"):
+                self.boxes.shorten(best)
+            with self.timed("pairs"):
+                search, joins = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
+                batches = search.batches(joins, 0, stride)
+            least = best
+            while True:
+                with self.timed("pairs"):
+                    batch = next(batches, None)
+                if batch is None:
+                    break
+                with self.timed("narrow phase"):
+                    least = min(least, self.least_toi(batch, best))
+                if least <= 0.0:
+                    return 0.0
+            best = least
+            self.count_pairs(search)
+        return best
+
+    def least_toi(self, batch: list[Found], bound: float) -> float:
+        """Earliest toi of the pairs of a batch, or the bound."""
+        if not batch:
+            return bound
+        kernel = make_narrow_phase(self.options.real).pairs_bound
+        options = self.options.for_kernel(self.length_scale)
+        parts = self.parts_of(batch)
+        bits = self.buffers.rows("toi bits", len(parts), 8, wp.int64)
+        bits.fill_(int(np.array(bound).view(np.int64)))
+        self.launch_on_pairs(kernel, parts, lambda _part, slot: [options, slot], [bits])
+        return float(bits.numpy()[:, 0].min().view(np.float64))
+
+    def count_pairs(self, search: PairSearch) -> None:
+        """Add what a search did to the counts."""
+        for kind in sorted(search.num_launches):
+            self.counts[f"{kind_name(kind)} searches"] += search.num_launches[kind]
+            self.counts[f"{kind_name(kind)} candidates"] = search.candidates[kind]
+        self.counts["batches"] += search.num_batches
+
+    def contacts(self) -> MeshResult:
+        """The toi of every pair that the cull leaves open, and what follows from them."""
+        t_max = self.options.t_max
+        survivors: Counter[PairKind] = Counter()
+        with self.timed("boxes"):
+            self.begin_boxes(self.inflation, t_max)
+        with self.timed("pairs"):
+            search, joins = self.search(
+                with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + ContactStore.BYTES_PER_CONTACT
+            )
+            batches = search.batches(joins)
+            store = ContactStore(self.buffers, self.execution, self.largest_contacts())
+        kernel = make_narrow_phase(self.options.real).pairs_contacts
+        options = self.options.for_kernel(self.length_scale)
+        while True:
+            with self.timed("pairs"):
+                batch = next(batches, None)
+            if batch is None:
+                break
+            with self.timed("narrow phase"):
+                for found in batch:
+                    survivors[found.kind] += found.count
+                if batch:
+                    store.solve(self, kernel, batch, options)
+        self.count_pairs(search)
+        if not store.is_complete:
+            total = sum(store.count.values())
+            least = self.fixed_bytes + 2 * total * ContactStore.BYTES_KEPT
+            raise ValueError(
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {total} "
+                f"contacts of this step, or collision_free_step, which keeps none"
+            )
+        with self.timed("gather"):
+            gathered = store.gather(self)
+        return self.result(gathered, search, survivors)
+
+    def result(self, gathered: Any, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
+        mesh = self.mesh
+        contacts: Contacts = gathered.contacts
+        kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
+        counts = {
+            "bodies": mesh.num_bodies,
+            "vertices": mesh.num_vertices,
+            "edges": mesh.num_edges,
+            "faces": mesh.num_faces,
+            **_loose_counts(mesh),
+            "active bodies": self.counts["active bodies"],
+            "boxes": self.boxes.num_boxes,
+            "sets sorted anew": self.boxes.num_sorted,
+            **{f"{kind_name(kind)} searches": search.num_launches[kind] for kind in kinds},
+            **{f"{kind_name(kind)} candidates": search.candidates[kind] for kind in kinds},
+            **{f"{kind_name(kind)} after the cull": survivors[kind] for kind in kinds},
+            **{f"{kind_name(kind)} contacts": int(np.count_nonzero(contacts.kind == kind)) for kind in kinds},
+            "contacts at the start": int(np.count_nonzero(contacts.status == CCDStatus.INITIAL_CONTACT)),
+            "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
+            "batches of pairs": search.num_batches,
+        }
+        self.timings["total"] = sum(self.timings.values())
+        scene = float(contacts.toi.min()) if len(contacts) else math.inf
+        return MeshResult(
+            scene,
+            gathered.vertex_toi,
+            gathered.body_toi,
+            contacts,
+            counts,
+            self.timings,
+            gathered.vertex_contact,
+            gathered.body_contact,
+        )
+
+
+def kind_name(kind: PairKind) -> str:
+    return kind.name.lower().replace("_", "-")
+
+
+def _kinds(mesh: CollisionMesh) -> list[PairKind]:
+    """Pair kinds that the primitives of a mesh can form."""
+    kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
+    if len(mesh.loose_points):
+        kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
+    return kinds
+
+
+def _loose_counts(mesh: CollisionMesh) -> dict[str, int]:
+    """Numbers of codimensional primitives, where a mesh has any."""
+    counts = {"loose edges": len(mesh.loose_edges), "loose points": len(mesh.loose_points)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def longest_side(x_t0: wp.array, x_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
+    """Longest side of the box around both frames."""
+    if len(x_t0) == 0:
+        return 0.0
+    chunk = 64 if execution.is_cuda else 2048
+    count = -(-len(x_t0) // chunk)
+    lower, upper = (buffers.get(f"chunk {side}", count, wp.vec3d) for side in ("lower", "upper"))
+    execution.launch(box_kernels.chunk_bounds, count, inputs=[x_t0, x_t1, chunk], outputs=[lower, upper], grain=8)
+    with np.errstate(over="ignore"):
+        sides = upper.numpy()[:count].max(axis=0) - lower.numpy()[:count].min(axis=0)
+    return float(min(sides.max(), _LARGEST))
+
+
+def bodies_near(
+    workspace: Workspace, host: tuple[NDArray, NDArray], inflation: float, execution: Execution
+) -> NDArray[np.bool_]:
+    """Bodies that may collide with themselves or whose swept box meets that of another they may collide with.
+
+    A mesh of points, one a body, that move from the lower to the upper corner of the body's box: their swept boxes are
+    those of the bodies, and the search is the same.
+    """
+    mesh = workspace.topology.mesh
+    first = mesh.body_vertex_range[:-1].astype(np.int64)
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    lower, upper = np.zeros((2, mesh.num_bodies, 3))
+    if len(filled):
+        lower[filled] = np.minimum.reduceat(np.minimum(*host), first[filled], axis=0)
+        upper[filled] = np.maximum.reduceat(np.maximum(*host), first[filled], axis=0)
+    hull = workspace.body_hull()
+    step = Step(hull, lower, upper, Options(pair_kinds=(PairKind.POINT_POINT,), num_threads=execution.num_threads))
+    near = mesh.self_collision & ~mesh.static
+    for keys in step.candidates(inflation)[PairKind.POINT_POINT]:
+        a, b = keys >> 32, keys & 0xFFFFFFFF
+        one_moves = ~(mesh.static[a] & mesh.static[b])
+        near[a[one_moves]] = near[b[one_moves]] = True
+    return near

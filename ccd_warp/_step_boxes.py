@@ -1,0 +1,214 @@
+"""The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._buffers import Buffers
+from ccd_warp._launch import Execution
+from ccd_warp._topology import BLOCK_CORNERS, RECORD, WIDTH, PrimitiveSet, Topology, choose_frame, sorted_keys
+from ccd_warp.kernels import box_tree as kernels
+
+BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
+# A block whose longest side is beyond this multiple of a typical primitive's is no longer one of neighbours.
+_LARGEST_BLOCK = 12.0
+_CHECKED_BLOCKS = 256
+_NO_END = 1.0
+# Share of the step below which making the boxes of what is left of it pays.
+_WORTH_SHORTENING = 0.75
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A set of primitives and the tree of their boxes."""
+
+    primitives: PrimitiveSet
+    arrays: Any  # kernels.BoxTree
+    levels: tuple[int, ...]  # blocks of each level
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The box around the tree, in the image; on the CPU."""
+        top = sum(self.levels[:-1])
+        block = self.arrays.nodes.numpy()[top * BLOCK_FLOATS : (top + 1) * BLOCK_FLOATS].reshape(2, 3, WIDTH)
+        return block[0].min(axis=1), block[1].max(axis=1)
+
+
+@dataclass(frozen=True)
+class _StaticKey:
+    """What the boxes of resting bodies depend on."""
+
+    positions: NDArray[np.float64]
+    frame: tuple[float, ...]
+    inflation: float
+
+    def same(self, other: "_StaticKey | None") -> bool:
+        return (
+            other is not None
+            and self.frame == other.frame
+            and self.inflation == other.inflation
+            and np.array_equal(self.positions, other.positions)
+        )
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Blocks of each level of a tree over ``count`` boxes: at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)
+
+
+class StepBoxes:
+    """Swept boxes of a mesh: held between steps, filled anew by each.
+
+    Attributes:
+        num_boxes: Boxes made in this step; those of static bodies count in the step that makes them.
+        num_sorted: Sets that had to be sorted anew in this step.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+        self.topology = topology
+        self.buffers = buffers
+        self.num_boxes = 0
+        self.num_sorted = 0
+        self._all_active = wp.ones(topology.mesh.num_bodies, dtype=wp.int32, device=topology.device)
+        self._trees: dict[str, Tree] = {}
+        self._static_trees: dict[str, Tree] = {}
+        self._static_key: _StaticKey | None = None
+
+    def begin(
+        self,
+        host: tuple[NDArray[np.float64], NDArray[np.float64]],
+        x_t0: wp.array,
+        x_t1: wp.array,
+        t_end: float,
+        inflation: float,
+        execution: Execution,
+        active: wp.array | None = None,
+    ) -> None:
+        """Start a step: its positions, the share of it that counts, and the bodies that do."""
+        start, end = host
+        self.execution = execution
+        self.x_t0, self.x_t1, self.inflation = x_t0, x_t1, inflation
+        self.num_boxes = self.num_sorted = 0
+        self.active = self._all_active if active is None else active
+        self.frame = choose_frame(self.topology.mesh, start, end)
+        self._trees.clear()
+        resting = self.topology.static_vertices_host
+        if len(resting):
+            frame = (*self.frame.origin, self.frame.scale)
+            key = _StaticKey(start[resting], frame, inflation)
+            if not key.same(self._static_key):
+                self._static_key = key
+                self._static_trees.clear()
+                self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
+        self.t_end = t_end
+        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+
+    def shorten(self, t_end: float) -> None:
+        """Take the boxes over [0, t_end] only, where that is worth while; the order of the trees stays."""
+        if t_end > _WORTH_SHORTENING * self.t_end:
+            return
+        self.t_end = t_end
+        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+        for tree in self._trees.values():
+            self._fill(tree)
+
+    def tree(self, kind: str, is_static: bool) -> Tree | None:
+        """The tree of the primitives of a kind that move, or rest; None if there are none."""
+        primitives = self.topology.primitives(kind, is_static)
+        if primitives.count == 0:
+            return None
+        trees = self._static_trees if is_static else self._trees
+        if primitives.name not in trees:
+            trees[primitives.name] = self._build(primitives)
+        return trees[primitives.name]
+
+    def may_meet(self, a: Tree, b: Tree) -> bool:
+        """Whether the boxes around two trees overlap; on CUDA that is for the search to find."""
+        if a is b or self.execution.is_cuda:
+            return True
+        low_a, high_a = a.bounds()
+        low_b, high_b = b.bounds()
+        return bool((low_a <= high_b).all() and (low_b <= high_a).all())
+
+    def _fill_records(self, vertices: wp.array, active: wp.array, t_end: float) -> None:
+        records = self.buffers.get("records", self.topology.mesh.num_vertices * RECORD, wp.float32)
+        self.execution.launch(
+            kernels.fill_records,
+            len(vertices),
+            inputs=[
+                vertices,
+                self.topology.vertex_body,
+                active,
+                self.x_t0,
+                self.x_t1,
+                t_end,
+                self.inflation,
+                self.frame,
+            ],
+            outputs=[records],
+        )
+        self.records = records
+
+    def _build(self, primitives: PrimitiveSet) -> Tree:
+        levels = level_sizes(primitives.count)
+        first = np.concatenate([[0], np.cumsum(levels)])
+        if first[-1] * BLOCK_FLOATS >= 2**31:
+            raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 300 million")
+        arrays = kernels.BoxTree()
+        arrays.num_boxes = primitives.count
+        arrays.num_levels = len(levels)
+        arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
+        arrays.nodes = self.buffers.get(f"{primitives.name} boxes", int(first[-1]) * BLOCK_FLOATS, wp.float32)
+        tree = Tree(primitives, arrays, levels)
+        # On CUDA sorting is cheap, and whether it is needed would have to be read back.
+        in_order = not self.execution.is_cuda
+        if in_order:
+            arrays.primitive, arrays.corners = self.topology.rest_order(primitives, self.execution)
+            self._fill(tree)
+            in_order = self._is_in_order(tree)
+        if not in_order:
+            self._sort(primitives, arrays)
+            self._fill(tree)
+        self.num_boxes += primitives.count
+        return tree
+
+    def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
+        """Order the primitives by where they are now."""
+        self.num_sorted += 1
+        keys = sorted_keys(primitives, self.records, self.frame, self.buffers, self.execution)
+        name = primitives.name
+        arrays.primitive = self.buffers.get(f"{name} order", primitives.count, wp.int32)
+        arrays.corners = self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
+        self.execution.launch(
+            kernels.apply_order,
+            primitives.num_blocks,
+            inputs=[keys, (1 << primitives.index_bits) - 1, primitives.ids, primitives.corners],
+            outputs=[arrays.primitive, arrays.corners],
+            grain=64,
+        )
+
+    def _fill(self, tree: Tree) -> None:
+        """The boxes of every level, from the records."""
+        inputs = [self.records, tree.primitives.num_corners]
+        self.execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=256)
+        for level in range(2, len(tree.levels)):
+            count = tree.levels[level - 1]
+            self.execution.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[tree.arrays])
+
+    def _is_in_order(self, tree: Tree) -> bool:
+        """Whether most of the blocks are no longer than neighbours are together."""
+        count = tree.levels[0]
+        if count <= 4:
+            return True
+        first = tree.arrays.block_begin[1]
+        boxes = tree.arrays.nodes.numpy()[first * BLOCK_FLOATS :][: tree.levels[1] * BLOCK_FLOATS].reshape(-1, 6, WIDTH)
+        chosen = (np.arange(_CHECKED_BLOCKS) * count) // _CHECKED_BLOCKS
+        boxes = boxes[chosen // WIDTH, :, chosen % WIDTH]
+        with np.errstate(invalid="ignore", over="ignore"):
+            longest = (boxes[:, 3:] - boxes[:, :3]).max(axis=1)
+        return bool(np.median(longest) <= _LARGEST_BLOCK * self.frame.typical_extent)

@@ -1,0 +1,292 @@
+"""What a mesh keeps on a device: its primitives in sets, their order along the curve, and the rules of its filter."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._launch import Execution
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import box_tree as kernels
+from ccd_warp.kernels.pair_search import Filter
+
+WIDTH = int(kernels.WIDTH)
+RECORD = int(kernels.RECORD)
+BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
+NUM_SAMPLES = 128
+_CLASS_BITS = int(kernels.CLASS_BITS)
+_LARGEST_EXPONENT = 1000
+_REFINED = 256  # boxes that are split in halves again and again, down to the blocks
+
+# The kinds of primitives that a pair consists of, and whose arrays hold their vertices.
+PRIMITIVES = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("loose_point", "loose_edge"),
+    PairKind.POINT_POINT: ("loose_point", "loose_point"),
+}
+CORNER_ARRAYS = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("vertex", "edge"),
+    PairKind.POINT_POINT: ("vertex", "vertex"),
+}
+
+
+@dataclass(frozen=True)
+class PrimitiveSet:
+    """Primitives of one kind that all move or all rest.
+
+    Attributes:
+        name: Name of its buffers.
+        num_corners: Vertices of a primitive.
+        ids: Indices among all primitives of the kind, int32, shape [n].
+        corners: Vertices, wp.vec3i, where there are fewer than three one repeats, shape [n].
+    """
+
+    name: str
+    num_corners: int
+    ids: wp.array
+    corners: wp.array
+
+    @property
+    def count(self) -> int:
+        """Number of primitives."""
+        return len(self.ids)
+
+    @property
+    def num_blocks(self) -> int:
+        """Blocks of sixteen."""
+        return -(-self.count // WIDTH)
+
+    @property
+    def index_bits(self) -> int:
+        """Bits of a key that hold the index."""
+        return max(1, (self.count - 1).bit_length())
+
+
+class Topology:
+    """The parts of a mesh that no step changes; made once a mesh and device."""
+
+    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
+        self.mesh = mesh
+        self.device = device
+        self.vertex_body = self._array(mesh.vertex_body)
+        vertex_static = mesh.static[mesh.vertex_body]
+        self.moving_vertices = self._array(np.flatnonzero(~vertex_static).astype(np.int32))
+        self.static_vertices_host = np.flatnonzero(vertex_static)
+        self.static_vertices = self._array(self.static_vertices_host.astype(np.int32))
+        self._sets: dict[tuple[str, bool], PrimitiveSet] = {}
+        self._orders: dict[str, tuple[wp.array, wp.array]] = {}
+
+    @staticmethod
+    def of(mesh: CollisionMesh, device: Any) -> "Topology":
+        """The topology of a mesh on a device."""
+        cache: dict[str, Topology] = mesh._device_cache  # type: ignore[attr-defined]
+        key = str(device)
+        if key not in cache:
+            cache.setdefault(key, Topology(mesh, device))  # one of two threads that come here at once is kept
+        return cache[key]
+
+    def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    @cached_property
+    def corners(self) -> dict[str, wp.array]:
+        """Vertices of every primitive, by kind and index; those that a scene lacks are empty."""
+        return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+
+    def _corners_host(self, name: str) -> NDArray[np.int32]:
+        mesh = self.mesh
+        if name == "vertex":
+            return np.repeat(np.arange(mesh.num_vertices, dtype=np.int32)[:, None], 3, axis=1)
+        return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
+
+    def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
+        """The primitives of a kind that move, or rest."""
+        key = (kind, is_static)
+        if key not in self._sets:
+            self._sets.setdefault(key, self._make_set(kind, is_static))
+        return self._sets[key]
+
+    def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
+        mesh = self.mesh
+        array = {"loose_point": "vertex", "loose_edge": "edge"}.get(kind, kind)
+        body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
+        among = {"loose_point": mesh.loose_points, "loose_edge": mesh.loose_edges}.get(kind)
+        num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
+        name = f"{'static' if is_static else 'moving'} {kind}"
+        if among is None and (mesh.static == is_static).all():
+            ids = np.arange(len(body), dtype=np.int32)
+            return PrimitiveSet(name, num_corners, self._array(ids), self.corners[array])
+        chosen = np.arange(len(body), dtype=np.int32) if among is None else among
+        ids = chosen[mesh.static[body[chosen]] == is_static].astype(np.int32)
+        return PrimitiveSet(name, num_corners, self._array(ids), self._array(self._corners_host(array)[ids], wp.vec3i))
+
+    @cached_property
+    def rules(self) -> Any:
+        """The filter of the mesh, as the search takes it."""
+        mesh = self.mesh
+        rules = Filter()
+        none = wp.empty(0, dtype=wp.int32, device=self.device)
+        rules.vertex_body = self.vertex_body
+        rules.by_pair = int(mesh.body_pairs is not None)
+        rules.by_body = int(not mesh.self_collision.all() or rules.by_pair)
+        rules.self_collision = self._array(mesh.self_collision.astype(np.int32))
+        pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
+        rules.body_pairs = self._array(pairs, wp.uint8)
+        rules.by_ring = int(mesh.exclusion_rings > 1)
+        rules.ring_begin, rules.ring = none, none
+        if rules.by_ring:
+            rules.ring_begin, rules.ring = (self._array(array) for array in vertex_rings(mesh))
+        return rules
+
+    def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
+        """Indices of the primitives and vertices of their blocks, in an order that suits the mesh as it was given.
+
+        A surface bends but its neighbours stay neighbours, so the order is made once and serves as long as the blocks
+        stay small, which every step checks. Along the curve first, then by halves across the longest side, which makes
+        blocks a quarter shorter than the curve alone.
+        """
+        if primitives.name not in self._orders:
+            mesh = self.mesh
+            rest: wp.array = wp.array(mesh.vertices, dtype=wp.vec3d, device=self.device)
+            frame = choose_frame(mesh, mesh.vertices, mesh.vertices)
+            records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
+            every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
+            active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
+            execution.launch(
+                kernels.fill_records,
+                mesh.num_vertices,
+                inputs=[every, self.vertex_body, active, rest, rest, 1.0, 0.0, frame],
+                outputs=[records],
+            )
+            keys = sorted_keys(primitives, records, frame, None, execution)
+            mask = (1 << primitives.index_bits) - 1
+            if not execution.is_cuda and primitives.count > WIDTH:
+                centres = mesh.vertices[primitives.corners.numpy()].mean(axis=1)
+                order = refined_order((keys.numpy()[: primitives.count] & mask), centres)
+                keys = self._array(order, wp.int64)
+            primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
+            block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
+            execution.launch(
+                kernels.apply_order,
+                primitives.num_blocks,
+                inputs=[keys, mask, primitives.ids, primitives.corners],
+                outputs=[primitive, block_corners],
+                grain=64,
+            )
+            self._orders.setdefault(primitives.name, (primitive, block_corners))
+        return self._orders[primitives.name]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes on the device that are the mesh's own, not a step's."""
+        arrays = [self.vertex_body, self.moving_vertices, self.static_vertices, *self.corners.values()]
+        arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
+        arrays += [array for order in self._orders.values() for array in order]
+        return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
+
+
+def sorted_keys(
+    primitives: PrimitiveSet, records: wp.array, frame: Any, buffers: Any, execution: Execution
+) -> wp.array:
+    """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
+    count = primitives.count
+    size = 2 * count if execution.is_cuda else count  # the radix sort works in place of twice the size
+    device = execution.device
+    keys = (
+        wp.empty(size, dtype=wp.int64, device=device)
+        if buffers is None
+        else buffers.get(f"{primitives.name} sort", size, wp.int64)
+    )
+    morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
+    execution.launch(
+        kernels.sort_keys,
+        count,
+        inputs=[primitives.corners, records, frame, morton_bits, primitives.index_bits],
+        outputs=[keys],
+    )
+    sort_in_place(keys, count, execution)
+    return keys
+
+
+def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
+    """Sort the first ``count`` non-negative int64 keys; on CUDA the array has room for twice as many.
+
+    On the CPU NumPy's SIMD sort takes a fraction of the time of the radix sort.
+    """
+    if count < 2:
+        return
+    if execution.is_cuda:
+        wp.utils.radix_sort_pairs(keys, wp.empty(2 * count, dtype=wp.int32, device=execution.device), count)
+    else:
+        keys.numpy()[:count].sort()
+
+
+def refined_order(order: NDArray[np.int64], centres: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Split each run of 256 in halves across its longest side, down to runs of sixteen; the last run stays."""
+    whole = len(order) // _REFINED * _REFINED
+    head = order[:whole].reshape(-1, _REFINED)
+    size = _REFINED
+    with np.errstate(over="ignore", invalid="ignore"):
+        while size > WIDTH and whole:
+            points = centres[head]
+            axis = (points.max(axis=1) - points.min(axis=1)).argmax(axis=1)
+            along = np.take_along_axis(points, axis[:, None, None], axis=2)[:, :, 0]
+            halves = np.argpartition(along, size // 2, axis=1)
+            head = np.take_along_axis(head, halves, axis=1).reshape(-1, size // 2)
+            size //= 2
+    return np.concatenate([head.reshape(-1), order[whole:]])
+
+
+def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> Any:
+    """The map to float32 and the extent that counts as typical, from samples of the step.
+
+    The middle nine tenths of the vertices, thrice as wide, map to [-1/2, 1/2]: a vertex far away costs the others no
+    resolution. The origin lies on a coarse lattice, so that it stays where it is while the scene does, and with it the
+    trees of what rests.
+    """
+    frame = kernels.Frame()
+    if len(start) == 0:
+        return frame
+    with np.errstate(over="ignore", under="ignore"):
+        sample = (np.arange(NUM_SAMPLES) * len(start)) // NUM_SAMPLES
+        centre = np.sort(0.5 * start[sample] + 0.5 * end[sample], axis=0)
+        margin = NUM_SAMPLES // 20
+        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(len(start))[:, None])
+        chosen = primitives[(np.arange(NUM_SAMPLES) * len(primitives)) // NUM_SAMPLES]
+        ends = np.concatenate([start[chosen], end[chosen]], axis=1)
+        half_extent = float(np.median((0.5 * ends.max(axis=1) - 0.5 * ends.min(axis=1)).max(axis=1)))
+        half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
+        exponent = int(np.clip(np.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
+        lattice = 2.0 ** (exponent - 2)
+        origin = np.round(centre[NUM_SAMPLES // 2] / lattice) * lattice
+        frame.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
+        frame.scale = 2.0**-exponent
+        frame.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
+    return frame
+
+
+def vertex_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Where the row of each vertex begins, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending."""
+    count = mesh.num_vertices
+    a, b = mesh.edges.T.astype(np.int64)
+    source, target = np.concatenate([a, b]), np.concatenate([b, a])
+    order = np.argsort(source, kind="stable")
+    source, target = source[order], target[order]
+    begin = np.searchsorted(source, np.arange(count + 1))
+    near = np.arange(count, dtype=np.int64) * count + np.arange(count)  # keys (vertex, near vertex)
+    fresh = near
+    for _ in range(mesh.exclusion_rings - 1):
+        vertex, at = fresh // count, fresh % count
+        degree = begin[at + 1] - begin[at]
+        within = np.arange(degree.sum()) - np.repeat(np.cumsum(degree) - degree, degree)
+        reached = np.unique(np.repeat(vertex, degree) * count + target[np.repeat(begin[at], degree) + within])
+        fresh = np.setdiff1d(reached, near, assume_unique=True)
+        near = np.union1d(near, fresh)
+    return np.searchsorted(near, np.arange(count + 1) * count).astype(np.int32), (near % count).astype(np.int32)

@@ -1,0 +1,439 @@
+"""A tree of boxes without pointers: boxes along a space-filling curve, sixteen to a block, sixteen blocks to a node.
+
+Boxes are sorted by a key (size class, Morton code of the centre), so neighbours in the list are neighbours in space.
+Sixteen boxes that follow each other are a **block**, kept as six rows of sixteen float32 numbers. Level 0 is the boxes
+themselves; box n of level k + 1 is the union of block n of level k, up to a level of a single block, level 1 or above.
+Nothing else is stored: which boxes lie under which follows from their places. The order decides on speed alone.
+
+**float32 without rounding outward.** A coordinate x becomes f(x) = float32((x/2 - origin/2) · 2 scale), with a scale
+that is a power of two. The difference, the product and both roundings are monotone, so a <= b implies f(a) <= f(b), for
+any finite input: boxes that overlap in float64 overlap in the image, and nothing is missed. And f(a) < f(b) implies
+a < b: a pair whose images overlap strictly on every side overlaps for certain. Only where two images are equal does the
+exact float64 test of the two boxes decide. And since f(min(a, b)) = min(f(a), f(b)), the image of a primitive's box is
+the union of the images of its vertices' boxes, which are made once a step: the **records**.
+
+**Sizes.** One giant box would make every ancestor giant. Boxes are classed by extent in factors of eight above the
+typical one, and the class is the most significant part of the key, so that the large ones keep to themselves.
+
+References: Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (Morton order);
+Wald et al. 2008, "Getting rid of packets" (one ray against a wide node).
+"""
+
+import warp as wp
+
+from .boxes import Box, grown, inflated
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+WIDTH = wp.constant(16)  # boxes of a block
+BLOCK_FLOATS = wp.constant(96)
+BLOCK_CORNERS = wp.constant(48)
+RECORD = wp.constant(8)  # floats of a record
+LEAF_LEVELS = 8  # of a tree of 2^31 boxes
+CLASS_BITS = 3
+
+_HALF = wp.constant(wp.float64(0.5))
+_LARGEST_CLASS = wp.constant(2**CLASS_BITS - 1)
+_INFINITY = wp.constant(wp.float32(wp.inf))
+
+vec8i = wp.types.vector(length=8, dtype=wp.int32)
+vec8f = wp.types.vector(length=8, dtype=wp.float32)
+vec3ul = wp.types.vector(length=3, dtype=wp.uint64)
+
+
+@wp.struct
+class BoxTree:
+    """Boxes of one set of primitives, in the order of the tree."""
+
+    num_boxes: int
+    num_levels: int
+    block_begin: vec8i  # first block of each level
+    nodes: wp.array[wp.float32]  # a block: lower x, y, z, upper x, y, z of sixteen boxes; inf, -inf where there is none
+    primitive: wp.array[wp.int32]
+    corners: wp.array[wp.int32]  # a block: three vertices of sixteen primitives
+
+
+@wp.func_native(
+    """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int Mask __attribute__((ext_vector_type(16)));
+    typedef bool Bits __attribute__((ext_vector_type(16)));
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 96);
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    const Lanes lx = (Lanes)q[0], ly = (Lanes)q[16], lz = (Lanes)q[32];
+    const Lanes ux = (Lanes)q[48], uy = (Lanes)q[64], uz = (Lanes)q[80];
+    Mask m = (b[0] <= ux) & (b[1] <= uy) & (b[2] <= uz) & (b[3] >= lx) & (b[4] >= ly) & (b[5] >= lz);
+    Bits bits = __builtin_convertvector(m, Bits);
+    unsigned short closed;
+    __builtin_memcpy(&closed, &bits, 2);
+    if (with_open == 0 || closed == 0)
+        return closed;
+    m = (b[0] < ux) & (b[1] < uy) & (b[2] < uz) & (b[3] > lx) & (b[4] > ly) & (b[5] > lz);
+    bits = __builtin_convertvector(m, Bits);
+    unsigned short open;
+    __builtin_memcpy(&open, &bits, 2);
+    return (unsigned)closed | (unsigned)open << 16;
+#else
+    const float* b = nodes.data + (long long)block * 96;
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    const float lx = q[0], ly = q[16], lz = q[32], ux = q[48], uy = q[64], uz = q[80];
+    unsigned closed = 0, open = 0;
+    for (int k = 0; k < 16; ++k) {
+        const float bx = b[k], by = b[16 + k], bz = b[32 + k], cx = b[48 + k], cy = b[64 + k], cz = b[80 + k];
+        closed |= (unsigned)(bx <= ux && by <= uy && bz <= uz && cx >= lx && cy >= ly && cz >= lz) << k;
+        open |= (unsigned)(bx < ux && by < uy && bz < uz && cx > lx && cy > ly && cz > lz) << k;
+    }
+    return with_open == 0 ? closed : closed | open << 16;
+#endif
+"""
+)
+def overlap_mask(
+    nodes: wp.array[wp.float32],
+    block: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+    with_open: int,
+) -> wp.uint32:
+    """Which of the sixteen boxes of a block share a point with a box; with ``with_open``, above, which share more.
+
+    The vector branch is Clang's portable vector extension, lowered to whatever the processor has.
+    """
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef int Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef bool Bits __attribute__((ext_vector_type(16)));
+    const Lanes* b = (const Lanes*)(corners.data + (long long)block * 48);
+    const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
+    Lanes m = (Lanes)0;
+    for (int i = 0; i < num_query_corners; ++i)
+        for (int j = 0; j < num_corners; ++j)
+            m |= b[j] == (Lanes)q[16 * i];
+    Bits bits = __builtin_convertvector(m, Bits);
+    unsigned short mask;
+    __builtin_memcpy(&mask, &bits, 2);
+    return mask;
+#else
+    const int* b = corners.data + (long long)block * 48;
+    const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
+    unsigned mask = 0;
+    for (int i = 0; i < num_query_corners; ++i)
+        for (int j = 0; j < num_corners; ++j)
+            for (int k = 0; k < 16; ++k)
+                mask |= (unsigned)(b[16 * j + k] == q[16 * i]) << k;
+    return mask;
+#endif
+"""
+)
+def shared_vertex_mask(
+    corners: wp.array[wp.int32],
+    block: int,
+    num_corners: int,
+    query_corners: wp.array[wp.int32],
+    query_block: int,
+    query_lane: int,
+    num_query_corners: int,
+) -> wp.uint32:
+    """Which of the sixteen primitives of a block have a vertex in common with a primitive."""
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    return __ffs((int)mask) - 1;
+#else
+    return __builtin_ctz(mask);
+#endif
+"""
+)
+def lowest_bit(mask: wp.uint32) -> int:
+    """Place of the lowest bit that is set; the mask is not 0."""
+    ...
+
+
+@wp.func
+def box_corners(tree: BoxTree, place: int) -> wp.vec3i:
+    """Vertices of the primitive at a place of the tree."""
+    first = (place / WIDTH) * BLOCK_CORNERS + place % WIDTH
+    return wp.vec3i(tree.corners[first], tree.corners[first + WIDTH], tree.corners[first + 2 * WIDTH])
+
+
+@wp.struct
+class Frame:
+    """The map f, and what the keys are made from."""
+
+    origin: wp.vec3d
+    scale: wp.float64  # a power of two: most of the scene maps to [-1/2, 1/2]
+    typical_extent: wp.float32  # of a primitive, in the image
+
+
+@wp.func
+def image(x: wp.vec3d, frame: Frame) -> wp.vec3f:
+    """f: monotone in every component; halves, so that the difference of two finite numbers is finite."""
+    y = (_HALF * x - _HALF * frame.origin) * (frame.scale + frame.scale)
+    return wp.vec3f(wp.float32(y[0]), wp.float32(y[1]), wp.float32(y[2]))
+
+
+@wp.kernel
+def fill_records(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    vertex_body: wp.array[wp.int32],
+    body_active: wp.array[wp.int32],
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    t_end: wp.float64,
+    inflation: wp.float64,
+    frame: Frame,
+    # out
+    records: wp.array[wp.float32],
+):
+    """The image of each vertex's swept box, (lower, 0, -upper, 0), so that a union is a minimum; empty if inactive."""
+    v = vertices[begin + wp.tid()]
+    lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
+    upper = -lower
+    if body_active[vertex_body[v]] != 0:
+        box = Box()
+        box.lower = x_t0[v]
+        box.upper = x_t0[v]
+        box = inflated(grown(box, x_t0[v], x_t1[v], t_end), inflation)
+        lower = image(box.lower, frame)
+        upper = image(box.upper, frame)
+    at = v * RECORD
+    for k in range(3):
+        records[at + k] = lower[k]
+        records[at + k + 4] = -upper[k]
+    records[at + 3] = wp.float32(0.0)
+    records[at + 7] = wp.float32(0.0)
+
+
+@wp.func_native(
+    """
+    wp::vec_t<8, wp::float32> r;
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
+    const Record a = *(const Record*)(records.data + 8LL * v0);
+    const Record b = *(const Record*)(records.data + 8LL * v1);
+    const Record c = *(const Record*)(records.data + 8LL * v2);
+    const Record ab = a < b ? a : b;
+    *(Record*)&r = ab < c ? ab : c;
+#else
+    for (int k = 0; k < 8; ++k) {
+        const float a = records.data[8LL * v0 + k], b = records.data[8LL * v1 + k], c = records.data[8LL * v2 + k];
+        const float ab = a < b ? a : b;
+        r[k] = ab < c ? ab : c;
+    }
+#endif
+    return r;
+"""
+)
+def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
+    """The union of three records."""
+    ...
+
+
+@wp.func_native(
+    """
+    float* p = nodes.data + (long long)block * 96;
+    const int* c = corners.data + (long long)block * 48;
+    for (int k = 0; k < 16; ++k) {
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+        typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
+        Record r = (Record)__builtin_inff();
+        if (k < count) {
+            r = *(const Record*)(records.data + 8LL * c[k]);
+            for (int n = 1; n < num_corners; ++n) {
+                const Record s = *(const Record*)(records.data + 8LL * c[16 * n + k]);
+                r = s < r ? s : r;
+            }
+        }
+#else
+        float r[8];
+        for (int m = 0; m < 8; ++m) {
+            r[m] = wp::float32(INFINITY);
+            for (int n = 0; n < num_corners && k < count; ++n) {
+                const float s = records.data[8LL * c[16 * n + k] + m];
+                r[m] = s < r[m] ? s : r[m];
+            }
+        }
+#endif
+        p[k] = r[0];
+        p[16 + k] = r[1];
+        p[32 + k] = r[2];
+        p[48 + k] = -r[4];
+        p[64 + k] = -r[5];
+        p[80 + k] = -r[6];
+    }
+"""
+)
+def write_leaves(
+    records: wp.array[wp.float32],
+    corners: wp.array[wp.int32],
+    num_corners: int,
+    nodes: wp.array[wp.float32],
+    block: int,
+    count: int,
+):
+    """Fill a block of level 0 with the unions of the records of its first ``count`` primitives, else with nothing."""
+    ...
+
+
+@wp.func_native(
+    """
+    const float* b = nodes.data + (long long)block * 96;
+    float* p = nodes.data + at;
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef float Half __attribute__((ext_vector_type(8)));
+    typedef float Quarter __attribute__((ext_vector_type(4)));
+    for (int k = 0; k < 6; ++k) {
+        const Lanes row = k < 3 ? ((const Lanes*)b)[k] : -((const Lanes*)b)[k];
+        const Half h = row.lo < row.hi ? row.lo : row.hi;
+        const Quarter q = h.lo < h.hi ? h.lo : h.hi;
+        const float x = q[0] < q[1] ? q[0] : q[1], y = q[2] < q[3] ? q[2] : q[3];
+        const float m = x < y ? x : y;
+        p[16 * k] = k < 3 ? m : -m;
+    }
+#else
+    for (int k = 0; k < 6; ++k) {
+        float m = b[16 * k];
+        for (int n = 1; n < 16; ++n) {
+            const float x = b[16 * k + n];
+            m = (k < 3 ? x < m : x > m) ? x : m;
+        }
+        p[16 * k] = m;
+    }
+#endif
+"""
+)
+def write_union(nodes: wp.array[wp.float32], block: int, at: int):
+    """Write the union of a block to a place of another."""
+    ...
+
+
+@wp.func
+def node_place(tree: BoxTree, level: int, n: int) -> int:
+    """Where the numbers of box n of a level begin."""
+    return (tree.block_begin[level] + n / WIDTH) * BLOCK_FLOATS + n % WIDTH
+
+
+@wp.func
+def write_nothing(tree: BoxTree, level: int, n: int):
+    """Leave box n of a level empty: it overlaps none but an infinite one."""
+    at = node_place(tree, level, n)
+    for k in range(3):
+        tree.nodes[at + k * WIDTH] = _INFINITY
+        tree.nodes[at + (k + 3) * WIDTH] = -_INFINITY
+
+
+@wp.func
+def unite(tree: BoxTree, level: int, n: int, count: int):
+    """Write box n of the ``count`` boxes of a level; after the last of them nothing, up to the end of its block."""
+    write_union(tree.nodes, tree.block_begin[level - 1] + n, node_place(tree, level, n))
+    if n == count - 1:
+        for m in range(count, (count + WIDTH - 1) / WIDTH * WIDTH):
+            write_nothing(tree, level, m)
+
+
+@wp.func
+def spread_bits(x: wp.uint64) -> wp.uint64:
+    """Put two zeros between the lowest 21 bits."""
+    x = (x | (x << wp.uint64(32))) & wp.uint64(0x1F00000000FFFF)
+    x = (x | (x << wp.uint64(16))) & wp.uint64(0x1F0000FF0000FF)
+    x = (x | (x << wp.uint64(8))) & wp.uint64(0x100F00F00F00F00F)
+    x = (x | (x << wp.uint64(4))) & wp.uint64(0x10C30C30C30C30C3)
+    return (x | (x << wp.uint64(2))) & wp.uint64(0x1249249249249249)
+
+
+@wp.kernel
+def sort_keys(
+    begin: int,
+    # in
+    corners: wp.array[wp.vec3i],
+    records: wp.array[wp.float32],
+    frame: Frame,
+    morton_bits: int,
+    index_bits: int,
+    # out
+    keys: wp.array[wp.int64],
+):
+    """Key of each primitive: size class, Morton code, index. Rounded anyhow: the order is free."""
+    i = begin + wp.tid()
+    c = corners[i]
+    r = united_records(records, c[0], c[1], c[2])
+    largest = wp.float32((wp.int32(1) << morton_bits) - 1)
+    places = vec3ul()
+    longest = wp.float32(0.0)
+    for k in range(3):
+        place = (wp.float32(0.5) * (r[k] - r[k + 4]) + wp.float32(0.5)) * largest
+        place = wp.where(place > wp.float32(0.0), wp.where(place < largest, place, largest), wp.float32(0.0))
+        places[k] = spread_bits(wp.uint64(wp.uint32(place)))
+        longest = wp.max(longest, -r[k] - r[k + 4])
+    code = places[0] | (places[1] << wp.uint64(1)) | (places[2] << wp.uint64(2))
+    size = wp.int32(0)
+    limit = wp.float32(8.0) * frame.typical_extent
+    while size < _LARGEST_CLASS and longest > limit:
+        longest = longest * wp.float32(0.125)
+        size += 1
+    key = (wp.uint64(size) << wp.uint64(3 * morton_bits)) | code
+    keys[i] = wp.int64((key << wp.uint64(index_bits)) | wp.uint64(i))
+
+
+@wp.kernel
+def apply_order(
+    begin: int,
+    # in
+    order: wp.array[wp.int64],
+    index_mask: wp.int64,
+    ids: wp.array[wp.int32],
+    corners: wp.array[wp.vec3i],
+    # out
+    primitive: wp.array[wp.int32],
+    block_corners: wp.array[wp.int32],
+):
+    """Lay a block of primitives out in the order of their keys, or of their plain indices."""
+    b = begin + wp.tid()
+    for lane in range(WIDTH):
+        place = b * WIDTH + lane
+        c = wp.vec3i(-1, -1, -1)
+        if place < ids.shape[0]:
+            i = wp.int32(order[place] & index_mask)
+            c = corners[i]
+            primitive[place] = ids[i]
+        for k in range(3):
+            block_corners[b * BLOCK_CORNERS + lane + k * WIDTH] = c[k]
+
+
+@wp.kernel
+def fill_blocks(
+    begin: int,
+    # in
+    records: wp.array[wp.float32],
+    num_corners: int,
+    # out
+    tree: BoxTree,
+):
+    """Fill a block of level 0 from the records of its vertices, and its union on level 1."""
+    b = begin + wp.tid()
+    write_leaves(records, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+    unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
+
+
+@wp.kernel
+def unite_blocks(
+    begin: int,
+    # in
+    level: int,
+    count: int,
+    # out
+    tree: BoxTree,
+):
+    """Box n of a level from block n of the level below."""
+    unite(tree, level, begin + wp.tid(), count)

@@ -1,0 +1,274 @@
+"""The search for pairs of overlapping boxes in two trees, with the filter of the mesh and the cull in its inner loop.
+
+An item takes sixteen query boxes (on CUDA one), walks the tree of the targets with their union, and at each leaf block
+tests the queries that reach it, sixteen boxes at a time. Within one set, queries look only ahead, at the blocks and
+lanes after their own, so that each pair is found once.
+
+A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**; before the cull it is enough that
+the images of the boxes do. What the cull does not settle is written as a key (first << 32) | second. An item counts
+what it finds and writes what there is room for: a count beyond the room tells the caller to search the items again in
+smaller parts, so nothing is lost.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from .box_tree import WIDTH, BoxTree, box_corners, lowest_bit, overlap_mask, shared_vertex_mask
+from .boxes import boxes_overlap, swept_box
+from .cull import is_free_by_volume
+from .patch import EDGE_EDGE, VERTEX_FACE
+from .points import corners, pair_key, points_of
+
+vec8u = wp.types.vector(length=8, dtype=wp.uint32)
+vec8i = wp.types.vector(length=8, dtype=wp.int32)
+
+_LANES = wp.constant(wp.uint32(0xFFFF))
+_NONE = wp.constant(wp.uint32(0))
+
+# Places in the counts of a search; a row of them fills a cache line, so that threads do not share one.
+CANDIDATES = wp.constant(0)
+FOUND = wp.constant(1)
+NUM_COUNTS = 8
+
+
+@wp.struct
+class Filter:
+    """Which pairs the mesh excludes, beside those that share a vertex."""
+
+    by_body: int  # 1: the two arrays that follow count
+    vertex_body: wp.array[wp.int32]
+    self_collision: wp.array[wp.int32]  # per body
+    by_pair: int  # 1: the array that follows counts
+    body_pairs: wp.array2d[wp.uint8]
+    by_ring: int  # 1: the arrays that follow count
+    ring_begin: wp.array[wp.int32]  # per vertex, one more at the end
+    ring: wp.array[wp.int32]  # the vertices near it, ascending
+
+
+@wp.struct
+class Join:
+    """What is searched for."""
+
+    kind: int
+    within: int  # 1: query and target are one set
+    symmetric: int  # 1: both primitives are of one kind, and the lower index comes first
+    swapped: int  # 1: the query is the second primitive of a pair
+    num_query_corners: int
+    num_target_corners: int
+    item_level: int  # 1: an item is a block of queries, 0: a single one
+    first_item: int
+    item_stride: int
+    t_end: wp.float64
+    inflation: wp.float64
+    separation: wp.float64
+
+
+@wp.func
+def lanes_after(lane: int) -> wp.uint32:
+    """The lanes behind one."""
+    return (_LANES << wp.uint32(lane + 1)) & _LANES
+
+
+@wp.func
+def ahead(mask: wp.uint32, within: int, query_block: int, level: int, block: int) -> wp.uint32:
+    """Without the boxes of an inner block that end before the query's own: those find the query themselves."""
+    if within == 0:
+        return mask
+    first = query_block
+    for _k in range(level - 1):
+        first = first / WIDTH
+    behind = first - block * WIDTH
+    if behind >= WIDTH:
+        return _NONE
+    if behind > 0:
+        return mask & lanes_after(behind - 1)
+    return mask
+
+
+@wp.func
+def is_near(v: int, c: wp.vec3i, rings: Filter) -> bool:
+    """Whether a vertex of a primitive is in the rings around v: a search by halves."""
+    for k in range(3):
+        low = rings.ring_begin[v]
+        high = rings.ring_begin[v + 1]
+        while low < high:
+            middle = (low + high) / 2
+            if rings.ring[middle] < c[k]:
+                low = middle + 1
+            else:
+                high = middle
+        if low < rings.ring_begin[v + 1]:
+            if rings.ring[low] == c[k]:
+                return True
+    return False
+
+
+@wp.func
+def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
+    """Whether the mesh excludes a pair of primitives that share no vertex."""
+    if rules.by_body != 0:
+        body_a = rules.vertex_body[a[0]]
+        body_b = rules.vertex_body[b[0]]
+        if body_a == body_b:
+            if rules.self_collision[body_a] == 0:
+                return True
+        elif rules.by_pair != 0:
+            if rules.body_pairs[body_a, body_b] == wp.uint8(0):
+                return True
+    if rules.by_ring != 0:
+        return is_near(a[0], b, rules) or is_near(a[1], b, rules) or is_near(a[2], b, rules)
+    return False
+
+
+@cache
+def make_pair_search(with_cull: bool) -> SimpleNamespace:
+    """The search, ending at the boxes or at the cull."""
+    module = wp.get_module(f"ccd_warp.pair_search.{'cull' if with_cull else 'boxes'}")
+    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+
+    @wp.func
+    def visit(
+        query: BoxTree,
+        target: BoxTree,
+        join: Join,
+        rules: Filter,
+        x_t0: wp.array[wp.vec3d],
+        x_t1: wp.array[wp.vec3d],
+        q: int,
+        p: int,
+        is_certain: bool,
+        slot: int,
+        first_key: int,
+        room: int,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+    ) -> int:
+        """Filter a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
+        if p >= target.num_boxes or q >= query.num_boxes:
+            return 0  # an empty place meets only a box that is infinite in the image
+        a = box_corners(query, q)
+        b = box_corners(target, p)
+        if is_excluded(a, b, rules):
+            return 0
+        if wp.static(not with_cull):
+            # beside the cull, which tells more, this would cost more than it saves
+            if not is_certain:
+                box_a = swept_box(a, x_t0, x_t1, join.t_end, join.inflation)
+                box_b = swept_box(b, x_t0, x_t1, join.t_end, join.inflation)
+                if not boxes_overlap(box_a, box_b):
+                    return 0
+        i = query.primitive[q]
+        j = target.primitive[p]
+        if join.swapped != 0 or (join.symmetric != 0 and j < i):
+            c = a
+            a = b
+            b = c
+            k = i
+            i = j
+            j = k
+        if wp.static(with_cull):
+            if join.kind == EDGE_EDGE or join.kind == VERTEX_FACE:  # other pairs have no volume
+                c0 = corners(join.kind, points_of(join.kind, a, b, x_t0))
+                c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
+                if is_free_by_volume(c0, c1, join.separation, join.t_end):
+                    return 1
+        n = wp.atomic_add(counts, slot, FOUND, wp.int64(1))
+        if n < wp.int64(room):
+            keys[first_key + wp.int32(n)] = pair_key(i, j)
+        return 1
+
+    @wp.kernel(module=module)
+    def search_pairs(
+        begin: int,
+        # in
+        query: BoxTree,
+        target: BoxTree,
+        join: Join,
+        rules: Filter,
+        x_t0: wp.array[wp.vec3d],
+        x_t1: wp.array[wp.vec3d],
+        slot: int,
+        first_key: int,
+        room: int,
+        # out
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+    ):
+        """Find the partners of the query boxes of an item."""
+        # the item is box `item` of its level
+        item = join.first_item + (begin + wp.tid()) * join.item_stride
+        item_block = query.block_begin[join.item_level] + item / WIDTH
+        item_lane = item % WIDTH
+        query_block = item
+        if join.item_level == 0:
+            query_block = item / WIDTH
+        num_candidates = int(0)
+        pending = vec8u()
+        node = vec8i()
+        top = target.num_levels - 1
+        level = wp.int32(top)
+        node[top] = 0
+        mask = overlap_mask(target.nodes, target.block_begin[top], query.nodes, item_block, item_lane, 0)
+        pending[top] = ahead(mask, join.within, query_block, top, 0)
+        while level <= top:
+            if pending[level] == _NONE:
+                level += 1
+            else:
+                # box `child` of this level is block `child` of the level below
+                lane = lowest_bit(pending[level])
+                pending[level] = pending[level] & (pending[level] - wp.uint32(1))
+                child = node[level] * WIDTH + lane
+                if level > 1:
+                    level -= 1
+                    block = target.block_begin[level] + child
+                    mask = overlap_mask(target.nodes, block, query.nodes, item_block, item_lane, 0)
+                    node[level] = child
+                    pending[level] = ahead(mask, join.within, query_block, level, child)
+                else:
+                    queries = wp.uint32(1) << wp.uint32(item_lane)
+                    if join.item_level == 1:
+                        parent = target.block_begin[1] + node[1]
+                        queries = overlap_mask(query.nodes, query_block, target.nodes, parent, lane, 0)
+                    while queries != _NONE:
+                        query_lane = lowest_bit(queries)
+                        queries = queries & (queries - wp.uint32(1))
+                        both = overlap_mask(target.nodes, child, query.nodes, query_block, query_lane, 1)
+                        mask = both & _LANES
+                        if join.within != 0 and child == query_block:
+                            mask = mask & lanes_after(query_lane)
+                        if mask != _NONE:
+                            mask = mask & ~shared_vertex_mask(
+                                target.corners,
+                                child,
+                                join.num_target_corners,
+                                query.corners,
+                                query_block,
+                                query_lane,
+                                join.num_query_corners,
+                            )
+                        while mask != _NONE:
+                            target_lane = lowest_bit(mask)
+                            mask = mask & (mask - wp.uint32(1))
+                            is_certain = ((both >> wp.uint32(16 + target_lane)) & wp.uint32(1)) != _NONE
+                            num_candidates += visit(
+                                query,
+                                target,
+                                join,
+                                rules,
+                                x_t0,
+                                x_t1,
+                                query_block * WIDTH + query_lane,
+                                child * WIDTH + target_lane,
+                                is_certain,
+                                slot,
+                                first_key,
+                                room,
+                                counts,
+                                keys,
+                            )
+        if num_candidates > 0:
+            wp.atomic_add(counts, slot, CANDIDATES, wp.int64(num_candidates))
+
+    return SimpleNamespace(search_pairs=search_pairs)
