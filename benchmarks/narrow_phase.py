@@ -16,13 +16,9 @@ median of the rounds' ratios. Errors are against exact arithmetic, on the querie
 from __future__ import annotations
 
 import argparse
-import datetime
-import importlib.metadata
 import json
 import math
 import multiprocessing
-import os
-import platform
 import subprocess
 import sys
 import time
@@ -33,6 +29,7 @@ from pathlib import Path
 import ipctk
 import numpy as np
 import warp as wp
+from machine import machine
 from queries import FAMILIES, IN_PLANE, SOLVE, ExactToi, all_queries, exact_tois
 from tqdm import tqdm
 
@@ -403,24 +400,6 @@ def measure_threads(rounds: int) -> list[dict]:
 
 
 # ---- Report ----------------------------------------------------------------------------------------------------------
-
-
-def machine() -> dict:
-    """Name of the processor and versions of what was measured."""
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        name = next(
-            (line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line), name
-        )
-    versions = {package: importlib.metadata.version(package) for package in ("ccd-warp", "warp-lang", "numpy", "ipctk")}
-    return {
-        "cpu": name,
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-        "versions": versions,
-        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
-    }
 
 
 def _faults(counts: dict) -> str:

@@ -81,9 +81,7 @@ def cloth_over_sphere(num_faces: int) -> Scene:
     sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
     ball, ball_faces = sphere(num_faces // 5, 0.5)
     ball = ball - [0, 0, 0.54]
-    return joined(
-        f"cloth over sphere, {num_faces:,}", [(sheet, sheet - [0, 0, 0.05], faces), (ball, ball, ball_faces)]
-    )
+    return joined(f"cloth over sphere, {num_faces:,}", [(sheet, sheet - [0, 0, 0.05], faces), (ball, ball, ball_faces)])
 
 
 def spheres_through_each_other(num_faces: int) -> Scene:

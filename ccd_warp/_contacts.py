@@ -65,9 +65,8 @@ class ContactStore:
         self._execution = execution
         self._largest = largest
 
-    def solve(self, step: "Step", kernel: Any, batch: list[Found], options: Any) -> None:
-        """Run the narrow phase on a batch and keep the pairs with a finite toi."""
-        room = len(batch[0].keys)
+    def solve(self, step: "Step", kernel: Any, batch: list[Found], room: int, options: Any) -> None:
+        """Run the narrow phase on a batch that lies in so much room, and keep the pairs with a finite toi."""
         scratch = kernels.Contacts()
         for name, dtype in _FIELDS.items():
             setattr(scratch, name, self._buffers.get(f"contact {name}", room, dtype))

@@ -91,5 +91,6 @@ class Execution:
         futures = [_pool().submit(work) for _ in range(min(self.num_threads, len(tasks)) - 1)]
         work()
         for future in futures:
-            future.result()
+            if not future.cancel():  # one that waits for a thread of the pool has nothing left to do
+                future.result()
         return results

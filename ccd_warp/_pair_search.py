@@ -21,7 +21,7 @@ _FOUND = int(kernels.FOUND)
 _NUM_COUNTS = int(kernels.NUM_COUNTS)
 # Parts of a search for each thread, so that none waits long for another, and the fewest blocks worth a part.
 _PARTS_PER_THREAD = 8
-_SMALLEST_PART = 256
+_SMALLEST_PART = 128
 KEY_BYTES = 8
 
 
@@ -90,33 +90,25 @@ class _Region:
 
 def joins_of(boxes: StepBoxes, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
     """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
-    joins = []
-
-    def add(join: Join) -> None:
-        if boxes.may_meet(join.query, join.target):
-            joins.append(join)
-
+    wanted = []
     for kind in kinds:
         first, second = PRIMITIVES[kind]
-        if first == second:
-            tree = boxes.tree(first, is_static=False)
-            resting = boxes.tree(first, is_static=True)
-            if tree and not skip_moving:
-                add(Join(kind, tree, tree))
-            if tree and resting:
-                add(Join(kind, tree, resting))
-            continue
         for a_static, b_static in ((False, False), (False, True), (True, False)):
-            if not (a_static or b_static) and skip_moving:
+            is_mirrored = a_static and first == second
+            if is_mirrored or (skip_moving and not a_static and not b_static):
                 continue
-            if not boxes.topology.primitives(first, a_static).count:
-                continue
-            if not boxes.topology.primitives(second, b_static).count:
-                continue
-            a, b = boxes.tree(first, a_static), boxes.tree(second, b_static)
-            assert a and b
-            # what moves asks, so that the tree of what rests is built for targets alone
-            add(Join(kind, b, a, swapped=True) if a_static else Join(kind, a, b))
+            if boxes.topology.primitives(first, a_static).count and boxes.topology.primitives(second, b_static).count:
+                wanted.append((kind, (first, a_static), (second, b_static)))
+    boxes.build([end for _, *ends in wanted for end in ends])
+    joins = []
+    for kind, a, b in wanted:
+        tree_a, tree_b = boxes.tree(*a), boxes.tree(*b)
+        # what moves asks, so that the tree of what rests is only looked up
+        is_swapped = a[1]
+        assert tree_a and tree_b
+        join = Join(kind, tree_b, tree_a, swapped=True) if is_swapped else Join(kind, tree_a, tree_b)
+        if boxes.may_meet(join.query, join.target):
+            joins.append(join)
     return joins
 
 
@@ -127,6 +119,7 @@ class PairSearch:
         candidates: Pairs of each kind that passed the boxes and the mesh's filter.
         num_batches: Times that the room was filled.
         num_launches: Launches of the search, by kind.
+        room: Pairs that the last batch had room for.
     """
 
     def __init__(
@@ -144,7 +137,7 @@ class PairSearch:
         self.buffers = buffers
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
-        self.num_batches = 0
+        self.num_batches = self.room = 0
         self._boxes = boxes
         self._kernel = make_pair_search(with_cull).search_pairs
         self._with_cull = with_cull
@@ -171,8 +164,8 @@ class PairSearch:
         wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
         room = min(self._largest_room, max(self._num_workers * least, wanted, 1 << 16))
         while pending:
-            keys = self.buffers.get("keys", room, wp.int64)
-            room = min(len(keys), self._largest_room)
+            self.buffers.get("keys", room, wp.int64)
+            self.room = room
             regions = self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room)
             self.num_batches += 1
             yield [found for region in regions for found in region.found]
@@ -190,8 +183,8 @@ class PairSearch:
         bounds = [count * k // parts for k in range(parts + 1)]
         return [_Part(join, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k]) for k in range(parts)]
 
-    def _launch(self, part: _Part, slot: int, begin: int, room: int) -> None:
-        join = part.join
+    def _record(self, join: Join) -> wp.Launch:
+        """The launch of a join, whose items and room are set by :meth:`_launch`: packing the trees once is cheaper."""
         rules = kernels.Join()
         rules.kind = int(join.kind)
         rules.within = int(join.within)
@@ -199,30 +192,26 @@ class PairSearch:
         rules.swapped = int(join.swapped)
         rules.num_query_corners = join.query.primitives.num_corners
         rules.num_target_corners = join.target.primitives.num_corners
-        rules.item_level = part.level
-        rules.first_item, rules.item_stride = part.first, part.stride
         rules.t_end = self._t_end
         rules.inflation = self._boxes.inflation
         rules.separation = self._separation
         boxes = self._boxes
-        wp.launch(
+        trees = [join.query.arrays, join.target.arrays]
+        return wp.launch(
             self._kernel,
-            dim=part.count,
-            inputs=[
-                0,
-                join.query.arrays,
-                join.target.arrays,
-                rules,
-                boxes.topology.rules,
-                boxes.x_t0,
-                boxes.x_t1,
-                slot,
-                begin,
-                room,
-            ],
+            dim=1,
+            inputs=[0, 1, 1, 0, 0, 0, *trees, rules, boxes.topology.rules, boxes.x_t0, boxes.x_t1],
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64)],
             device=self.execution.device,
+            record_cmd=True,
         )
+
+    @staticmethod
+    def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, room: int) -> None:
+        for index, value in enumerate((part.first, part.stride, part.level, slot, begin, room)):
+            command.set_param_at_index(index, value)
+        command.set_dim(part.count)
+        command.launch()
 
     def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
         self.candidates[part.join.kind] += int(counts[_CANDIDATES])
@@ -245,6 +234,7 @@ class PairSearch:
 
         def work(region: _Region) -> None:
             counts = host[region.slot]
+            commands: dict[int, wp.Launch] = {}
             while True:
                 with lock:
                     if not pending:
@@ -252,7 +242,9 @@ class PairSearch:
                     part = pending.popleft()
                 begin = region.begin + region.filled
                 counts[:] = 0
-                self._launch(part, region.slot, begin, region.end - begin)
+                command = commands.get(id(part.join)) or self._record(part.join)
+                commands[id(part.join)] = command
+                self._launch(command, part, region.slot, begin, region.end - begin)
                 with lock:
                     if counts[_FOUND] <= region.end - begin:
                         self._keep(region, part, begin, counts)
@@ -271,7 +263,7 @@ class PairSearch:
         self._counts.zero_()
         bounds = [room * k // len(parts) for k in range(len(parts) + 1)]
         for k, part in enumerate(parts):
-            self._launch(part, k, bounds[k], bounds[k + 1] - bounds[k])
+            self._launch(self._record(part.join), part, k, bounds[k], bounds[k + 1] - bounds[k])
         host = self._counts.numpy()
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
         for k, part in enumerate(parts):

@@ -129,7 +129,7 @@ class Step:
         }
         return tuple(kind for kind in self.options.kinds if possible[kind])
 
-    def begin_boxes(self, inflation: float, t_end: float) -> None:
+    def begin_boxes(self, inflation: float, t_end: float, num_frames: int) -> None:
         """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
         mesh = self.mesh
         active = None
@@ -141,7 +141,7 @@ class Step:
             self.counts["active bodies"] = int((near | mesh.static).sum())
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))
-        self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, active)
+        self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, num_frames, active)
 
     def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> tuple[PairSearch, list]:
         """A search over all joins, with the room that the memory limit leaves."""
@@ -177,7 +177,7 @@ class Step:
     @property
     def fixed_bytes(self) -> int:
         """Bytes of the mesh's topology and of the boxes."""
-        return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact")
+        return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact", "pair")
 
     def largest_contacts(self) -> int:
         """Contacts that the memory limit has room for."""
@@ -188,7 +188,7 @@ class Step:
     def candidates(self, inflation: float) -> dict[PairKind, list[NDArray[np.int64]]]:
         """Keys of all pairs whose boxes overlap, unsorted, in parts."""
         with self.timed("boxes"):
-            self.begin_boxes(inflation, 1.0)
+            self.begin_boxes(inflation, 1.0, num_frames=1)
         with self.timed("pairs"):
             search, joins = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
             parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
@@ -236,7 +236,7 @@ class Step:
         """
         best = self.options.t_max
         with self.timed("boxes"):
-            self.begin_boxes(self.inflation, best)
+            self.begin_boxes(self.inflation, best, num_frames=2)
         for stride in (_SAMPLE_STRIDE, 1):
             if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
                 continue
@@ -266,7 +266,7 @@ class Step:
         kernel = make_narrow_phase(self.options.real).pairs_bound
         options = self.options.for_kernel(self.length_scale)
         parts = self.parts_of(batch)
-        bits = self.buffers.rows("toi bits", len(parts), 8, wp.int64)
+        bits = self.buffers.rows("pair bits", len(parts), 8, wp.int64)
         bits.fill_(int(np.array(bound).view(np.int64)))
         self.launch_on_pairs(kernel, parts, lambda _part, slot: [options, slot], [bits])
         return float(bits.numpy()[:, 0].min().view(np.float64))
@@ -283,7 +283,7 @@ class Step:
         t_max = self.options.t_max
         survivors: Counter[PairKind] = Counter()
         with self.timed("boxes"):
-            self.begin_boxes(self.inflation, t_max)
+            self.begin_boxes(self.inflation, t_max, num_frames=2)
         with self.timed("pairs"):
             search, joins = self.search(
                 with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + ContactStore.BYTES_PER_CONTACT
@@ -301,7 +301,7 @@ class Step:
                 for found in batch:
                     survivors[found.kind] += found.count
                 if batch:
-                    store.solve(self, kernel, batch, options)
+                    store.solve(self, kernel, batch, search.room, options)
         self.count_pairs(search)
         if not store.is_complete:
             total = sum(store.count.values())

@@ -15,10 +15,12 @@ from ccd_warp.kernels import box_tree as kernels
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A block whose longest side is beyond this multiple of a typical primitive's is no longer one of neighbours.
 _LARGEST_BLOCK = 12.0
-_CHECKED_BLOCKS = 256
+_CHECKED_BLOCKS = 64
+# Boxes of a level that are united in one launch with all levels above.
+_FEW_BOXES = 2048
 _NO_END = 1.0
 # Share of the step below which making the boxes of what is left of it pays.
-_WORTH_SHORTENING = 0.75
+_WORTH_SHORTENING = 0.5
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,17 @@ class Tree:
     arrays: Any  # kernels.BoxTree
     levels: tuple[int, ...]  # blocks of each level
 
+    def level_boxes(self, level: int) -> NDArray[np.float32]:
+        """Lower and upper corners of a level, by block, frame, corner, axis and lane; on the CPU."""
+        size = self.arrays.num_frames * BLOCK_FLOATS
+        first = sum(self.levels[:level])
+        floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
+        return floats.reshape(-1, self.arrays.num_frames, 2, 3, WIDTH)
+
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The box around the tree, in the image; on the CPU."""
-        top = sum(self.levels[:-1])
-        block = self.arrays.nodes.numpy()[top * BLOCK_FLOATS : (top + 1) * BLOCK_FLOATS].reshape(2, 3, WIDTH)
-        return block[0].min(axis=1), block[1].max(axis=1)
+        block = self.level_boxes(len(self.levels) - 1)[0]
+        return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
 
 
 @dataclass(frozen=True)
@@ -43,12 +51,13 @@ class _StaticKey:
     positions: NDArray[np.float64]
     frame: tuple[float, ...]
     inflation: float
+    num_frames: int
 
     def same(self, other: "_StaticKey | None") -> bool:
         return (
             other is not None
             and self.frame == other.frame
-            and self.inflation == other.inflation
+            and (self.inflation, self.num_frames) == (other.inflation, other.num_frames)
             and np.array_equal(self.positions, other.positions)
         )
 
@@ -87,20 +96,22 @@ class StepBoxes:
         t_end: float,
         inflation: float,
         execution: Execution,
+        num_frames: int,
         active: wp.array | None = None,
     ) -> None:
-        """Start a step: its positions, the share of it that counts, and the bodies that do."""
+        """Start a step: its positions, the share of it that counts, frames of a box, and the bodies that matter."""
         start, end = host
         self.execution = execution
         self.x_t0, self.x_t1, self.inflation = x_t0, x_t1, inflation
         self.num_boxes = self.num_sorted = 0
         self.active = self._all_active if active is None else active
-        self.frame = choose_frame(self.topology.mesh, start, end)
+        self.num_frames = num_frames
+        self.frame = choose_frame(self.topology.mesh, start, end, num_frames)
         self._trees.clear()
         resting = self.topology.static_vertices_host
         if len(resting):
             frame = (*self.frame.origin, self.frame.scale)
-            key = _StaticKey(start[resting], frame, inflation)
+            key = _StaticKey(start[resting], frame, inflation, num_frames)
             if not key.same(self._static_key):
                 self._static_key = key
                 self._static_trees.clear()
@@ -114,18 +125,22 @@ class StepBoxes:
             return
         self.t_end = t_end
         self._fill_records(self.topology.moving_vertices, self.active, t_end)
-        for tree in self._trees.values():
-            self._fill(tree)
+        self.execution.run([lambda t=t: self._fill(t) for t in self._trees.values()])  # type: ignore[misc]
+
+    def build(self, wanted: list[tuple[str, bool]]) -> None:
+        """Make trees, at the same time: kinds of primitives, and whether they rest."""
+        sets = [(self.topology.primitives(kind, is_static), is_static) for kind, is_static in dict.fromkeys(wanted)]
+        new = [(p, s) for p, s in sets if p.count and p.name not in (self._static_trees if s else self._trees)]
+        built = self.execution.run([lambda p=p: self._build(p) for p, _ in new])  # type: ignore[misc]
+        for tree, (primitives, is_static) in zip(built, new, strict=True):
+            (self._static_trees if is_static else self._trees)[primitives.name] = tree
+            self.num_boxes += primitives.count
 
     def tree(self, kind: str, is_static: bool) -> Tree | None:
         """The tree of the primitives of a kind that move, or rest; None if there are none."""
-        primitives = self.topology.primitives(kind, is_static)
-        if primitives.count == 0:
-            return None
+        self.build([(kind, is_static)])
         trees = self._static_trees if is_static else self._trees
-        if primitives.name not in trees:
-            trees[primitives.name] = self._build(primitives)
-        return trees[primitives.name]
+        return trees.get(self.topology.primitives(kind, is_static).name)
 
     def may_meet(self, a: Tree, b: Tree) -> bool:
         """Whether the boxes around two trees overlap; on CUDA that is for the search to find."""
@@ -136,7 +151,7 @@ class StepBoxes:
         return bool((low_a <= high_b).all() and (low_b <= high_a).all())
 
     def _fill_records(self, vertices: wp.array, active: wp.array, t_end: float) -> None:
-        records = self.buffers.get("records", self.topology.mesh.num_vertices * RECORD, wp.float32)
+        records = self.buffers.get("records", self.topology.mesh.num_vertices * self.num_frames * RECORD, wp.float32)
         self.execution.launch(
             kernels.fill_records,
             len(vertices),
@@ -149,6 +164,7 @@ class StepBoxes:
                 t_end,
                 self.inflation,
                 self.frame,
+                self.num_frames,
             ],
             outputs=[records],
         )
@@ -157,13 +173,15 @@ class StepBoxes:
     def _build(self, primitives: PrimitiveSet) -> Tree:
         levels = level_sizes(primitives.count)
         first = np.concatenate([[0], np.cumsum(levels)])
-        if first[-1] * BLOCK_FLOATS >= 2**31:
-            raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 300 million")
+        size = int(first[-1]) * BLOCK_FLOATS * self.num_frames
+        if size >= 2**31:
+            raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 150 million")
         arrays = kernels.BoxTree()
         arrays.num_boxes = primitives.count
         arrays.num_levels = len(levels)
+        arrays.num_frames = self.num_frames
         arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
-        arrays.nodes = self.buffers.get(f"{primitives.name} boxes", int(first[-1]) * BLOCK_FLOATS, wp.float32)
+        arrays.nodes = self.buffers.get(f"{primitives.name} boxes", size, wp.float32)
         tree = Tree(primitives, arrays, levels)
         # On CUDA sorting is cheap, and whether it is needed would have to be read back.
         in_order = not self.execution.is_cuda
@@ -174,13 +192,12 @@ class StepBoxes:
         if not in_order:
             self._sort(primitives, arrays)
             self._fill(tree)
-        self.num_boxes += primitives.count
         return tree
 
     def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
         """Order the primitives by where they are now."""
         self.num_sorted += 1
-        keys = sorted_keys(primitives, self.records, self.frame, self.buffers, self.execution)
+        keys = sorted_keys(primitives, self.records, self.num_frames, self.frame, self.buffers, self.execution)
         name = primitives.name
         arrays.primitive = self.buffers.get(f"{name} order", primitives.count, wp.int32)
         arrays.corners = self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
@@ -195,20 +212,24 @@ class StepBoxes:
     def _fill(self, tree: Tree) -> None:
         """The boxes of every level, from the records."""
         inputs = [self.records, tree.primitives.num_corners]
-        self.execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=256)
-        for level in range(2, len(tree.levels)):
+        self.execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
+        level, last = 2, len(tree.levels)
+        while level < last and (self.execution.is_cuda or tree.levels[level - 1] > _FEW_BOXES):
             count = tree.levels[level - 1]
             self.execution.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[tree.arrays])
+            level += 1
+        if level < last:
+            inputs = [level, tree.levels[level - 1]]
+            wp.launch(kernels.unite_levels, 1, inputs, [tree.arrays], device=self.execution.device)
 
     def _is_in_order(self, tree: Tree) -> bool:
         """Whether most of the blocks are no longer than neighbours are together."""
         count = tree.levels[0]
         if count <= 4:
             return True
-        first = tree.arrays.block_begin[1]
-        boxes = tree.arrays.nodes.numpy()[first * BLOCK_FLOATS :][: tree.levels[1] * BLOCK_FLOATS].reshape(-1, 6, WIDTH)
         chosen = (np.arange(_CHECKED_BLOCKS) * count) // _CHECKED_BLOCKS
-        boxes = boxes[chosen // WIDTH, :, chosen % WIDTH]
+        boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
         with np.errstate(invalid="ignore", over="ignore"):
-            longest = (boxes[:, 3:] - boxes[:, :3]).max(axis=1)
-        return bool(np.median(longest) <= _LARGEST_BLOCK * self.frame.typical_extent)
+            longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
+        longest.sort()
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self.frame.typical_extent)

@@ -155,20 +155,20 @@ class Topology:
         if primitives.name not in self._orders:
             mesh = self.mesh
             rest: wp.array = wp.array(mesh.vertices, dtype=wp.vec3d, device=self.device)
-            frame = choose_frame(mesh, mesh.vertices, mesh.vertices)
+            frame = choose_frame(mesh, mesh.vertices, mesh.vertices, 1)
             records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
             every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
             active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
             execution.launch(
                 kernels.fill_records,
                 mesh.num_vertices,
-                inputs=[every, self.vertex_body, active, rest, rest, 1.0, 0.0, frame],
+                inputs=[every, self.vertex_body, active, rest, rest, 1.0, 0.0, frame, 1],
                 outputs=[records],
             )
-            keys = sorted_keys(primitives, records, frame, None, execution)
+            keys = sorted_keys(primitives, records, 1, frame, None, execution)
             mask = (1 << primitives.index_bits) - 1
             if not execution.is_cuda and primitives.count > WIDTH:
-                centres = mesh.vertices[primitives.corners.numpy()].mean(axis=1)
+                centres = (mesh.vertices[primitives.corners.numpy()] / 3).sum(axis=1)
                 order = refined_order((keys.numpy()[: primitives.count] & mask), centres)
                 keys = self._array(order, wp.int64)
             primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
@@ -193,7 +193,7 @@ class Topology:
 
 
 def sorted_keys(
-    primitives: PrimitiveSet, records: wp.array, frame: Any, buffers: Any, execution: Execution
+    primitives: PrimitiveSet, records: wp.array, num_frames: int, frame: Any, buffers: Any, execution: Execution
 ) -> wp.array:
     """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
     count = primitives.count
@@ -208,7 +208,7 @@ def sorted_keys(
     execution.launch(
         kernels.sort_keys,
         count,
-        inputs=[primitives.corners, records, frame, morton_bits, primitives.index_bits],
+        inputs=[primitives.corners, records, num_frames, frame, morton_bits, primitives.index_bits],
         outputs=[keys],
     )
     sort_in_place(keys, count, execution)
@@ -244,8 +244,8 @@ def refined_order(order: NDArray[np.int64], centres: NDArray[np.float64]) -> NDA
     return np.concatenate([head.reshape(-1), order[whole:]])
 
 
-def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> Any:
-    """The map to float32 and the extent that counts as typical, from samples of the step.
+def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_frames: int) -> Any:
+    """The map to float32 and the extent that counts as typical of a box, from samples of the step.
 
     The middle nine tenths of the vertices, thrice as wide, map to [-1/2, 1/2]: a vertex far away costs the others no
     resolution. The origin lies on a coarse lattice, so that it stays where it is while the scene does, and with it the
@@ -260,8 +260,11 @@ def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[n
         margin = NUM_SAMPLES // 20
         primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(len(start))[:, None])
         chosen = primitives[(np.arange(NUM_SAMPLES) * len(primitives)) // NUM_SAMPLES]
-        ends = np.concatenate([start[chosen], end[chosen]], axis=1)
-        half_extent = float(np.median((0.5 * ends.max(axis=1) - 0.5 * ends.min(axis=1)).max(axis=1)))
+        boxes = (
+            [start[chosen], end[chosen]] if num_frames == 2 else [np.concatenate([start[chosen], end[chosen]], axis=1)]
+        )
+        sizes = [(0.5 * box.max(axis=1) - 0.5 * box.min(axis=1)).max(axis=1) for box in boxes]
+        half_extent = float(np.median(np.max(sizes, axis=0)))
         half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
         exponent = int(np.clip(np.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
         lattice = 2.0 ** (exponent - 2)

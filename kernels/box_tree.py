@@ -1,9 +1,16 @@
 """A tree of boxes without pointers: boxes along a space-filling curve, sixteen to a block, sixteen blocks to a node.
 
+**Frames.** A box is kept for each frame: one, the box swept over the whole step, where boxes are what is asked for; or
+two, the boxes at both ends of the step, where contacts are. A point of a primitive moves on a line, so between the ends
+it lies in the box interpolated between theirs, and two primitives whose boxes are on the same sides of each other along
+one axis at both ends are so all the while. Things that move together have large swept boxes, and do not meet by this
+test.
+
 Boxes are sorted by a key (size class, Morton code of the centre), so neighbours in the list are neighbours in space.
-Sixteen boxes that follow each other are a **block**, kept as six rows of sixteen float32 numbers. Level 0 is the boxes
-themselves; box n of level k + 1 is the union of block n of level k, up to a level of a single block, level 1 or above.
-Nothing else is stored: which boxes lie under which follows from their places. The order decides on speed alone.
+Sixteen boxes that follow each other are a **block**, kept as six rows of sixteen float32 numbers a frame. Level 0 is
+the boxes themselves; box n of level k + 1 is the union of block n of level k, up to a level of a single block, level 1
+or above. Nothing else is stored: which boxes lie under which follows from their places. The order decides on speed
+alone.
 
 **float32 without rounding outward.** A coordinate x becomes f(x) = float32((x/2 - origin/2) · 2 scale), with a scale
 that is a power of two. The difference, the product and both roundings are monotone, so a <= b implies f(a) <= f(b), for
@@ -21,7 +28,7 @@ Wald et al. 2008, "Getting rid of packets" (one ray against a wide node).
 
 import warp as wp
 
-from .boxes import Box, grown, inflated
+from .boxes import end_box, inflated, point_box, united
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -47,8 +54,10 @@ class BoxTree:
 
     num_boxes: int
     num_levels: int
+    num_frames: int
     block_begin: vec8i  # first block of each level
-    nodes: wp.array[wp.float32]  # a block: lower x, y, z, upper x, y, z of sixteen boxes; inf, -inf where there is none
+    # a block, a frame: lower x, y, z, upper x, y, z of sixteen boxes; inf and -inf where there is none
+    nodes: wp.array[wp.float32]
     primitive: wp.array[wp.int32]
     corners: wp.array[wp.int32]  # a block: three vertices of sixteen primitives
 
@@ -100,6 +109,54 @@ def overlap_mask(
 
     The vector branch is Clang's portable vector extension, lowered to whatever the processor has.
     """
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int Mask __attribute__((ext_vector_type(16)));
+    typedef bool Bits __attribute__((ext_vector_type(16)));
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 192);
+    const Lanes* c = b + 6;
+    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    const float* r = q + 96;
+    Mask m = (b[0] <= (Lanes)q[48]) | (c[0] <= (Lanes)r[48]);
+    m &= (b[1] <= (Lanes)q[64]) | (c[1] <= (Lanes)r[64]);
+    m &= (b[2] <= (Lanes)q[80]) | (c[2] <= (Lanes)r[80]);
+    m &= (b[3] >= (Lanes)q[0]) | (c[3] >= (Lanes)r[0]);
+    m &= (b[4] >= (Lanes)q[16]) | (c[4] >= (Lanes)r[16]);
+    m &= (b[5] >= (Lanes)q[32]) | (c[5] >= (Lanes)r[32]);
+    const Bits bits = __builtin_convertvector(m, Bits);
+    unsigned short mask;
+    __builtin_memcpy(&mask, &bits, 2);
+    return mask;
+#else
+    const float* b = nodes.data + (long long)block * 192;
+    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    unsigned mask = 0;
+    for (int k = 0; k < 16; ++k) {
+        bool meet = true;
+        for (int n = 0; n < 48; n += 16) {
+            meet = meet && (b[n + k] <= q[n + 48] || b[n + 96 + k] <= q[n + 144]);
+            meet = meet && (b[n + 48 + k] >= q[n] || b[n + 144 + k] >= q[n + 96]);
+        }
+        mask |= (unsigned)meet << k;
+    }
+    return mask;
+#endif
+"""
+)
+def moving_overlap_mask(
+    nodes: wp.array[wp.float32],
+    block: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+    with_open: int,
+) -> wp.uint32:
+    """The same for two frames: which of the sixteen boxes are not on one side of a box at both ends."""
     ...
 
 
@@ -192,26 +249,30 @@ def fill_records(
     t_end: wp.float64,
     inflation: wp.float64,
     frame: Frame,
+    num_frames: int,
     # out
     records: wp.array[wp.float32],
 ):
-    """The image of each vertex's swept box, (lower, 0, -upper, 0), so that a union is a minimum; empty if inactive."""
+    """The image of each vertex's box, (lower, 0, -upper, 0) a frame: a union is a minimum. Empty if inactive."""
     v = vertices[begin + wp.tid()]
-    lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
-    upper = -lower
-    if body_active[vertex_body[v]] != 0:
-        box = Box()
-        box.lower = x_t0[v]
-        box.upper = x_t0[v]
-        box = inflated(grown(box, x_t0[v], x_t1[v], t_end), inflation)
-        lower = image(box.lower, frame)
-        upper = image(box.upper, frame)
-    at = v * RECORD
-    for k in range(3):
-        records[at + k] = lower[k]
-        records[at + k + 4] = -upper[k]
-    records[at + 3] = wp.float32(0.0)
-    records[at + 7] = wp.float32(0.0)
+    for n in range(num_frames):
+        lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
+        upper = -lower
+        if body_active[vertex_body[v]] != 0:
+            box = point_box(x_t0[v])
+            if num_frames == 1:
+                box = united(box, end_box(x_t0[v], x_t1[v], t_end))
+            elif n == 1:
+                box = end_box(x_t0[v], x_t1[v], t_end)
+            box = inflated(box, inflation)
+            lower = image(box.lower, frame)
+            upper = image(box.upper, frame)
+        at = (v * num_frames + n) * RECORD
+        for k in range(3):
+            records[at + k] = lower[k]
+            records[at + k + 4] = -upper[k]
+        records[at + 3] = wp.float32(0.0)
+        records[at + 7] = wp.float32(0.0)
 
 
 @wp.func_native(
@@ -241,16 +302,17 @@ def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> 
 
 @wp.func_native(
     """
-    float* p = nodes.data + (long long)block * 96;
     const int* c = corners.data + (long long)block * 48;
+    for (int f = 0; f < num_frames; ++f)
     for (int k = 0; k < 16; ++k) {
+        float* p = nodes.data + ((long long)block * num_frames + f) * 96;
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
         typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
         Record r = (Record)__builtin_inff();
         if (k < count) {
-            r = *(const Record*)(records.data + 8LL * c[k]);
+            r = *(const Record*)(records.data + 8LL * (num_frames * (long long)c[k] + f));
             for (int n = 1; n < num_corners; ++n) {
-                const Record s = *(const Record*)(records.data + 8LL * c[16 * n + k]);
+                const Record s = *(const Record*)(records.data + 8LL * (num_frames * (long long)c[16 * n + k] + f));
                 r = s < r ? s : r;
             }
         }
@@ -259,7 +321,7 @@ def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> 
         for (int m = 0; m < 8; ++m) {
             r[m] = wp::float32(INFINITY);
             for (int n = 0; n < num_corners && k < count; ++n) {
-                const float s = records.data[8LL * c[16 * n + k] + m];
+                const float s = records.data[8LL * (num_frames * (long long)c[16 * n + k] + f) + m];
                 r[m] = s < r[m] ? s : r[m];
             }
         }
@@ -275,6 +337,7 @@ def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> 
 )
 def write_leaves(
     records: wp.array[wp.float32],
+    num_frames: int,
     corners: wp.array[wp.int32],
     num_corners: int,
     nodes: wp.array[wp.float32],
@@ -319,24 +382,27 @@ def write_union(nodes: wp.array[wp.float32], block: int, at: int):
 
 
 @wp.func
-def node_place(tree: BoxTree, level: int, n: int) -> int:
+def node_place(tree: BoxTree, level: int, n: int, frame: int) -> int:
     """Where the numbers of box n of a level begin."""
-    return (tree.block_begin[level] + n / WIDTH) * BLOCK_FLOATS + n % WIDTH
+    return ((tree.block_begin[level] + n / WIDTH) * tree.num_frames + frame) * BLOCK_FLOATS + n % WIDTH
 
 
 @wp.func
 def write_nothing(tree: BoxTree, level: int, n: int):
     """Leave box n of a level empty: it overlaps none but an infinite one."""
-    at = node_place(tree, level, n)
-    for k in range(3):
-        tree.nodes[at + k * WIDTH] = _INFINITY
-        tree.nodes[at + (k + 3) * WIDTH] = -_INFINITY
+    for f in range(tree.num_frames):
+        at = node_place(tree, level, n, f)
+        for k in range(3):
+            tree.nodes[at + k * WIDTH] = _INFINITY
+            tree.nodes[at + (k + 3) * WIDTH] = -_INFINITY
 
 
 @wp.func
 def unite(tree: BoxTree, level: int, n: int, count: int):
     """Write box n of the ``count`` boxes of a level; after the last of them nothing, up to the end of its block."""
-    write_union(tree.nodes, tree.block_begin[level - 1] + n, node_place(tree, level, n))
+    for f in range(tree.num_frames):
+        block = (tree.block_begin[level - 1] + n) * tree.num_frames + f
+        write_union(tree.nodes, block, node_place(tree, level, n, f))
     if n == count - 1:
         for m in range(count, (count + WIDTH - 1) / WIDTH * WIDTH):
             write_nothing(tree, level, m)
@@ -358,6 +424,7 @@ def sort_keys(
     # in
     corners: wp.array[wp.vec3i],
     records: wp.array[wp.float32],
+    num_frames: int,
     frame: Frame,
     morton_bits: int,
     index_bits: int,
@@ -366,8 +433,12 @@ def sort_keys(
 ):
     """Key of each primitive: size class, Morton code, index. Rounded anyhow: the order is free."""
     i = begin + wp.tid()
-    c = corners[i]
+    c = corners[i] * num_frames
     r = united_records(records, c[0], c[1], c[2])
+    if num_frames == 2:
+        ends = united_records(records, c[0] + 1, c[1] + 1, c[2] + 1)
+        for k in range(8):
+            r[k] = wp.min(r[k], ends[k])
     largest = wp.float32((wp.int32(1) << morton_bits) - 1)
     places = vec3ul()
     longest = wp.float32(0.0)
@@ -422,7 +493,7 @@ def fill_blocks(
 ):
     """Fill a block of level 0 from the records of its vertices, and its union on level 1."""
     b = begin + wp.tid()
-    write_leaves(records, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+    write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
     unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
 
 
@@ -437,3 +508,19 @@ def unite_blocks(
 ):
     """Box n of a level from block n of the level below."""
     unite(tree, level, begin + wp.tid(), count)
+
+
+@wp.kernel
+def unite_levels(
+    # in
+    first_level: int,
+    count: int,
+    # out
+    tree: BoxTree,
+):
+    """All levels from one on in a single thread: there is little left of them, and a launch costs more."""
+    n = wp.int32(count)
+    for level in range(first_level, tree.num_levels):
+        for k in range(n):
+            unite(tree, level, k, n)
+        n = (n + WIDTH - 1) / WIDTH

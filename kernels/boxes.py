@@ -44,37 +44,36 @@ def vec3_max(a: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def grown(box: Box, a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
-    """The box with a point that moves from a towards b and is looked at until ``t_end``."""
-    lower = b
-    upper = b
-    if t_end < _ONE:
-        # (1 - t) a + t b: three roundings of the first term, two of the second, and those of the bound itself; a
-        # product that underflows is off by a few of the smallest numbers
-        end = (_ONE - t_end) * a + t_end * b
-        error = _INTERPOLATION * vec3_max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
-        lower = vec3_max(end - error, vec3_min(a, b))
-        upper = vec3_min(end + error, vec3_max(a, b))
-    box.lower = vec3_min(box.lower, vec3_min(a, lower))
-    box.upper = vec3_max(box.upper, vec3_max(a, upper))
+def point_box(a: wp.vec3d) -> Box:
+    """The box of a point."""
+    box = Box()
+    box.lower = a
+    box.upper = a
     return box
 
 
 @wp.func
-def swept_box(
-    c: wp.vec3i, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], t_end: wp.float64, inflation: wp.float64
-) -> Box:
-    """Box around a primitive over [0, t_end]; one with fewer than three vertices repeats one in ``c``."""
+def united(a: Box, b: Box) -> Box:
+    """The box around two boxes."""
     box = Box()
-    a = x_t0[c[0]]
-    box.lower = a
-    box.upper = a
-    box = grown(box, a, x_t1[c[0]], t_end)
-    if c[1] != c[0]:
-        box = grown(box, x_t0[c[1]], x_t1[c[1]], t_end)
-    if c[2] != c[0] and c[2] != c[1]:
-        box = grown(box, x_t0[c[2]], x_t1[c[2]], t_end)
-    return inflated(box, inflation)
+    box.lower = vec3_min(a.lower, b.lower)
+    box.upper = vec3_max(a.upper, b.upper)
+    return box
+
+
+@wp.func
+def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
+    """A box around where a point that moves from a to b is at ``t_end``."""
+    if not t_end < _ONE:
+        return point_box(b)
+    # (1 - t) a + t b: three roundings of the first term, two of the second, and those of the bound itself; a product
+    # that underflows is off by a few of the smallest numbers
+    end = (_ONE - t_end) * a + t_end * b
+    error = _INTERPOLATION * vec3_max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
+    box = Box()
+    box.lower = vec3_max(end - error, vec3_min(a, b))
+    box.upper = vec3_min(end + error, vec3_max(a, b))
+    return box
 
 
 @wp.func
@@ -87,6 +86,19 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
             box.lower[k] = wp.max(next_below(box.lower[k] - inflation), -LARGEST)
             box.upper[k] = wp.min(-next_below(-(box.upper[k] + inflation)), LARGEST)
     return box
+
+
+@wp.func
+def swept_box(
+    c: wp.vec3i, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], t_end: wp.float64, inflation: wp.float64
+) -> Box:
+    """Box around a primitive over [0, t_end]; one with fewer than three vertices repeats one in ``c``."""
+    box = united(point_box(x_t0[c[0]]), end_box(x_t0[c[0]], x_t1[c[0]], t_end))
+    if c[1] != c[0]:
+        box = united(box, united(point_box(x_t0[c[1]]), end_box(x_t0[c[1]], x_t1[c[1]], t_end)))
+    if c[2] != c[0] and c[2] != c[1]:
+        box = united(box, united(point_box(x_t0[c[2]]), end_box(x_t0[c[2]], x_t1[c[2]], t_end)))
+    return inflated(box, inflation)
 
 
 @wp.func

@@ -4,10 +4,10 @@ An item takes sixteen query boxes (on CUDA one), walks the tree of the targets w
 tests the queries that reach it, sixteen boxes at a time. Within one set, queries look only ahead, at the blocks and
 lanes after their own, so that each pair is found once.
 
-A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**; before the cull it is enough that
-the images of the boxes do. What the cull does not settle is written as a key (first << 32) | second. An item counts
-what it finds and writes what there is room for: a count beyond the room tells the caller to search the items again in
-smaller parts, so nothing is lost.
+A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**. Before the cull it is enough that
+the images of the boxes at both ends of the step do not keep to one side of each other. What the cull does not settle is
+written as a key (first << 32) | second. An item counts what it finds and writes what there is room for: a count beyond
+the room tells the caller to search the items again in smaller parts, so nothing is lost.
 """
 
 from functools import cache
@@ -15,9 +15,9 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .box_tree import WIDTH, BoxTree, box_corners, lowest_bit, overlap_mask, shared_vertex_mask
+from .box_tree import WIDTH, BoxTree, box_corners, lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
 from .boxes import boxes_overlap, swept_box
-from .cull import is_free_by_volume
+from .cull import is_free
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 
@@ -57,9 +57,6 @@ class Join:
     swapped: int  # 1: the query is the second primitive of a pair
     num_query_corners: int
     num_target_corners: int
-    item_level: int  # 1: an item is a block of queries, 0: a single one
-    first_item: int
-    item_stride: int
     t_end: wp.float64
     inflation: wp.float64
     separation: wp.float64
@@ -127,6 +124,8 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
     """The search, ending at the boxes or at the cull."""
     module = wp.get_module(f"ccd_warp.pair_search.{'cull' if with_cull else 'boxes'}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+    # the trees of a search for contacts have two frames
+    overlaps = moving_overlap_mask if with_cull else overlap_mask
 
     @wp.func
     def visit(
@@ -172,7 +171,7 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
             if join.kind == EDGE_EDGE or join.kind == VERTEX_FACE:  # other pairs have no volume
                 c0 = corners(join.kind, points_of(join.kind, a, b, x_t0))
                 c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
-                if is_free_by_volume(c0, c1, join.separation, join.t_end):
+                if is_free(join.kind, c0, c1, join.separation, join.t_end):
                     return 1
         n = wp.atomic_add(counts, slot, FOUND, wp.int64(1))
         if n < wp.int64(room):
@@ -181,7 +180,12 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
 
     @wp.kernel(module=module)
     def search_pairs(
-        begin: int,
+        first_item: int,
+        stride: int,
+        item_level: int,
+        slot: int,
+        first_key: int,
+        room: int,
         # in
         query: BoxTree,
         target: BoxTree,
@@ -189,20 +193,17 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         rules: Filter,
         x_t0: wp.array[wp.vec3d],
         x_t1: wp.array[wp.vec3d],
-        slot: int,
-        first_key: int,
-        room: int,
         # out
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
     ):
-        """Find the partners of the query boxes of an item."""
+        """Find the partners of the query boxes of an item: those of a block (level 1), or a single one (level 0)."""
         # the item is box `item` of its level
-        item = join.first_item + (begin + wp.tid()) * join.item_stride
-        item_block = query.block_begin[join.item_level] + item / WIDTH
+        item = first_item + wp.tid() * stride
+        item_block = query.block_begin[item_level] + item / WIDTH
         item_lane = item % WIDTH
         query_block = item
-        if join.item_level == 0:
+        if item_level == 0:
             query_block = item / WIDTH
         num_candidates = int(0)
         pending = vec8u()
@@ -210,7 +211,7 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         top = target.num_levels - 1
         level = wp.int32(top)
         node[top] = 0
-        mask = overlap_mask(target.nodes, target.block_begin[top], query.nodes, item_block, item_lane, 0)
+        mask = overlaps(target.nodes, target.block_begin[top], query.nodes, item_block, item_lane, 0)
         pending[top] = ahead(mask, join.within, query_block, top, 0)
         while level <= top:
             if pending[level] == _NONE:
@@ -223,18 +224,18 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
                 if level > 1:
                     level -= 1
                     block = target.block_begin[level] + child
-                    mask = overlap_mask(target.nodes, block, query.nodes, item_block, item_lane, 0)
+                    mask = overlaps(target.nodes, block, query.nodes, item_block, item_lane, 0)
                     node[level] = child
                     pending[level] = ahead(mask, join.within, query_block, level, child)
                 else:
                     queries = wp.uint32(1) << wp.uint32(item_lane)
-                    if join.item_level == 1:
+                    if item_level == 1:
                         parent = target.block_begin[1] + node[1]
-                        queries = overlap_mask(query.nodes, query_block, target.nodes, parent, lane, 0)
+                        queries = overlaps(query.nodes, query_block, target.nodes, parent, lane, 0)
                     while queries != _NONE:
                         query_lane = lowest_bit(queries)
                         queries = queries & (queries - wp.uint32(1))
-                        both = overlap_mask(target.nodes, child, query.nodes, query_block, query_lane, 1)
+                        both = overlaps(target.nodes, child, query.nodes, query_block, query_lane, 1)
                         mask = both & _LANES
                         if join.within != 0 and child == query_block:
                             mask = mask & lanes_after(query_lane)

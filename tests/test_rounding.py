@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.cull import is_free_by_volume
+from ccd_warp.kernels.cull import is_free_by_sides, is_free_by_volume
 from ccd_warp.kernels.facets import make_facets
 from ccd_warp.kernels.inclusion import make_inclusion
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
@@ -677,13 +677,17 @@ def make_cull_probe():
         x_t1: wp.array2d[wp.vec3d],
         separation: wp.float64,
         t_end: wp.float64,
+        by_sides: int,
         # out
         is_free: wp.array[wp.bool],
     ):
         i = wp.tid()
         c0 = corners(kind, row_points(x_t0, i))
         c1 = corners(kind, row_points(x_t1, i))
-        is_free[i] = is_free_by_volume(c0, c1, separation, t_end)
+        if by_sides == 1:
+            is_free[i] = is_free_by_sides(kind, c0, c1, separation, t_end)
+        else:
+            is_free[i] = is_free_by_volume(c0, c1, separation, t_end)
 
     return cull_probe
 
@@ -693,14 +697,15 @@ def make_cull_probe():
 @pytest.mark.parametrize(
     ("separation", "scale"), [(0.0, "as_drawn"), (2.0**-10, "as_drawn"), (0.0, "small"), (0.0, "mixed")]
 )
-def test_cull_drops_no_contact(separation, scale, t_end, kind):
+@pytest.mark.parametrize("by_sides", [0, 1])
+def test_cull_drops_no_contact(by_sides, separation, scale, t_end, kind):
     rng = np.random.default_rng(44)
     culled = 0
-    for family in ("random", *_CLIP_FAMILIES):
+    for family in ("random", "one_plane", "parallel_edges", *_CLIP_FAMILIES):
         points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 100, rng)]
         is_free = wp.zeros(100, dtype=wp.bool, device="cpu")
         x = [wp.array(p, dtype=wp.vec3d, device="cpu") for p in points]
-        inputs = [KINDS[kind], *x, separation, t_end]
+        inputs = [KINDS[kind], *x, separation, t_end, by_sides]
         wp.launch(make_cull_probe(), dim=100, inputs=inputs, outputs=[is_free], device="cpu")
         dropped = is_free.numpy()
         exact = exact_tois(kind, *(p[dropped] for p in points), separation, t_end)
