@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 _loading = threading.Lock()
+_loaded: set[tuple[Any, str]] = set()
 
 
 @cache
@@ -32,8 +33,11 @@ def default_num_threads() -> int:
 
 def load(kernel: Any, device: Any) -> None:
     """Compile and load a kernel once, before threads race for it."""
-    with _loading:
-        wp.load_module(module=kernel.module, device=device)
+    key = (kernel.module, str(device))
+    if key not in _loaded:
+        with _loading:
+            wp.load_module(module=kernel.module, device=device)
+        _loaded.add(key)
 
 
 @dataclass(frozen=True)
@@ -60,11 +64,11 @@ class Execution:
         """
         if count == 0:
             return
+        load(kernel, self.device)
         parts = 1 if self.is_cuda else max(1, min(self.num_threads, count // grain))
         if parts == 1:
             wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=self.device)
             return
-        load(kernel, self.device)
         bounds = [count * k // parts for k in range(parts + 1)]
 
         def part(begin: int, end: int) -> None:

@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
-from ccd_warp._launch import Execution
+from ccd_warp._launch import Execution, load
 from ccd_warp._topology import BLOCK_CORNERS, RECORD, WIDTH, PrimitiveSet, Topology, choose_frame, sorted_keys
 from ccd_warp.kernels import box_tree as kernels
 
@@ -220,6 +220,7 @@ class StepBoxes:
             level += 1
         if level < last:
             inputs = [level, tree.levels[level - 1]]
+            load(kernels.unite_levels, self.execution.device)
             wp.launch(kernels.unite_levels, 1, inputs, [tree.arrays], device=self.execution.device)
 
     def _is_in_order(self, tree: Tree) -> bool:

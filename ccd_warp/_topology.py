@@ -8,10 +8,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
+from ccd_warp.kernels import rest_order
 from ccd_warp.kernels.pair_search import Filter
 
 WIDTH = int(kernels.WIDTH)
@@ -20,7 +22,6 @@ BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
 _CLASS_BITS = int(kernels.CLASS_BITS)
 _LARGEST_EXPONENT = 1000
-_REFINED = 256  # boxes that are split in halves again and again, down to the blocks
 
 # The kinds of primitives that a pair consists of, and whose arrays hold their vertices.
 PRIMITIVES = {
@@ -149,8 +150,7 @@ class Topology:
         """Indices of the primitives and vertices of their blocks, in an order that suits the mesh as it was given.
 
         A surface bends but its neighbours stay neighbours, so the order is made once and serves as long as the blocks
-        stay small, which every step checks. Along the curve first, then by halves across the longest side, which makes
-        blocks a quarter shorter than the curve alone.
+        stay small, which every step checks.
         """
         if primitives.name not in self._orders:
             mesh = self.mesh
@@ -165,18 +165,21 @@ class Topology:
                 inputs=[every, self.vertex_body, active, rest, rest, 1.0, 0.0, frame, 1],
                 outputs=[records],
             )
-            keys = sorted_keys(primitives, records, 1, frame, None, execution)
-            mask = (1 << primitives.index_bits) - 1
-            if not execution.is_cuda and primitives.count > WIDTH:
-                centres = (mesh.vertices[primitives.corners.numpy()] / 3).sum(axis=1)
-                order = refined_order((keys.numpy()[: primitives.count] & mask), centres)
-                keys = self._array(order, wp.int64)
+            order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
+            centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
+            inputs = [primitives.corners, self.vertex_body, records]
+            execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
+            size = WIDTH << (primitives.num_blocks - 1).bit_length()
+            while size > WIDTH:
+                segments = -(-primitives.count // size)
+                execution.launch(rest_order.split_segments, segments, [centres, size], [order], grain=1)
+                size //= 2
             primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
             block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
             execution.launch(
                 kernels.apply_order,
                 primitives.num_blocks,
-                inputs=[keys, mask, primitives.ids, primitives.corners],
+                inputs=[order, -1, primitives.ids, primitives.corners],
                 outputs=[primitive, block_corners],
                 grain=64,
             )
@@ -193,17 +196,12 @@ class Topology:
 
 
 def sorted_keys(
-    primitives: PrimitiveSet, records: wp.array, num_frames: int, frame: Any, buffers: Any, execution: Execution
+    primitives: PrimitiveSet, records: wp.array, num_frames: int, frame: Any, buffers: Buffers, execution: Execution
 ) -> wp.array:
     """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
     count = primitives.count
     size = 2 * count if execution.is_cuda else count  # the radix sort works in place of twice the size
-    device = execution.device
-    keys = (
-        wp.empty(size, dtype=wp.int64, device=device)
-        if buffers is None
-        else buffers.get(f"{primitives.name} sort", size, wp.int64)
-    )
+    keys = buffers.get(f"{primitives.name} sort", size, wp.int64)
     morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
     execution.launch(
         kernels.sort_keys,
@@ -226,22 +224,6 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         wp.utils.radix_sort_pairs(keys, wp.empty(2 * count, dtype=wp.int32, device=execution.device), count)
     else:
         keys.numpy()[:count].sort()
-
-
-def refined_order(order: NDArray[np.int64], centres: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Split each run of 256 in halves across its longest side, down to runs of sixteen; the last run stays."""
-    whole = len(order) // _REFINED * _REFINED
-    head = order[:whole].reshape(-1, _REFINED)
-    size = _REFINED
-    with np.errstate(over="ignore", invalid="ignore"):
-        while size > WIDTH and whole:
-            points = centres[head]
-            axis = (points.max(axis=1) - points.min(axis=1)).argmax(axis=1)
-            along = np.take_along_axis(points, axis[:, None, None], axis=2)[:, :, 0]
-            halves = np.argpartition(along, size // 2, axis=1)
-            head = np.take_along_axis(head, halves, axis=1).reshape(-1, size // 2)
-            size //= 2
-    return np.concatenate([head.reshape(-1), order[whole:]])
 
 
 def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_frames: int) -> Any:

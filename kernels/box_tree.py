@@ -388,6 +388,13 @@ def node_place(tree: BoxTree, level: int, n: int, frame: int) -> int:
 
 
 @wp.func
+def images_tie(a: BoxTree, i: int, b: BoxTree, j: int, axis: int) -> bool:
+    """Whether box i of a tree begins where box j of another ends, in the image: only the exact boxes can tell more."""
+    begin = a.nodes[node_place(a, 0, i, 0) + axis * WIDTH]
+    return begin == b.nodes[node_place(b, 0, j, 0) + (axis + 3) * WIDTH]
+
+
+@wp.func
 def write_nothing(tree: BoxTree, level: int, n: int):
     """Leave box n of a level empty: it overlaps none but an infinite one."""
     for f in range(tree.num_frames):

@@ -89,24 +89,22 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
 
 
 @wp.func
-def swept_box(
-    c: wp.vec3i, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], t_end: wp.float64, inflation: wp.float64
-) -> Box:
-    """Box around a primitive over [0, t_end]; one with fewer than three vertices repeats one in ``c``."""
+def swept_interval(
+    c: wp.vec3i,
+    axis: int,
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    t_end: wp.float64,
+    inflation: wp.float64,
+):
+    """The box around a primitive over [0, t_end], on one axis; with fewer than three vertices one repeats in ``c``."""
     box = united(point_box(x_t0[c[0]]), end_box(x_t0[c[0]], x_t1[c[0]], t_end))
     if c[1] != c[0]:
         box = united(box, united(point_box(x_t0[c[1]]), end_box(x_t0[c[1]], x_t1[c[1]], t_end)))
     if c[2] != c[0] and c[2] != c[1]:
         box = united(box, united(point_box(x_t0[c[2]]), end_box(x_t0[c[2]], x_t1[c[2]], t_end)))
-    return inflated(box, inflation)
-
-
-@wp.func
-def boxes_overlap(a: Box, b: Box) -> bool:
-    """Closed boxes share a point: exact."""
-    lower = vec3_max(a.lower, b.lower)
-    upper = vec3_min(a.upper, b.upper)
-    return lower[0] <= upper[0] and lower[1] <= upper[1] and lower[2] <= upper[2]
+    box = inflated(box, inflation)
+    return box.lower[axis], box.upper[axis]
 
 
 @wp.kernel

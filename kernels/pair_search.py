@@ -15,8 +15,17 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .box_tree import WIDTH, BoxTree, box_corners, lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
-from .boxes import boxes_overlap, swept_box
+from .box_tree import (
+    WIDTH,
+    BoxTree,
+    box_corners,
+    images_tie,
+    lowest_bit,
+    moving_overlap_mask,
+    overlap_mask,
+    shared_vertex_mask,
+)
+from .boxes import swept_interval
 from .cull import is_free
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
@@ -154,10 +163,12 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         if wp.static(not with_cull):
             # beside the cull, which tells more, this would cost more than it saves
             if not is_certain:
-                box_a = swept_box(a, x_t0, x_t1, join.t_end, join.inflation)
-                box_b = swept_box(b, x_t0, x_t1, join.t_end, join.inflation)
-                if not boxes_overlap(box_a, box_b):
-                    return 0
+                for k in range(3):
+                    if images_tie(query, q, target, p, k) or images_tie(target, p, query, q, k):
+                        lower_a, upper_a = swept_interval(a, k, x_t0, x_t1, join.t_end, join.inflation)
+                        lower_b, upper_b = swept_interval(b, k, x_t0, x_t1, join.t_end, join.inflation)
+                        if lower_a > upper_b or lower_b > upper_a:
+                            return 0
         i = query.primitive[q]
         j = target.primitive[p]
         if join.swapped != 0 or (join.symmetric != 0 and j < i):

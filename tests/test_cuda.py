@@ -11,7 +11,7 @@ from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "boxes", "box_tree"]
+PLAIN_MODULES = ["contacts", "boxes", "box_tree", "rest_order"]
 
 
 def warp_modules():
