@@ -1,5 +1,6 @@
 """Candidate pairs: primitives whose swept boxes overlap."""
 
+import itertools
 import sys
 from dataclasses import dataclass
 
@@ -8,6 +9,11 @@ from numpy.typing import NDArray
 
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
+
+_ALL = 2**63 - 1
+# Pairs of a kind from which on they are sorted in ranges, and ranges at the most: each looks through all pairs.
+_WORTH_RANGES = 200_000
+_MOST_RANGES = 4
 
 
 @dataclass(frozen=True)
@@ -32,15 +38,26 @@ def sorted_candidates(step: Step, inflation: float) -> Candidates:
     """All pairs whose boxes overlap, in order."""
     parts = step.candidates(inflation)
 
-    def pairs(kind: PairKind) -> NDArray[np.int32]:
-        keys = np.concatenate([np.zeros(0, dtype=np.int64), *parts[kind]])
+    def pairs(kind: PairKind, low: int, high: int) -> NDArray[np.int32]:
+        """The pairs with keys in [low, high), sorted."""
+        found = [part[(part >= low) & (part < high)] for part in parts[kind]] if low or high < _ALL else parts[kind]
+        keys = np.concatenate([np.zeros(0, dtype=np.int64), *found])
         keys.sort()
         # the first index is the upper half of a key
-        return np.ascontiguousarray(keys.view(np.uint32).reshape(-1, 2)[:, :: -1 if sys.byteorder == "little" else 1])
+        return np.ascontiguousarray(keys.view(np.int32).reshape(-1, 2)[:, :: -1 if sys.byteorder == "little" else 1])
 
+    # A kind with many pairs is sorted in ranges, one a thread.
+    ranges = []
+    for kind in PairKind:
+        total = sum(map(len, parts[kind]))
+        pieces = min(step.execution.num_threads, _MOST_RANGES) if total > _WORTH_RANGES else 1
+        sample = np.sort(np.concatenate([part[::997] for part in parts[kind]])) if pieces > 1 else None
+        cuts = [] if sample is None else [int(sample[len(sample) * k // pieces]) for k in range(1, pieces)]
+        ranges += [(kind, low, high) for low, high in itertools.pairwise([0, *cuts, _ALL])]
     with step.timed("sort"):
-        found = step.execution.run([lambda k=k: pairs(k) for k in PairKind])  # type: ignore[misc]
-    return Candidates(*(array.view(np.int32) for array in found))
+        found = step.execution.run([lambda r=r: pairs(*r) for r in ranges])  # type: ignore[misc]
+        by_kind = {kind: [p for p, r in zip(found, ranges, strict=True) if r[0] == kind] for kind in PairKind}
+        return Candidates(*(pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in by_kind.values()))
 
 
 def validated_inflation(value: float) -> float:

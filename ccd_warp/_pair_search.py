@@ -162,12 +162,18 @@ class PairSearch:
         # Room for all partners of one query is enough, and is what a thread needs.
         least = max(join.target.primitives.count for join in joins)
         wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
-        room = min(self._largest_room, max(self._num_workers * least, wanted, 1 << 16))
+        last = self.buffers.rooms.get(self._with_cull, 0)  # what the last step came to need
+        room = min(self._largest_room, max(self._num_workers * least, wanted, last, 1 << 16))
+        total = 0
         while pending:
             self.buffers.get("keys", room, wp.int64)
             self.room = room
             regions = self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room)
             self.num_batches += 1
+            total += sum(region.filled for region in regions)
+            if self.num_batches > 1:
+                # threads find unequal shares, so twice the room is what the next step does in one batch
+                self.buffers.rooms[self._with_cull] = min(2 * total, self._largest_room)
             yield [found for region in regions for found in region.found]
             room = min(2 * room, self._largest_room)
 

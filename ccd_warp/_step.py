@@ -186,16 +186,18 @@ class Step:
         return (self.options.memory_limit - self.fixed_bytes) // 2 // ContactStore.BYTES_KEPT
 
     def candidates(self, inflation: float) -> dict[PairKind, list[NDArray[np.int64]]]:
-        """Keys of all pairs whose boxes overlap, unsorted, in parts."""
+        """Keys of all pairs whose boxes overlap, unsorted, in parts that the next step overwrites."""
         with self.timed("boxes"):
             self.begin_boxes(inflation, 1.0, num_frames=1)
         with self.timed("pairs"):
             search, joins = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
             parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
             for batch in search.batches(joins):
+                for kind, views in parts.items():  # the room is about to be used again
+                    parts[kind] = [np.array(view) if view.base is not None else view for view in views]
                 for found in batch:
                     keys = found.keys[found.begin : found.begin + found.count]
-                    parts[found.kind].append(np.array(keys.numpy()))
+                    parts[found.kind].append(keys.numpy())
         self.count_pairs(search)
         return parts
 

@@ -202,6 +202,28 @@ def shared_vertex_mask(
 
 @wp.func_native(
     """
+    const float* b = nodes.data + (long long)block * 96 + lane;
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    unsigned axes = 0;
+    for (int k = 0; k < 3; ++k)
+        axes |= (unsigned)(b[16 * k] == q[16 * k + 48] || b[16 * k + 48] == q[16 * k]) << k;
+    return axes;
+"""
+)
+def tied_axes(
+    nodes: wp.array[wp.float32],
+    block: int,
+    lane: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+) -> wp.uint32:
+    """Axes on which one of two boxes begins where the other ends, in the image: only the exact boxes can tell more."""
+    ...
+
+
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
     return __ffs((int)mask) - 1;
 #else
@@ -385,13 +407,6 @@ def write_union(nodes: wp.array[wp.float32], block: int, at: int):
 def node_place(tree: BoxTree, level: int, n: int, frame: int) -> int:
     """Where the numbers of box n of a level begin."""
     return ((tree.block_begin[level] + n / WIDTH) * tree.num_frames + frame) * BLOCK_FLOATS + n % WIDTH
-
-
-@wp.func
-def images_tie(a: BoxTree, i: int, b: BoxTree, j: int, axis: int) -> bool:
-    """Whether box i of a tree begins where box j of another ends, in the image: only the exact boxes can tell more."""
-    begin = a.nodes[node_place(a, 0, i, 0) + axis * WIDTH]
-    return begin == b.nodes[node_place(b, 0, j, 0) + (axis + 3) * WIDTH]
 
 
 @wp.func

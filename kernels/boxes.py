@@ -77,34 +77,40 @@ def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
 
 
 @wp.func
+def inflated_below(x: wp.float64, inflation: wp.float64) -> wp.float64:
+    """A lower bound less ``inflation``: the difference rounds to nearest, so its neighbour bounds the exact one.
+
+    Where it overflows the largest number will do: nothing lies beyond.
+    """
+    return wp.max(next_below(x - inflation), -LARGEST)
+
+
+@wp.func
 def inflated(box: Box, inflation: wp.float64) -> Box:
     """The box with ``inflation`` more on every side, rounded outward."""
     if inflation > wp.float64(0.0):
-        # The sum rounds to nearest, so its neighbour outward bounds the exact sum.
         for k in range(3):
-            # Where it overflows the largest number will do: nothing lies beyond.
-            box.lower[k] = wp.max(next_below(box.lower[k] - inflation), -LARGEST)
-            box.upper[k] = wp.min(-next_below(-(box.upper[k] + inflation)), LARGEST)
+            box.lower[k] = inflated_below(box.lower[k], inflation)
+            box.upper[k] = -inflated_below(-box.upper[k], inflation)
     return box
 
 
 @wp.func
-def swept_interval(
-    c: wp.vec3i,
-    axis: int,
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    t_end: wp.float64,
-    inflation: wp.float64,
-):
-    """The box around a primitive over [0, t_end], on one axis; with fewer than three vertices one repeats in ``c``."""
-    box = united(point_box(x_t0[c[0]]), end_box(x_t0[c[0]], x_t1[c[0]], t_end))
-    if c[1] != c[0]:
-        box = united(box, united(point_box(x_t0[c[1]]), end_box(x_t0[c[1]], x_t1[c[1]], t_end)))
-    if c[2] != c[0] and c[2] != c[1]:
-        box = united(box, united(point_box(x_t0[c[2]]), end_box(x_t0[c[2]], x_t1[c[2]], t_end)))
-    box = inflated(box, inflation)
-    return box.lower[axis], box.upper[axis]
+def swept_interval(c: wp.vec3i, axis: int, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], inflation: wp.float64):
+    """The box around a primitive over the whole step on one axis, exactly as `fill_records` makes it."""
+    a = x_t0[c[0]][axis]
+    b = x_t1[c[0]][axis]
+    lower = wp.min(a, b)
+    upper = wp.max(a, b)
+    for k in range(1, 3):
+        a = x_t0[c[k]][axis]
+        b = x_t1[c[k]][axis]
+        lower = wp.min(lower, wp.min(a, b))
+        upper = wp.max(upper, wp.max(a, b))
+    if inflation > wp.float64(0.0):
+        lower = inflated_below(lower, inflation)
+        upper = -inflated_below(-upper, inflation)
+    return lower, upper
 
 
 @wp.kernel

@@ -19,11 +19,11 @@ from .box_tree import (
     WIDTH,
     BoxTree,
     box_corners,
-    images_tie,
     lowest_bit,
     moving_overlap_mask,
     overlap_mask,
     shared_vertex_mask,
+    tied_axes,
 )
 from .boxes import swept_interval
 from .cull import is_free
@@ -156,19 +156,26 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         """Filter a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
             return 0  # an empty place meets only a box that is infinite in the image
-        a = box_corners(query, q)
-        b = box_corners(target, p)
-        if is_excluded(a, b, rules):
-            return 0
+        a = wp.vec3i()
+        b = wp.vec3i()
+        has_rules = rules.by_body + rules.by_ring > 0
+        if wp.static(with_cull) or has_rules or not is_certain:
+            a = box_corners(query, q)
+            b = box_corners(target, p)
+        if has_rules:
+            if is_excluded(a, b, rules):
+                return 0
         if wp.static(not with_cull):
             # beside the cull, which tells more, this would cost more than it saves
             if not is_certain:
-                for k in range(3):
-                    if images_tie(query, q, target, p, k) or images_tie(target, p, query, q, k):
-                        lower_a, upper_a = swept_interval(a, k, x_t0, x_t1, join.t_end, join.inflation)
-                        lower_b, upper_b = swept_interval(b, k, x_t0, x_t1, join.t_end, join.inflation)
-                        if lower_a > upper_b or lower_b > upper_a:
-                            return 0
+                axes = tied_axes(target.nodes, p / WIDTH, p % WIDTH, query.nodes, q / WIDTH, q % WIDTH)
+                while axes != _NONE:
+                    k = lowest_bit(axes)
+                    axes = axes & (axes - wp.uint32(1))
+                    lower_a, upper_a = swept_interval(a, k, x_t0, x_t1, join.inflation)
+                    lower_b, upper_b = swept_interval(b, k, x_t0, x_t1, join.inflation)
+                    if lower_a > upper_b or lower_b > upper_a:
+                        return 0
         i = query.primitive[q]
         j = target.primitive[p]
         if join.swapped != 0 or (join.symmetric != 0 and j < i):
