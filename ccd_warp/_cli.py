@@ -26,6 +26,8 @@ _OPTIONS = (
     "length_scale",
     "precision",
     "method",
+    "pair_kinds",
+    "memory_limit",
     "device",
     "num_threads",
 )
@@ -132,6 +134,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--precision", choices=("float64", "float32"), help="arithmetic of the kernels (float64)")
     group.add_argument(
         "--method", choices=("clipping", "bisection"), help="bisection: the literature's, for comparison (clipping)"
+    )
+    group.add_argument(
+        "--pair-kinds",
+        type=lambda text: text.replace("-", "_").split(","),
+        metavar="KINDS",
+        help="vertex-face, edge-edge, point-segment, point-point, with commas between (all)",
+    )
+    group.add_argument(
+        "--memory-limit", type=int, metavar="BYTES", help="memory of the step beside its input (1 GiB for the pairs)"
     )
     group.add_argument("--device", metavar="NAME", help="cpu, cuda, cuda:1, … (Warp's default device)")
     group.add_argument("--num-threads", type=int, metavar="N", help="threads on the CPU (all cores)")

@@ -8,7 +8,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -93,8 +93,12 @@ class Execution:
                 results[k] = tasks[k]()
 
         futures = [_pool().submit(work) for _ in range(min(self.num_threads, len(tasks)) - 1)]
-        work()
-        for future in futures:
-            if not future.cancel():  # one that waits for a thread of the pool has nothing left to do
-                future.result()
+        try:
+            work()
+        finally:
+            # one that still waits for a thread of the pool has nothing left to do; the others are waited for
+            running = [future for future in futures if not future.cancel()]
+            wait(running)
+        for future in running:
+            future.result()
         return results

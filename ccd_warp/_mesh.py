@@ -229,6 +229,18 @@ class CollisionMesh:
         """Number of faces of all bodies."""
         return len(self.faces)
 
+    @property
+    def static_vertex_ranges(self) -> list[tuple[int, int]]:
+        """First vertex and the one after the last of each run of static bodies that own vertices."""
+        ranges: list[tuple[int, int]] = []
+        for body in np.flatnonzero(self.static & (np.diff(self.body_vertex_range) > 0)):
+            begin, end = map(int, self.body_vertex_range[body : body + 2])
+            if ranges and ranges[-1][1] == begin:
+                ranges[-1] = (ranges[-1][0], end)
+            else:
+                ranges.append((begin, end))
+        return ranges
+
     def frame(self, vertices: ArrayLike, name: str = "vertices_t0") -> NDArray[np.float64]:
         """Validate the positions of all vertices at one time.
 
@@ -263,6 +275,10 @@ class CollisionMesh:
             return start, _validated_positions(vertices_t1, "vertices_t1", self.num_vertices, "like vertices_t0")
         end = _as_positions(vertices_t1, "vertices_t1")
         moving = self.moving_vertices
+        ranges = self.static_vertex_ranges
+        if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):
+            _check_finite(end, "vertices_t1")
+            return start, end  # nothing to copy
         if len(end) == self.num_vertices:
             end = end[moving]
         elif len(end) != len(moving):

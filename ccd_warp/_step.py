@@ -32,6 +32,7 @@ _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
 _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
+_MOST_PAIRS = np.iinfo(np.int32).max
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ class Step:
         least *= 1 if self.execution.is_cuda else self.execution.num_threads
         limit = self.options.memory_limit
         if limit is None:
-            return max(least, DEFAULT_PAIR_BYTES // bytes_per_pair)
+            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), _MOST_PAIRS)
         # half of what is left is for the pairs, half for the contacts
         needed = self.fixed_bytes + 2 * least * bytes_per_pair
         if needed > limit:
@@ -172,7 +173,7 @@ class Step:
                 f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
                 f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
             )
-        return (limit - self.fixed_bytes) // 2 // bytes_per_pair
+        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, _MOST_PAIRS)
 
     @property
     def fixed_bytes(self) -> int:

@@ -1,6 +1,6 @@
 """The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ class Tree:
 class _StaticKey:
     """What the boxes of resting bodies depend on."""
 
-    positions: NDArray[np.float64]
+    positions: list[NDArray[np.float64]]
     frame: tuple[float, ...]
     inflation: float
     num_frames: int
@@ -58,7 +58,7 @@ class _StaticKey:
             other is not None
             and self.frame == other.frame
             and (self.inflation, self.num_frames) == (other.inflation, other.num_frames)
-            and np.array_equal(self.positions, other.positions)
+            and all(map(np.array_equal, self.positions, other.positions))
         )
 
 
@@ -108,12 +108,12 @@ class StepBoxes:
         self.num_frames = num_frames
         self.frame = choose_frame(self.topology.mesh, start, end, num_frames)
         self._trees.clear()
-        resting = self.topology.static_vertices_host
-        if len(resting):
+        if self.topology.mesh.static_vertex_ranges:
             frame = (*self.frame.origin, self.frame.scale)
-            key = _StaticKey(start[resting], frame, inflation, num_frames)
+            at_rest = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
+            key = _StaticKey(at_rest, frame, inflation, num_frames)
             if not key.same(self._static_key):
-                self._static_key = key
+                self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
                 self._static_trees.clear()
                 self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
         self.t_end = t_end

@@ -79,8 +79,7 @@ class Topology:
         self.vertex_body = self._array(mesh.vertex_body)
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self._array(np.flatnonzero(~vertex_static).astype(np.int32))
-        self.static_vertices_host = np.flatnonzero(vertex_static)
-        self.static_vertices = self._array(self.static_vertices_host.astype(np.int32))
+        self.static_vertices = self._array(np.flatnonzero(vertex_static).astype(np.int32))
         self._sets: dict[tuple[str, bool], PrimitiveSet] = {}
         self._orders: dict[str, tuple[wp.array, wp.array]] = {}
 
