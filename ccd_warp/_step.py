@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,10 +100,6 @@ class Step:
             start, end = self.host
             self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
             self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
-            self.length_scale = options.length_scale
-            if self.length_scale is None:
-                self.length_scale = longest_side(self.x_t0, self.x_t1, self.execution, self.buffers)
-            self.separation = min(options.minimum_separation * self.length_scale, _LARGEST)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -111,6 +108,20 @@ class Step:
         if self.execution.is_cuda:
             wp.synchronize_device(self.execution.device)
         self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+
+    @cached_property
+    def length_scale(self) -> float:
+        """The unit of tolerance and separation."""
+        if self.options.length_scale is not None:
+            return self.options.length_scale
+        return longest_side(self.x_t0, self.x_t1, self.execution, self.buffers)
+
+    @property
+    def separation(self) -> float:
+        """The minimum separation, a length."""
+        if self.options.minimum_separation == 0.0:
+            return 0.0
+        return min(self.options.minimum_separation * self.length_scale, _LARGEST)
 
     @property
     def inflation(self) -> float:
