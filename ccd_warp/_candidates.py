@@ -40,7 +40,11 @@ def sorted_candidates(step: Step, inflation: float) -> Candidates:
 
     def pairs(kind: PairKind, low: int, high: int) -> NDArray[np.int32]:
         """The pairs with keys in [low, high), sorted."""
-        found = [part[(part >= low) & (part < high)] for part in parts[kind]] if low or high < _ALL else parts[kind]
+        found = parts[kind]
+        if low > 0:
+            found = [part[part >= low] for part in found]
+        if high < _ALL:
+            found = [part[part < high] for part in found]
         keys = np.concatenate([np.zeros(0, dtype=np.int64), *found])
         keys.sort()
         # the first index is the upper half of a key

@@ -1,5 +1,6 @@
 """The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +19,8 @@ _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
 # Boxes of a level that are united in one launch with all levels above.
 _FEW_BOXES = 2048
+# Boxes of all trees from which on they are built by several threads.
+_WORTH_THREADS = 100_000
 _NO_END = 1.0
 # Share of the step below which making the boxes of what is left of it pays.
 _WORTH_SHORTENING = 0.5
@@ -125,13 +128,20 @@ class StepBoxes:
             return
         self.t_end = t_end
         self._fill_records(self.topology.moving_vertices, self.active, t_end)
-        self.execution.run([lambda t=t: self._fill(t) for t in self._trees.values()])  # type: ignore[misc]
+        trees = list(self._trees.values())
+        self._at_once([lambda t=t: self._fill(t) for t in trees], [t.primitives for t in trees])  # type: ignore[misc]
+
+    def _at_once(self, tasks: list[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
+        """Run one task a set on threads, unless there is less to do than waking them takes."""
+        if sum(primitives.count for primitives in sets) < _WORTH_THREADS:
+            return [task() for task in tasks]
+        return self.execution.run(tasks)
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
         """Make trees, at the same time: kinds of primitives, and whether they rest."""
         sets = [(self.topology.primitives(kind, is_static), is_static) for kind, is_static in dict.fromkeys(wanted)]
         new = [(p, s) for p, s in sets if p.count and p.name not in (self._static_trees if s else self._trees)]
-        built = self.execution.run([lambda p=p: self._build(p) for p, _ in new])  # type: ignore[misc]
+        built = self._at_once([lambda p=p: self._build(p) for p, _ in new], [p for p, _ in new])  # type: ignore[misc]
         for tree, (primitives, is_static) in zip(built, new, strict=True):
             (self._static_trees if is_static else self._trees)[primitives.name] = tree
             self.num_boxes += primitives.count

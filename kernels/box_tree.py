@@ -204,13 +204,13 @@ def shared_vertex_mask(
     """
     const float* b = nodes.data + (long long)block * 96 + lane;
     const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
-    unsigned axes = 0;
+    unsigned ties = 0;
     for (int k = 0; k < 3; ++k)
-        axes |= (unsigned)(b[16 * k] == q[16 * k + 48] || b[16 * k + 48] == q[16 * k]) << k;
-    return axes;
+        ties |= (unsigned)(b[16 * k] == q[16 * k + 48]) << k | (unsigned)(b[16 * k + 48] == q[16 * k]) << (k + 3);
+    return ties;
 """
 )
-def tied_axes(
+def tied_sides(
     nodes: wp.array[wp.float32],
     block: int,
     lane: int,
@@ -218,7 +218,10 @@ def tied_axes(
     query_block: int,
     query_lane: int,
 ) -> wp.uint32:
-    """Axes on which one of two boxes begins where the other ends, in the image: only the exact boxes can tell more."""
+    """Axes on which a box begins where a query ends, and above those on which it ends where the query begins.
+
+    That is in the image, where only the exact boxes can tell more.
+    """
     ...
 
 

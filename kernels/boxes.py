@@ -2,11 +2,13 @@
 
 import warp as wp
 
+from .rounding import INTERPOLATION, UNIT_ROUNDOFF
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LARGEST = wp.constant(wp.float64(1.7976931348623157e308))
 _ONE = wp.constant(wp.float64(1.0))
-_INTERPOLATION = wp.constant(wp.float64(2.0**-50))
+_INTERPOLATION = wp.constant(wp.float64(INTERPOLATION * UNIT_ROUNDOFF[wp.float64]))
 _UNDERFLOW = wp.constant(wp.float64(2.0**-1070))
 
 
@@ -63,11 +65,9 @@ def united(a: Box, b: Box) -> Box:
 
 @wp.func
 def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
-    """A box around where a point that moves from a to b is at ``t_end``."""
+    """A box around where a point that moves from a to b is at ``t_end`` (rounding, step 12)."""
     if not t_end < _ONE:
         return point_box(b)
-    # (1 - t) a + t b: three roundings of the first term, two of the second, and those of the bound itself; a product
-    # that underflows is off by a few of the smallest numbers
     end = (_ONE - t_end) * a + t_end * b
     error = _INTERPOLATION * vec3_max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
     box = Box()
@@ -96,21 +96,25 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
 
 
 @wp.func
-def swept_interval(c: wp.vec3i, axis: int, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], inflation: wp.float64):
-    """The box around a primitive over the whole step on one axis, exactly as `fill_records` makes it."""
-    a = x_t0[c[0]][axis]
-    b = x_t1[c[0]][axis]
-    lower = wp.min(a, b)
-    upper = wp.max(a, b)
-    for k in range(1, 3):
-        a = x_t0[c[k]][axis]
-        b = x_t1[c[k]][axis]
-        lower = wp.min(lower, wp.min(a, b))
-        upper = wp.max(upper, wp.max(a, b))
+def swept_lower(
+    c: wp.vec3i,
+    num_corners: int,
+    axis: int,
+    sign: wp.float64,
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    inflation: wp.float64,
+) -> wp.float64:
+    """Where the box around a primitive over the whole step begins on an axis, or, with sign -1, minus where it ends.
+
+    Exactly as `fill_records` makes it.
+    """
+    lower = wp.min(sign * x_t0[c[0]][axis], sign * x_t1[c[0]][axis])
+    for k in range(1, num_corners):
+        lower = wp.min(lower, wp.min(sign * x_t0[c[k]][axis], sign * x_t1[c[k]][axis]))
     if inflation > wp.float64(0.0):
         lower = inflated_below(lower, inflation)
-        upper = -inflated_below(-upper, inflation)
-    return lower, upper
+    return lower
 
 
 @wp.kernel

@@ -7,20 +7,20 @@ three lengths comes near overflow, or is so small that the absolute term hides i
 proves nothing and the pair goes on to the solver, which normalises.
 
 Neighbours in one plane have no volume, and for them there is a second: the directions in that plane across each side,
-which are all that can separate two convex figures in a plane. Its bound stands with it.
+which are all that can separate two convex figures in a plane. Its bound is that of `rounding`, step 11.
 """
 
 import warp as wp
 
 from .patch import VERTEX_FACE
 from .points import Corners
-from .rounding import UNIT_ROUNDOFF, VOLUME
+from .rounding import SIDES, UNIT_ROUNDOFF, VOLUME
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
 _SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
 _GUARD = wp.constant(wp.float64(2.0**-800))
 _LARGEST = wp.constant(wp.float64(2.0**750))
-_SIDES = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
+_SIDES = wp.constant(wp.float64(SIDES * UNIT_ROUNDOFF[wp.float64]))
 _SIDES_UNDERFLOW = wp.constant(wp.float64(2.0**-1060))
 _THIRD = wp.constant(wp.float64(1.0 / 3.0))
 _ONE = wp.constant(wp.float64(1.0))
@@ -73,12 +73,7 @@ def later(a: wp.float64, b: wp.float64, t_end: wp.float64) -> wp.float64:
 def is_free_along(
     d: wp.vec3d, is_triangle: bool, c0: Corners, c1: Corners, size: wp.vec3d, separation: wp.float64, t_end: wp.float64
 ) -> bool:
-    """Whether all corners stay on one side of the origin along d.
-
-    Rounding: a corner is a rounded difference, a projection adds three roundings, the interpolation three more; 16u
-    times the sum of the largest magnitudes covers them. Where a product overflows so does that sum, and nothing is
-    proved.
-    """
+    """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
     a00 = wp.dot(d, c0.w00)
     a01 = wp.dot(d, c0.w01)
     a10 = wp.dot(d, c0.w10)

@@ -23,9 +23,9 @@ from .box_tree import (
     moving_overlap_mask,
     overlap_mask,
     shared_vertex_mask,
-    tied_axes,
+    tied_sides,
 )
-from .boxes import swept_interval
+from .boxes import swept_lower
 from .cull import is_free
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
@@ -168,13 +168,15 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         if wp.static(not with_cull):
             # beside the cull, which tells more, this would cost more than it saves
             if not is_certain:
-                axes = tied_axes(target.nodes, p / WIDTH, p % WIDTH, query.nodes, q / WIDTH, q % WIDTH)
-                while axes != _NONE:
-                    k = lowest_bit(axes)
-                    axes = axes & (axes - wp.uint32(1))
-                    lower_a, upper_a = swept_interval(a, k, x_t0, x_t1, join.inflation)
-                    lower_b, upper_b = swept_interval(b, k, x_t0, x_t1, join.inflation)
-                    if lower_a > upper_b or lower_b > upper_a:
+                ties = tied_sides(target.nodes, p / WIDTH, p % WIDTH, query.nodes, q / WIDTH, q % WIDTH)
+                while ties != _NONE:
+                    k = lowest_bit(ties)
+                    ties = ties & (ties - wp.uint32(1))
+                    sign = wp.where(k < 3, wp.float64(1.0), wp.float64(-1.0))
+                    axis = k % 3
+                    # the target begins beyond the end of the query, or, mirrored, ends before its beginning
+                    end = -swept_lower(a, join.num_query_corners, axis, -sign, x_t0, x_t1, join.inflation)
+                    if swept_lower(b, join.num_target_corners, axis, sign, x_t0, x_t1, join.inflation) > end:
                         return 0
         i = query.primitive[q]
         j = target.primitive[p]

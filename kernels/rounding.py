@@ -49,6 +49,14 @@ below are in the normalised units of step 2.
    absolute term of step 5. |d_k| is convex in t, so the offsets of both ends interpolate to an upper
    bound of the offset between them. Crossings are treated as in step 9.
 
+11. **Sides in the cull.** A corner is a rounded difference of input points (1u), a projection adds three roundings, the
+   interpolation to an end before 1 three more (step 8, without its sub-patch), and the bound itself four: SIDES = 16
+   times the sum of |d_k|·(largest corner on the axis). Underflow of a product is below 2^-1074 a term; the test adds
+   2^-1060. Where a product overflows so does that sum, and nothing is proved.
+12. **End of a shorter step.** (1-t)·a + t·b with 1-t rounded: three roundings of the first term, two of the second, and
+   the sum: at most 3.1u·max(|a|, |b|); INTERPOLATION = 8 covers the roundings of the bound and of adding it. A product
+   that underflows is off by 2^-1074 at most; the box gets 2^-1070.
+
 Constants are in units of u.
 """
 
@@ -60,6 +68,8 @@ MOVING = 2.0
 VOLUME = 25.0
 RELATIVE = 8.0
 CROSSING = 12.0
+SIDES = 16.0
+INTERPOLATION = 8.0
 
 # Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
 MAX_SPLITS = {wp.float64: 50, wp.float32: 21}

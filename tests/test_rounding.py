@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.kernels.boxes import end_box
 from ccd_warp.kernels.cull import is_free_by_sides, is_free_by_volume
 from ccd_warp.kernels.facets import make_facets
 from ccd_warp.kernels.inclusion import make_inclusion
@@ -712,6 +713,69 @@ def test_cull_drops_no_contact(by_sides, separation, scale, t_end, kind):
         assert not any(truth.hit for truth in exact)
         culled += dropped.sum()
     assert culled > 10 or scale != "as_drawn"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sides_leave_a_point_on_a_side_open(kind):
+    """A point at two fifths of a side touches it; the projections across the side are nothing but rounding."""
+    rng = np.random.default_rng(45)
+    n = 4000
+    p0 = rng.integers(-(2**49), 2**49, (n, 3))  # sums of these are exact
+    g = rng.integers(-(2**40), 2**40, (n, 3))
+    far = rng.integers(-(2**49), 2**49, (n, 3))
+    on_side = p0 + 2 * g
+    side = [p0, p0 + 5 * g]
+    points = [on_side, *side, far] if kind == "vertex-face" else [on_side, far, *side]
+    x = np.stack(points, axis=1).astype(np.float64)
+    is_free = wp.ones(n, dtype=wp.bool, device="cpu")
+    frames = [wp.array(x, dtype=wp.vec3d, device="cpu"), wp.array(x, dtype=wp.vec3d, device="cpu")]
+    wp.launch(make_cull_probe(), dim=n, inputs=[KINDS[kind], *frames, 0.0, 1.0, 1], outputs=[is_free], device="cpu")
+    assert not is_free.numpy().any()
+
+
+@cache
+def make_end_probe():
+    module = wp.get_module("test_rounding.end")
+    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+
+    @wp.kernel(module=module)
+    def end_probe(
+        # in
+        a: wp.array[wp.vec3d],
+        b: wp.array[wp.vec3d],
+        t: wp.array[wp.float64],
+        # out
+        lower: wp.array[wp.vec3d],
+        upper: wp.array[wp.vec3d],
+    ):
+        i = wp.tid()
+        box = end_box(a[i], b[i], t[i])
+        lower[i] = box.lower
+        upper[i] = box.upper
+
+    return end_probe
+
+
+@pytest.mark.parametrize("exponent", [0, 1000, -1070])
+def test_box_at_the_end_of_a_shorter_step_holds_the_point(exponent):
+    rng = np.random.default_rng(46)
+    n = 3000
+    a, b = (np.ldexp(rng.standard_normal((n, 3)), exponent) for _ in range(2))
+    b[::3] = np.nextafter(a[::3], np.inf)
+    a[1::7] *= 1e-9
+    t = rng.random(n) ** rng.integers(1, 20, n)
+    boxes = [wp.empty(n, dtype=wp.vec3d, device="cpu") for _ in range(2)]
+    points = [wp.array(x, dtype=wp.vec3d, device="cpu") for x in (a, b)]
+    times = wp.array(t, dtype=wp.float64, device="cpu")
+    wp.launch(make_end_probe(), dim=n, inputs=[*points, times], outputs=boxes, device="cpu")
+    lower, upper = (box.numpy() for box in boxes)
+    tight = 0
+    for i in range(n):
+        for k in range(3):
+            exact = Fraction(a[i, k]) + Fraction(t[i]) * (Fraction(b[i, k]) - Fraction(a[i, k]))
+            assert Fraction(lower[i, k]) <= exact <= Fraction(upper[i, k])
+            tight += lower[i, k] < upper[i, k]
+    assert tight > n
 
 
 def test_constants_cover_the_steps():

@@ -468,6 +468,26 @@ def test_body_inside_another_breaks_out():
     assert ccd.collision_free_step(mesh, start, start * 1.9) == 1.0
 
 
+def test_ten_faces_against_two_million():
+    """A small tetrahedron comes down on a sheet of 2 million faces, whose waves it meets at a known height."""
+    n = 1001
+    x, y = np.meshgrid(np.arange(n, dtype=float), np.arange(n, dtype=float), indexing="ij")
+    sheet = np.stack([x.ravel(), y.ravel(), 0.5 * ((x + y).ravel() % 2)], axis=1)
+    k = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (corner.ravel() for corner in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    tip = np.array([[500.0, 501, 2.5], [500.5, 501, 3.5], [499.5, 501.5, 3.5], [499.5, 500.5, 3.5]])
+    tip_faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+    mesh = ccd.CollisionMesh.from_arrays([(sheet, faces), (tip, tip_faces)])
+    start = mesh.vertices
+    end = start - np.where(mesh.vertex_body == 1, 4.0, 0.0)[:, None] * [0, 0, 1]
+    result = ccd.mesh_ccd(mesh, start, end)
+    # the tip stands over a crest at height 1/2
+    assert result.toi == pytest.approx(0.5, abs=1e-9) and result.toi <= 0.5
+    assert np.isfinite(result.body_toi).all() and 0 < len(result.contacts) < 500
+    assert 0.5 - 1e-9 < ccd.collision_free_step(mesh, start, end) <= 0.5
+
+
 def test_ten_faces_and_empty_bodies():
     rng = np.random.default_rng(18)
     empty = (np.zeros((0, 3)), np.zeros((0, 3), dtype=int))
