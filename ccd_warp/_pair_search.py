@@ -138,6 +138,7 @@ class PairSearch:
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
         self.num_batches = self.room = 0
+        self._made_progress = True
         self._boxes = boxes
         self._kernel = make_pair_search(with_cull).search_pairs
         self._with_cull = with_cull
@@ -265,17 +266,21 @@ class PairSearch:
 
     def _cuda_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
         """Launch every part with an equal share of the room, and read all counts back at once."""
-        parts = [pending.popleft() for _ in range(min(len(pending), self._num_slots))]
+        # where no part had room enough among others, one gets all of it
+        most = self._num_slots if self._made_progress else 1
+        parts = [pending.popleft() for _ in range(min(len(pending), most))]
         self._counts.zero_()
         bounds = [room * k // len(parts) for k in range(len(parts) + 1)]
         for k, part in enumerate(parts):
             self._launch(self._record(part.join), part, k, bounds[k], bounds[k + 1] - bounds[k])
         host = self._counts.numpy()
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
+        self._made_progress = False
         for k, part in enumerate(parts):
             if host[k, _FOUND] <= bounds[k + 1] - bounds[k]:
                 self._keep(regions[k], part, bounds[k], host[k])
+                self._made_progress = True
             else:
-                # alone it has more room; split it only where that is not enough
-                pending.extend([part] if len(parts) > 1 and host[k, _FOUND] <= room else part.split())
+                # split it only where even all the room is not enough
+                pending.extendleft([part] if host[k, _FOUND] <= room else part.split())
         return regions

@@ -295,6 +295,8 @@ class CollisionPipeline:
         with self._lock:
             step = Step(self._workspace, vertices_t0, vertices_t1, self._options)
             yield step
+            if "total" not in step.timings:
+                step.finish_timings()
             self.timings = step.timings
             self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
 

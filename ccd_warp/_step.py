@@ -86,6 +86,7 @@ class Step:
         options: Options,
     ) -> None:
         self.timings: dict[str, float] = {}
+        self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.options = options
         self.workspace = workspace
         self.topology = workspace.topology
@@ -103,11 +104,26 @@ class Step:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of a stage; on CUDA by events, which are read when the result is there anyway."""
+        if self.execution.device.is_cuda:
+            events = [wp.Event(self.execution.device, enable_timing=True) for _ in range(2)]
+            stream = wp.get_stream(self.execution.device)
+            stream.record_event(events[0])
+            yield
+            stream.record_event(events[1])
+            self._events.append((stage, *events))
+            return
         begin = time.perf_counter()
         yield
-        if self.execution.is_cuda:
-            wp.synchronize_device(self.execution.device)
         self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+
+    def finish_timings(self) -> None:
+        """Read the events of CUDA, and sum the stages."""
+        for stage, begin, end in self._events:
+            seconds = 1e-3 * wp.get_event_elapsed_time(begin, end)
+            self.timings[stage] = self.timings.get(stage, 0.0) + seconds
+        self._events.clear()
+        self.timings["total"] = sum(self.timings.values())
 
     @cached_property
     def length_scale(self) -> float:
@@ -349,7 +365,7 @@ class Step:
             "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
             "batches of pairs": search.num_batches,
         }
-        self.timings["total"] = sum(self.timings.values())
+        self.finish_timings()
         scene = float(contacts.toi.min()) if len(contacts) else math.inf
         return MeshResult(
             scene,

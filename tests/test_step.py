@@ -15,6 +15,7 @@ from oracle import exact_tois
 from test_candidates import brute_force, check, single, soup
 
 import ccd_warp as ccd
+from ccd_warp import _step as ccd_step
 from ccd_warp._launch import Execution
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width")
@@ -422,6 +423,14 @@ def test_a_step_as_on_cuda_gives_the_same(monkeypatch):
         assert ccd.collision_free_step(other, start, end, memory_limit=memory_limit) == pytest.approx(step, abs=1e-9)
     found = ccd.find_candidates(other, start, end)
     assert np.array_equal(found.edge_edge, pairs.edge_edge) and np.array_equal(found.vertex_face, pairs.vertex_face)
+    # so little room that parts are cut, down to single queries that need all of it
+    mesh, start, end = leaning_stack(60, 0.0)
+    with pytest.raises(ValueError, match="expected at least") as error:
+        ccd.collision_free_step(mesh, start, end, memory_limit=1)
+    monkeypatch.setattr(ccd_step, "_LEAST_KEYS", 1)
+    assert ccd.collision_free_step(mesh, start, end, memory_limit=least_bytes(error)) == 0.0
+    apart, start, end = leaning_stack(60)
+    assert ccd.collision_free_step(apart, start, end, memory_limit=least_bytes(error)) == 1.0
 
 
 # --- scenes made to break a broad phase ---
