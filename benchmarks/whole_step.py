@@ -25,11 +25,13 @@ from tqdm import tqdm
 
 import ccd_warp as ccd
 
+REST = 0.02  # s
 GROWTH = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 
 
 def timed(function):
-    """Result and seconds of a call."""
+    """Result and seconds of a call, after a rest: idle threads of the library that ran before spin for a while."""
+    time.sleep(REST)
     begin = time.perf_counter()
     result = function()
     return result, time.perf_counter() - begin

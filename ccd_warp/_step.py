@@ -106,12 +106,12 @@ class Step:
     def timed(self, stage: str) -> Iterator[None]:
         """Add the time of a stage; on CUDA by events, which are read when the result is there anyway."""
         if self.execution.device.is_cuda:
-            events = [wp.Event(self.execution.device, enable_timing=True) for _ in range(2)]
+            begin_event, end_event = (wp.Event(self.execution.device, enable_timing=True) for _ in range(2))
             stream = wp.get_stream(self.execution.device)
-            stream.record_event(events[0])
+            stream.record_event(begin_event)
             yield
-            stream.record_event(events[1])
-            self._events.append((stage, *events))
+            stream.record_event(end_event)
+            self._events.append((stage, begin_event, end_event))
             return
         begin = time.perf_counter()
         yield

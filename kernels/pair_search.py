@@ -15,18 +15,10 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .box_tree import (
-    WIDTH,
-    BoxTree,
-    box_corners,
-    lowest_bit,
-    moving_overlap_mask,
-    overlap_mask,
-    shared_vertex_mask,
-    tied_sides,
-)
+from .box_tree import WIDTH, BoxTree, box_corners
 from .boxes import swept_lower
 from .cull import is_free
+from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask, tied_sides
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 

@@ -9,7 +9,7 @@ hierarchies" (splits by the extent of the centroids).
 
 import warp as wp
 
-from .box_tree import united_records
+from .lanes import united_records
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

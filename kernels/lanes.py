@@ -1,0 +1,356 @@
+"""Tests of sixteen lanes at once, in C++: the one place where the code depends on the machine.
+
+Most functions have a plain version, which CUDA takes and which says what is meant; one in Clang's portable vector
+extension, lowered to whatever the processor has; and the overlap tests one for AVX-512, because Clang by itself uses
+half of those registers (15 % of a search). `tests/test_lanes.py` compiles every version that the processor can run and
+compares it with NumPy.
+
+A block is laid out as in `box_tree`: six rows of sixteen numbers a frame, three rows of sixteen vertices.
+"""
+
+import warp as wp
+
+_SCALAR = "defined(__CUDA_ARCH__) || !defined(__clang__)"
+_AVX512 = "defined(__AVX512F__) && __has_builtin(__builtin_ia32_cmpps512_mask)"
+
+_LANES = """
+    typedef float Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int Mask __attribute__((ext_vector_type(16)));
+    typedef bool Bits __attribute__((ext_vector_type(16)));
+    const auto bits = [](Mask m) {
+        const Bits set = __builtin_convertvector(m, Bits);
+        unsigned short mask;
+        __builtin_memcpy(&mask, &set, 2);
+        return (unsigned)mask;
+    };
+"""
+# Less or equal (2), greater or equal (13), less (1), greater (14): comparisons of Intel's manual, quiet on NaN or not.
+_COMPARE = """
+    typedef float Lanes __attribute__((vector_size(64)));
+    typedef float Row __attribute__((vector_size(64), aligned(4)));
+    const auto row = [](const float* x) { return (Lanes)*(const Row*)x; };
+    const auto all = [](float x) { return (Lanes){x, x, x, x, x, x, x, x, x, x, x, x, x, x, x, x}; };
+#define CCD_COMPARE(a, b, how) (unsigned)__builtin_ia32_cmpps512_mask(row(a), all(b), how, (unsigned short)0xFFFF, 4)
+"""
+
+OVERLAP = {
+    "scalar": """
+    const float* b = nodes.data + (long long)block * 96;
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    const float lx = q[0], ly = q[16], lz = q[32], ux = q[48], uy = q[64], uz = q[80];
+    unsigned closed = 0, open = 0;
+    for (int k = 0; k < 16; ++k) {
+        const float bx = b[k], by = b[16 + k], bz = b[32 + k], cx = b[48 + k], cy = b[64 + k], cz = b[80 + k];
+        closed |= (unsigned)(bx <= ux && by <= uy && bz <= uz && cx >= lx && cy >= ly && cz >= lz) << k;
+        open |= (unsigned)(bx < ux && by < uy && bz < uz && cx > lx && cy > ly && cz > lz) << k;
+    }
+    return with_open == 0 ? closed : closed | open << 16;
+""",
+    "vector": _LANES
+    + """
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 96);
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    const Lanes lx = (Lanes)q[0], ly = (Lanes)q[16], lz = (Lanes)q[32];
+    const Lanes ux = (Lanes)q[48], uy = (Lanes)q[64], uz = (Lanes)q[80];
+    const Mask below = (b[0] <= ux) & (b[1] <= uy) & (b[2] <= uz);
+    const unsigned closed = bits(below & (b[3] >= lx) & (b[4] >= ly) & (b[5] >= lz));
+    if (with_open == 0 || closed == 0)
+        return closed;
+    return closed | bits((b[0] < ux) & (b[1] < uy) & (b[2] < uz) & (b[3] > lx) & (b[4] > ly) & (b[5] > lz)) << 16;
+""",
+    "avx512": _COMPARE
+    + """
+    const float* b = nodes.data + (long long)block * 96;
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    unsigned closed = CCD_COMPARE(b, q[48], 2) & CCD_COMPARE(b + 16, q[64], 2) & CCD_COMPARE(b + 32, q[80], 2);
+    closed &= CCD_COMPARE(b + 48, q[0], 13) & CCD_COMPARE(b + 64, q[16], 13) & CCD_COMPARE(b + 80, q[32], 13);
+    if (with_open == 0 || closed == 0)
+        return closed;
+    unsigned open = CCD_COMPARE(b, q[48], 1) & CCD_COMPARE(b + 16, q[64], 1) & CCD_COMPARE(b + 32, q[80], 1);
+    open &= CCD_COMPARE(b + 48, q[0], 14) & CCD_COMPARE(b + 64, q[16], 14) & CCD_COMPARE(b + 80, q[32], 14);
+#undef CCD_COMPARE
+    return closed | open << 16;
+""",
+}
+
+MOVING_OVERLAP = {
+    "scalar": """
+    const float* b = nodes.data + (long long)block * 192;
+    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    unsigned mask = 0;
+    for (int k = 0; k < 16; ++k) {
+        bool meet = true;
+        for (int n = 0; n < 48; n += 16) {
+            meet = meet && (b[n + k] <= q[n + 48] || b[n + 96 + k] <= q[n + 144]);
+            meet = meet && (b[n + 48 + k] >= q[n] || b[n + 144 + k] >= q[n + 96]);
+        }
+        mask |= (unsigned)meet << k;
+    }
+    return mask;
+""",
+    "vector": _LANES
+    + """
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 192);
+    const Lanes* c = b + 6;
+    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    const float* r = q + 96;
+    Mask m = (b[0] <= (Lanes)q[48]) | (c[0] <= (Lanes)r[48]);
+    m &= (b[1] <= (Lanes)q[64]) | (c[1] <= (Lanes)r[64]);
+    m &= (b[2] <= (Lanes)q[80]) | (c[2] <= (Lanes)r[80]);
+    m &= (b[3] >= (Lanes)q[0]) | (c[3] >= (Lanes)r[0]);
+    m &= (b[4] >= (Lanes)q[16]) | (c[4] >= (Lanes)r[16]);
+    m &= (b[5] >= (Lanes)q[32]) | (c[5] >= (Lanes)r[32]);
+    return bits(m);
+""",
+    "avx512": _COMPARE
+    + """
+    const float* b = nodes.data + (long long)block * 192;
+    const float* c = b + 96;
+    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    const float* r = q + 96;
+    unsigned mask = CCD_COMPARE(b, q[48], 2) | CCD_COMPARE(c, r[48], 2);
+    mask &= CCD_COMPARE(b + 16, q[64], 2) | CCD_COMPARE(c + 16, r[64], 2);
+    mask &= CCD_COMPARE(b + 32, q[80], 2) | CCD_COMPARE(c + 32, r[80], 2);
+    mask &= CCD_COMPARE(b + 48, q[0], 13) | CCD_COMPARE(c + 48, r[0], 13);
+    mask &= CCD_COMPARE(b + 64, q[16], 13) | CCD_COMPARE(c + 64, r[16], 13);
+    mask &= CCD_COMPARE(b + 80, q[32], 13) | CCD_COMPARE(c + 80, r[32], 13);
+#undef CCD_COMPARE
+    return mask;
+""",
+}
+
+SHARED_VERTEX = {
+    "scalar": """
+    const int* b = corners.data + (long long)block * 48;
+    const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
+    unsigned mask = 0;
+    for (int i = 0; i < num_query_corners; ++i)
+        for (int j = 0; j < num_corners; ++j)
+            for (int k = 0; k < 16; ++k)
+                mask |= (unsigned)(b[16 * j + k] == q[16 * i]) << k;
+    return mask;
+""",
+    "vector": _LANES
+    + """
+    typedef int Row __attribute__((ext_vector_type(16), aligned(4)));
+    const Row* b = (const Row*)(corners.data + (long long)block * 48);
+    const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
+    Mask m = (Mask)0;
+    for (int i = 0; i < num_query_corners; ++i)
+        for (int j = 0; j < num_corners; ++j)
+            m |= b[j] == (Row)q[16 * i];
+    return bits(m);
+""",
+}
+
+
+UNITED_RECORDS = {
+    "scalar": """
+    wp::vec_t<8, wp::float32> r;
+    for (int k = 0; k < 8; ++k) {
+        const float a = records.data[8LL * v0 + k], b = records.data[8LL * v1 + k], c = records.data[8LL * v2 + k];
+        const float ab = a < b ? a : b;
+        r[k] = ab < c ? ab : c;
+    }
+    return r;
+""",
+    "vector": """
+    typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
+    const Record a = *(const Record*)(records.data + 8LL * v0);
+    const Record b = *(const Record*)(records.data + 8LL * v1);
+    const Record c = *(const Record*)(records.data + 8LL * v2);
+    const Record ab = a < b ? a : b;
+    wp::vec_t<8, wp::float32> r;
+    *(Record*)&r = ab < c ? ab : c;
+    return r;
+""",
+}
+
+LEAVES = {
+    "scalar": """
+    const int* c = corners.data + (long long)block * 48;
+    for (int f = 0; f < num_frames; ++f)
+        for (int k = 0; k < 16; ++k) {
+            float* p = nodes.data + ((long long)block * num_frames + f) * 96 + k;
+            for (int m = 0; m < 6; ++m) {
+                float r = INFINITY;
+                for (int n = 0; n < num_corners && k < count; ++n) {
+                    const long long v = c[16 * n + k];
+                    const float s = records.data[8 * (num_frames * v + f) + (m < 3 ? m : m + 1)];
+                    r = s < r ? s : r;
+                }
+                p[16 * m] = m < 3 ? r : -r;
+            }
+        }
+""",
+    "vector": """
+    typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
+    const int* c = corners.data + (long long)block * 48;
+    for (int f = 0; f < num_frames; ++f)
+        for (int k = 0; k < 16; ++k) {
+            float* p = nodes.data + ((long long)block * num_frames + f) * 96 + k;
+            Record r = (Record)__builtin_inff();
+            if (k < count) {
+                r = *(const Record*)(records.data + 8 * ((long long)num_frames * c[k] + f));
+                for (int n = 1; n < num_corners; ++n) {
+                    const Record s = *(const Record*)(records.data + 8 * ((long long)num_frames * c[16 * n + k] + f));
+                    r = s < r ? s : r;
+                }
+            }
+            p[0] = r[0];
+            p[16] = r[1];
+            p[32] = r[2];
+            p[48] = -r[4];
+            p[64] = -r[5];
+            p[80] = -r[6];
+        }
+""",
+}
+
+UNION = {
+    "scalar": """
+    const float* b = nodes.data + (long long)block * 96;
+    float* p = nodes.data + at;
+    for (int k = 0; k < 6; ++k) {
+        float m = b[16 * k];
+        for (int n = 1; n < 16; ++n) {
+            const float x = b[16 * k + n];
+            m = (k < 3 ? x < m : x > m) ? x : m;
+        }
+        p[16 * k] = m;
+    }
+""",
+    "vector": """
+    typedef float Lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef float Half __attribute__((ext_vector_type(8)));
+    typedef float Quarter __attribute__((ext_vector_type(4)));
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 96);
+    float* p = nodes.data + at;
+    for (int k = 0; k < 6; ++k) {
+        const Lanes row = k < 3 ? b[k] : -b[k];
+        const Half h = row.lo < row.hi ? row.lo : row.hi;
+        const Quarter q = h.lo < h.hi ? h.lo : h.hi;
+        const float x = q[0] < q[1] ? q[0] : q[1], y = q[2] < q[3] ? q[2] : q[3];
+        const float m = x < y ? x : y;
+        p[16 * k] = k < 3 ? m : -m;
+    }
+""",
+}
+
+vec8f = wp.types.vector(length=8, dtype=wp.float32)
+
+
+def chosen(versions: dict[str, str]) -> str:
+    """The source of a function that picks its version when it is compiled."""
+    source = f"#if {_SCALAR}\n{versions['scalar']}"
+    if "avx512" in versions:
+        source += f"#elif {_AVX512}\n{versions['avx512']}"
+    return f"{source}#else\n{versions['vector']}#endif\n"
+
+
+@wp.func_native(chosen(OVERLAP))
+def overlap_mask(
+    nodes: wp.array[wp.float32],
+    block: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+    with_open: int,
+) -> wp.uint32:
+    """Which of the sixteen boxes of a block share a point with a box; with ``with_open``, above, which share more."""
+    ...
+
+
+@wp.func_native(chosen(MOVING_OVERLAP))
+def moving_overlap_mask(
+    nodes: wp.array[wp.float32],
+    block: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+    with_open: int,
+) -> wp.uint32:
+    """The same for two frames: which of the sixteen boxes are not on one side of a box at both ends.
+
+    ``with_open`` has no meaning here; it makes the two functions exchangeable.
+    """
+    ...
+
+
+@wp.func_native(chosen(SHARED_VERTEX))
+def shared_vertex_mask(
+    corners: wp.array[wp.int32],
+    block: int,
+    num_corners: int,
+    query_corners: wp.array[wp.int32],
+    query_block: int,
+    query_lane: int,
+    num_query_corners: int,
+) -> wp.uint32:
+    """Which of the sixteen primitives of a block have a vertex in common with a primitive."""
+    ...
+
+
+@wp.func_native(
+    """
+    const float* b = nodes.data + (long long)block * 96 + lane;
+    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
+    unsigned ties = 0;
+    for (int k = 0; k < 3; ++k)
+        ties |= (unsigned)(b[16 * k] == q[16 * k + 48]) << k | (unsigned)(b[16 * k + 48] == q[16 * k]) << (k + 3);
+    return ties;
+"""
+)
+def tied_sides(
+    nodes: wp.array[wp.float32],
+    block: int,
+    lane: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+) -> wp.uint32:
+    """Axes on which a box begins where a query ends, and above those on which it ends where the query begins.
+
+    That is in the image, where only the exact boxes can tell more.
+    """
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    return __ffs((int)mask) - 1;
+#else
+    return __builtin_ctz(mask);
+#endif
+"""
+)
+def lowest_bit(mask: wp.uint32) -> int:
+    """Place of the lowest bit that is set; the mask is not 0."""
+    ...
+
+
+@wp.func_native(chosen(UNITED_RECORDS))
+def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
+    """The union of three records."""
+    ...
+
+
+@wp.func_native(chosen(LEAVES))
+def write_leaves(
+    records: wp.array[wp.float32],
+    num_frames: int,
+    corners: wp.array[wp.int32],
+    num_corners: int,
+    nodes: wp.array[wp.float32],
+    block: int,
+    count: int,
+):
+    """Fill a block of level 0 with the unions of the records of its first ``count`` primitives, else with nothing."""
+    ...
+
+
+@wp.func_native(chosen(UNION))
+def write_union(nodes: wp.array[wp.float32], block: int, at: int):
+    """Write the union of a block and frame to a place of another."""
+    ...

@@ -1,0 +1,179 @@
+"""Every version of the functions on sixteen lanes, against NumPy: plain, vectors of the compiler, AVX-512."""
+
+import numpy as np
+import pytest
+import warp as wp
+from ccd_warp.kernels import lanes
+
+WIDTH = 16
+_kernels = {}
+
+
+def supports(version):
+    """Whether this processor, and Warp's compiler for it, can run a version."""
+    if version != "avx512":
+        return True
+    if "probe" not in _kernels:
+
+        @wp.func_native(f"#if {lanes._AVX512}\n    return 1;\n#else\n    return 0;\n#endif\n")
+        def has_avx512() -> int: ...
+
+        @wp.kernel(module="unique", enable_backward=False)
+        def probe(out: wp.array[wp.int32]):
+            out[0] = has_avx512()
+
+        result = wp.zeros(1, dtype=wp.int32, device="cpu")
+        wp.launch(probe, dim=1, inputs=[result], device="cpu")
+        _kernels["probe"] = bool(result.numpy()[0])
+    return _kernels["probe"]
+
+
+def blocks(rng, count, frames):
+    """Boxes on a coarse lattice, so that ties abound, some infinite and some empty; [count, frames, 6, 16]."""
+    lower = rng.integers(-4, 4, (count, frames, 3, WIDTH)).astype(np.float32)
+    upper = lower + rng.integers(0, 4, lower.shape).astype(np.float32)
+    lower[rng.random(lower.shape) < 0.02] = -np.inf
+    upper[rng.random(upper.shape) < 0.02] = np.inf
+    empty = np.broadcast_to(rng.random((count, 1, 1, WIDTH)) < 0.1, lower.shape)
+    return np.concatenate([np.where(empty, np.inf, lower), np.where(empty, -np.inf, upper)], axis=2).astype(np.float32)
+
+
+def on_cpu(array, dtype):
+    return wp.array(np.ascontiguousarray(array).reshape(-1), dtype=dtype, device="cpu")
+
+
+def make_overlap(sources, version):
+    @wp.func_native(sources[version])
+    def overlap(
+        nodes: wp.array[wp.float32],
+        block: int,
+        query_nodes: wp.array[wp.float32],
+        query_block: int,
+        query_lane: int,
+        with_open: int,
+    ) -> wp.uint32: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(nodes: wp.array[wp.float32], queries: wp.array[wp.float32], with_open: int, out: wp.array2d[wp.uint32]):
+        i, j = wp.tid()
+        out[i, j] = overlap(nodes, j, queries, i / 16, i % 16, with_open)
+
+    return run
+
+
+def cases(sources):
+    return [(name, version) for name, versions in sources.items() for version in versions]
+
+
+@pytest.mark.parametrize(("name", "version"), cases({"OVERLAP": lanes.OVERLAP, "MOVING_OVERLAP": lanes.MOVING_OVERLAP}))
+def test_overlap(name, version):
+    if not supports(version):
+        pytest.skip(f"this processor has no {version}")
+    rng = np.random.default_rng(1)
+    frames = 2 if name == "MOVING_OVERLAP" else 1
+    boxes, queries = blocks(rng, 20, frames), blocks(rng, 4, frames)
+    b = boxes.transpose(1, 2, 0, 3).reshape(frames, 6, 1, -1)
+    q = queries.transpose(1, 2, 0, 3).reshape(frames, 6, -1, 1)
+    if frames == 1:
+        closed = (b[0, :3] <= q[0, 3:]).all(axis=0) & (b[0, 3:] >= q[0, :3]).all(axis=0)
+        opened = (b[0, :3] < q[0, 3:]).all(axis=0) & (b[0, 3:] > q[0, :3]).all(axis=0)
+    else:
+        closed = (b[:, :3] <= q[:, 3:]).any(axis=0).all(axis=0) & (b[:, 3:] >= q[:, :3]).any(axis=0).all(axis=0)
+        opened = closed
+    for with_open in (0, 1) if frames == 1 else (0,):
+        out = wp.zeros((64, 20), dtype=wp.uint32, device="cpu")
+        inputs = [on_cpu(boxes, wp.float32), on_cpu(queries, wp.float32), with_open]
+        wp.launch(make_overlap(getattr(lanes, name), version), dim=(64, 20), inputs=inputs, outputs=[out], device="cpu")
+        weight = 1 << np.arange(WIDTH, dtype=np.uint32)
+        expected = (closed.reshape(64, 20, WIDTH) * weight).sum(axis=2)
+        if with_open:
+            expected = expected + ((opened & closed).reshape(64, 20, WIDTH) * (weight << 16)).sum(axis=2)
+        assert np.array_equal(out.numpy(), expected)
+    assert 0 < opened.sum() < closed.sum() or frames == 2
+
+
+@pytest.mark.parametrize("version", lanes.SHARED_VERTEX)
+@pytest.mark.parametrize("corners", [(1, 3), (2, 2), (3, 1)])
+def test_shared_vertex(version, corners):
+    @wp.func_native(lanes.SHARED_VERTEX[version])
+    def shared(
+        corners: wp.array[wp.int32],
+        block: int,
+        num_corners: int,
+        query_corners: wp.array[wp.int32],
+        query_block: int,
+        query_lane: int,
+        num_query_corners: int,
+    ) -> wp.uint32: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(a: wp.array[wp.int32], n: int, q: wp.array[wp.int32], m: int, out: wp.array2d[wp.uint32]):
+        i, j = wp.tid()
+        out[i, j] = shared(a, j, n, q, i / 16, i % 16, m)
+
+    rng = np.random.default_rng(2)
+    targets, queries = rng.integers(0, 30, (10, 3, WIDTH)), rng.integers(0, 30, (4, 3, WIDTH))
+    out = wp.zeros((64, 10), dtype=wp.uint32, device="cpu")
+    inputs = [on_cpu(targets, wp.int32), corners[1], on_cpu(queries, wp.int32), corners[0]]
+    wp.launch(run, dim=(64, 10), inputs=inputs, outputs=[out], device="cpu")
+    t = targets[:, : corners[1]].transpose(1, 0, 2).reshape(1, corners[1], 1, -1)
+    q = queries[:, : corners[0]].transpose(1, 0, 2).reshape(corners[0], 1, -1, 1)
+    shares = (t == q).any(axis=(0, 1)).reshape(64, 10, WIDTH)
+    assert np.array_equal(out.numpy(), (shares * (1 << np.arange(WIDTH))).sum(axis=2))
+
+
+@pytest.mark.parametrize("version", lanes.LEAVES)
+@pytest.mark.parametrize("num_corners", [1, 2, 3])
+@pytest.mark.parametrize("num_frames", [1, 2])
+def test_leaves_records_and_unions(version, num_corners, num_frames):
+    @wp.func_native(lanes.LEAVES[version])
+    def leaves(
+        records: wp.array[wp.float32],
+        num_frames: int,
+        corners: wp.array[wp.int32],
+        num_corners: int,
+        nodes: wp.array[wp.float32],
+        block: int,
+        count: int,
+    ): ...
+
+    @wp.func_native(lanes.UNION[version])
+    def union(nodes: wp.array[wp.float32], block: int, at: int): ...
+
+    @wp.func_native(lanes.UNITED_RECORDS[version])
+    def united(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> lanes.vec8f: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(
+        records: wp.array[wp.float32],
+        frames: int,
+        corners: wp.array[wp.int32],
+        n: int,
+        count: int,
+        nodes: wp.array[wp.float32],
+        out: wp.array[wp.float32],
+    ):
+        b = wp.tid()
+        leaves(records, frames, corners, n, nodes, b, count - 16 * b)
+        for f in range(frames):
+            union(nodes, b * frames + f, (4 * frames + f) * 96 + b)
+        r = united(records, corners[48 * b] * frames, corners[48 * b + 16] * frames, corners[48 * b + 32] * frames)
+        for k in range(8):
+            out[8 * b + k] = r[k]
+
+    rng = np.random.default_rng(3)
+    count = 53
+    records = rng.standard_normal((40, num_frames, 8)).astype(np.float32)
+    corners = rng.integers(0, 40, (4, 3, WIDTH))
+    nodes = wp.zeros(5 * num_frames * 96, dtype=wp.float32, device="cpu")
+    out = wp.zeros(32, dtype=wp.float32, device="cpu")
+    inputs = [on_cpu(records, wp.float32), num_frames, on_cpu(corners, wp.int32), num_corners, count]
+    wp.launch(run, dim=4, inputs=inputs, outputs=[nodes, out], device="cpu")
+    least = records[corners[:, :num_corners]].min(axis=1)  # [block, lane, frame, 8]
+    least[np.arange(64).reshape(4, WIDTH) >= count] = np.inf
+    expected = np.concatenate([least[..., :3], -least[..., 4:7]], axis=-1).transpose(0, 2, 3, 1)
+    found = nodes.numpy().reshape(5, num_frames, 6, WIDTH)
+    assert np.array_equal(found[:4], expected)
+    assert np.array_equal(found[4, :, :3, :4], expected[:, :, :3].min(axis=3).transpose(1, 2, 0))
+    assert np.array_equal(found[4, :, 3:, :4], expected[:, :, 3:].max(axis=3).transpose(1, 2, 0))
+    assert np.array_equal(out.numpy().reshape(4, 8), records[corners[:, :, 0], 0].min(axis=1))
