@@ -1,4 +1,4 @@
-"""Fuzz driver of the narrow phase: random hard queries and options against the exact oracle, until something breaks.
+"""Fuzz driver: random hard queries and options against the exact oracle, until something breaks.
 
     python benchmarks/fuzz.py --queries 300000        # about five minutes on two cores
     python benchmarks/fuzz.py --queries 0             # until interrupted
@@ -13,6 +13,9 @@ Every batch draws a kind, a source of queries, a precision and options. A query 
 - capped: the default max_iterations was reached, or the resolution's limit though the tolerance is above 100 u · size;
 - gap: the reported bound of the gap is below the exact gap;
 - insane: a status that contradicts toi, toi outside [0, t_max], or parameters that are not finite.
+
+One batch in four is also put side by side into one mesh, where `mesh_ccd` and `collision_free_step` must neither miss a
+query nor be late for one: that covers boxes, tree, filter and cull, beside scales and places of any kind.
 
 Failing queries are saved as CSV in the public format beside a JSON with the options; the exit status is then 1.
 """
@@ -40,6 +43,7 @@ KINDS = tuple(SOLVE)
 MUTATIONS = ("published_noise", "published_crossover", "published_scaled_axes", "published_snapped", "family_mutated")
 CHECKS = ("missed", "late", "phantom", "capped", "gap", "insane")
 BATCH = 100
+MESH_SHARE = 0.25
 ROUNDING = {name: 100 * u for name, u in UNIT_ROUNDOFF.items()}
 # A reported gap is formed from a separation rounded up by 8 u (kernels/rounding.py, step 6).
 SEPARATION_ROUNDING = {name: 16 * u for name, u in UNIT_ROUNDOFF.items()}
@@ -171,6 +175,35 @@ def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict
     return failures, counts
 
 
+def check_mesh(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict) -> list:
+    """Failures of a batch whose queries lie in one mesh, among the pairs that they form with each other."""
+    options = {"length_scale": 1.0, **options}
+    separation = options["minimum_separation"] * options["length_scale"]
+    exact = exact_tois(kind, points_t0, points_t1, separation, options["t_max"])
+    first = 4 * np.arange(len(points_t0))[:, None]
+    faces = first + [1, 2, 3] if kind == "vertex-face" else np.concatenate([first + [0, 1, 1], first + [2, 3, 3]])
+    start, end = points_t0.reshape(-1, 3), points_t1.reshape(-1, 3)
+    mesh = ccd.CollisionMesh.from_arrays([(start, faces)])
+    contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
+    step = ccd.collision_free_step(mesh, start, end, **options)
+    wanted = ccd.PairKind[kind.replace("-", "_").upper()]
+    pairs, tois = contacts.primitives[contacts.kind == wanted], contacts.toi[contacts.kind == wanted]
+    if kind == "vertex-face":
+        corners = np.concatenate([pairs[:, :1], mesh.faces[pairs[:, 1]]], axis=1)
+    else:
+        corners = mesh.edges[pairs].reshape(-1, 4)
+    query = corners.min(axis=1) // 4
+    own = corners.max(axis=1) // 4 == query
+    found = dict(zip(query[own].tolist(), tois[own].tolist(), strict=True))
+    failures = []
+    for i, truth in enumerate(exact):
+        if truth.hit and i not in found:
+            failures.append((i, "missed", f"exact {truth!r}, no contact in the mesh"))
+        elif truth.late(found.get(i, 0.0)) or truth.late(step):
+            failures.append((i, "late", f"in a mesh: toi {found.get(i)!r}, step {step!r}"))
+    return failures
+
+
 def start_worker(published: dict) -> None:
     """Set-up of a worker process."""
     wp.config.log_level = wp.LOG_WARNING
@@ -185,6 +218,9 @@ def run_batch(task: tuple) -> dict:
     points_t0, points_t1 = draw(source, kind, dimension, BATCH, rng)
     report = {"index": index, "kind": kind, "source": source, "dimension": dimension, "options": options}
     failures, report["counts"] = check(kind, points_t0, points_t1, options)
+    if POINTS[kind] == 4 and rng.random() < MESH_SHARE:
+        failures += check_mesh(kind, points_t0, points_t1, options)
+        report["counts"]["in_meshes"] = len(points_t0)
     report["failures"] = [(i, name, message, points_t0[i], points_t1[i]) for i, name, message in failures]
     return report
 
@@ -226,7 +262,7 @@ def save(folder: Path, seed: int, report: dict) -> Path:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Fuzz the narrow phase against exact arithmetic.")
+    parser = argparse.ArgumentParser(description="Fuzz pairs and meshes against exact arithmetic.")
     parser.add_argument("--queries", type=int, default=300_000, help="number of queries; 0 goes on until interrupted")
     parser.add_argument("--seed", type=int, help="seed of the run; by default a fresh one, printed")
     parser.add_argument("--families", nargs="+", choices=[*FAMILIES, *MUTATIONS], help="sources; by default all")
@@ -291,7 +327,8 @@ def main() -> int:
     print(
         f"{counts['queries']} queries in {seconds:.0f} s ({rate:.0f} a second, {parsed.processes} processes), "
         f"{counts['collisions']} exact collisions, {counts['hits']} hits, {counts['phantoms']} phantoms, "
-        f"{counts['unresolved']} at the limit of the resolution, {counts['unresolved_beyond']} of them beyond the bound"
+        f"{counts['unresolved']} at the limit of the resolution, {counts['unresolved_beyond']} beyond the bound, "
+        f"{counts['in_meshes']} queries in meshes as well"
     )
     print(", ".join(f"{by_source[name]} {name}" for name in (*parsed.kinds, *parsed.precision)))
     print(", ".join(f"{name}: {checks[name]}" for name in CHECKS))

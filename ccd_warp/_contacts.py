@@ -55,8 +55,8 @@ class ContactStore:
     """Contacts of the batches so far."""
 
     BYTES_PER_CONTACT = sum(wp.types.type_size_in_bytes(dtype) for dtype in _FIELDS.values())
-    # kept, their order, and what is returned
-    BYTES_KEPT = BYTES_PER_CONTACT + 8 + sum(wp.types.type_size_in_bytes(dtype) for dtype in _OUTPUTS.values())
+    # kept, in arrays that double and are copied to grow; their order; and what is returned
+    BYTES_KEPT = 3 * BYTES_PER_CONTACT + 8 + sum(wp.types.type_size_in_bytes(dtype) for dtype in _OUTPUTS.values())
 
     def __init__(self, buffers: Buffers, execution: Execution, largest: int) -> None:
         """``largest`` is the number of contacts that there is room for; beyond it they are only counted."""

@@ -235,7 +235,7 @@ class Step:
         corners = self.topology.corners
         return [int(found.kind), found.begin + first, found.keys, corners[a], corners[b], self.x_t0, self.x_t1]
 
-    def parts_of(self, batch: list[Found], grain: int = 64) -> list["_PairPart"]:
+    def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
         """A batch in parts that are worth a launch each, some for every thread."""
         parts = []
         total = sum(found.count for found in batch)

@@ -156,6 +156,15 @@ def test_options_reach_the_library(scene, capfd):
     assert EXACT_TOI - 0.002 - 1e-6 <= toi <= EXACT_TOI - 0.002
 
 
+def test_kinds_and_memory_limit_reach_the_library(scene, capfd):
+    arguments = ("--static", scene / "floor.ply", "--pair-kinds", "edge-edge", "--memory-limit", "64000000")
+    assert _run(scene, *arguments) == 0
+    out = capfd.readouterr().out
+    assert "edge-edge candidates" in out and "vertex-face" not in out
+    arguments = ("run", scene / "start.ply", scene / "end.ply", "--static", scene / "floor.ply", "--memory-limit", "9")
+    assert "memory_limit is 9 bytes; expected at least" in _refused(capfd, *arguments)
+
+
 def test_float32_is_no_later(scene):
     arguments = ("--static", scene / "floor.ply", "--precision", "float32", "--output", scene / "out.json", "--quiet")
     assert _run(scene, *arguments) == 0
@@ -199,6 +208,8 @@ def test_missing_file_is_refused(scene, capfd):
         (("--precision", "float16"), "--precision"),
         (("--device", "abacus"), "device"),
         (("--num-threads", "0"), "num_threads"),
+        (("--pair-kinds", "face-face"), "pair_kinds"),
+        (("--memory-limit", "0"), "memory_limit"),
         (("--output", "result.txt"), ".npz, .json, .csv"),
         (("--output", "no_such_folder/result.npz"), "does not exist"),
         (("--wibble",), "--wibble"),
