@@ -244,6 +244,22 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines)
 
 
+def write_readme(path: Path, rows: list[dict]) -> None:
+    """Put the table between its two marks."""
+    lines = [
+        "| scene, faces | LBVH | `find_candidates` | LBVH and step | `collision_free_step` | `mesh_ccd` |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        s = row["seconds"]
+        whole = s["peer build"] + s["peer step"]
+        values = (s["peer build"], s["find_candidates"], whole, s["collision_free_step"], s["mesh_ccd"])
+        lines.append(f"| {row['scene']} | " + " | ".join(f"{1e3 * value:.1f}" for value in values) + " |")
+    begin, end = "<!-- whole steps: begin -->\n", "<!-- whole steps: end -->"
+    before, rest = path.read_text(encoding="utf-8").split(begin)
+    path.write_text(before + begin + "\n".join(lines) + "\n" + end + rest.split(end)[1], encoding="utf-8")
+
+
 def speedups(rows: list[dict]) -> str:
     """Stages of `mesh_ccd` on all threads against one."""
     lines = []
@@ -259,11 +275,17 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="time of the rounds of a scene")
     parser.add_argument("--only", help="scenes whose name holds this")
     parser.add_argument("--json", type=Path, help="file for the raw figures")
+    parser.add_argument(
+        "--readme", type=Path, help="README whose table to write, from the file of --json, measuring nothing"
+    )
     parser.add_argument("--grow", type=int, help=argparse.SUPPRESS)
     parsed = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
     if parsed.grow:
         print(json.dumps(grow(parsed.grow)))
+        return 0
+    if parsed.readme:
+        write_readme(parsed.readme, json.loads(parsed.json.read_text())["scenes"])
         return 0
     rows = []
     with tqdm(all_scenes(parsed.quick), file=sys.stderr, unit=" scenes") as bar:

@@ -12,7 +12,8 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp._step import Step, Workspace
+from ccd_warp._step import Step
+from ccd_warp._workspace import Workspace
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._bodies import bodies_near
 from ccd_warp._buffers import Buffers
 from ccd_warp._contacts import ContactStore
 from ccd_warp._launch import Execution, load
@@ -21,8 +22,8 @@ from ccd_warp._options import Options
 from ccd_warp._pair_search import KEY_BYTES, Found, PairSearch, joins_of
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp._step_boxes import StepBoxes
-from ccd_warp._topology import CORNER_ARRAYS, Topology
+from ccd_warp._topology import CORNER_ARRAYS
+from ccd_warp._workspace import Workspace
 from ccd_warp.kernels import boxes as box_kernels
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
@@ -43,36 +44,6 @@ class _PairPart:
     found: Found
     first: int
     count: int
-
-
-class Workspace:
-    """What stays from step to step: a mesh's topology on a device, the boxes of what rests, buffers."""
-
-    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
-        self.topology = Topology.of(mesh, device)
-        self.buffers = Buffers(device)
-        self.boxes = StepBoxes(self.topology, self.buffers)
-        self._body_hull: Workspace | None = None
-
-    def body_hull(self) -> "Workspace":
-        """The workspace of a mesh of one point a body, for the search among the boxes of bodies."""
-        if self._body_hull is None:
-            mesh = self.topology.mesh
-            points = np.zeros((mesh.num_bodies, 3))
-            every = np.ones(mesh.num_bodies, dtype=bool)
-            hull = CollisionMesh(
-                points,
-                np.zeros((0, 3), dtype=np.int32),
-                np.arange(mesh.num_bodies + 1, dtype=np.int32),
-                ~every,
-                every,
-                np.zeros((0, 2), dtype=np.int32),
-                every,
-                mesh.body_pairs,
-                1,
-            )
-            self._body_hull = Workspace(hull, self.topology.device)
-        return self._body_hull
 
 
 class Step:
@@ -408,28 +379,3 @@ def longest_side(x_t0: wp.array, x_t1: wp.array, execution: Execution, buffers: 
     with np.errstate(over="ignore"):
         sides = upper.numpy()[:count].max(axis=0) - lower.numpy()[:count].min(axis=0)
     return float(min(sides.max(), _LARGEST))
-
-
-def bodies_near(
-    workspace: Workspace, host: tuple[NDArray, NDArray], inflation: float, execution: Execution
-) -> NDArray[np.bool_]:
-    """Bodies that may collide with themselves or whose swept box meets that of another they may collide with.
-
-    A mesh of points, one a body, that move from the lower to the upper corner of the body's box: their swept boxes are
-    those of the bodies, and the search is the same.
-    """
-    mesh = workspace.topology.mesh
-    first = mesh.body_vertex_range[:-1].astype(np.int64)
-    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    lower, upper = np.zeros((2, mesh.num_bodies, 3))
-    if len(filled):
-        lower[filled] = np.minimum.reduceat(np.minimum(*host), first[filled], axis=0)
-        upper[filled] = np.maximum.reduceat(np.maximum(*host), first[filled], axis=0)
-    hull = workspace.body_hull()
-    step = Step(hull, lower, upper, Options(pair_kinds=(PairKind.POINT_POINT,), num_threads=execution.num_threads))
-    near = mesh.self_collision & ~mesh.static
-    for keys in step.candidates(inflation)[PairKind.POINT_POINT]:
-        a, b = keys >> 32, keys & 0xFFFFFFFF
-        one_moves = ~(mesh.static[a] & mesh.static[b])
-        near[a[one_moves]] = near[b[one_moves]] = True
-    return near

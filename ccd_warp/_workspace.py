@@ -1,0 +1,40 @@
+"""What stays from step to step: a mesh's topology on a device, the boxes of what rests, buffers."""
+
+from typing import Any
+
+import numpy as np
+
+from ccd_warp._buffers import Buffers
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._step_boxes import StepBoxes
+from ccd_warp._topology import Topology
+
+
+class Workspace:
+    """A mesh's own on a device; used by one step at a time."""
+
+    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
+        self.topology = Topology.of(mesh, device)
+        self.buffers = Buffers(device)
+        self.boxes = StepBoxes(self.topology, self.buffers)
+        self._body_hull: Workspace | None = None
+
+    def body_hull(self) -> "Workspace":
+        """The workspace of a mesh of one point a body, for the search among the boxes of bodies."""
+        if self._body_hull is None:
+            mesh = self.topology.mesh
+            points = np.zeros((mesh.num_bodies, 3))
+            every = np.ones(mesh.num_bodies, dtype=bool)
+            hull = CollisionMesh(
+                points,
+                np.zeros((0, 3), dtype=np.int32),
+                np.arange(mesh.num_bodies + 1, dtype=np.int32),
+                ~every,
+                every,
+                np.zeros((0, 2), dtype=np.int32),
+                every,
+                mesh.body_pairs,
+                1,
+            )
+            self._body_hull = Workspace(hull, self.topology.device)
+        return self._body_hull
