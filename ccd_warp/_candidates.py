@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 
-_ALL = 2**63 - 1
-# Pairs of a kind from which on they are sorted in ranges, and ranges at the most: each looks through all pairs.
-_WORTH_RANGES = 200_000
-_MOST_RANGES = 4
+# Pairs of a kind from which on threads sort them together.
+_WORTH_RANGES = 100_000
 
 
 @dataclass(frozen=True)
@@ -38,30 +36,29 @@ def sorted_candidates(step: Step, inflation: float) -> Candidates:
     """All pairs whose boxes overlap, in order."""
     parts = step.candidates(inflation)
 
-    def pairs(kind: PairKind, low: int, high: int) -> NDArray[np.int32]:
-        """The pairs with keys in [low, high), sorted."""
-        found = parts[kind]
-        if low > 0:
-            found = [part[part >= low] for part in found]
-        if high < _ALL:
-            found = [part[part < high] for part in found]
-        keys = np.concatenate([np.zeros(0, dtype=np.int64), *found])
-        keys.sort()
-        # the first index is the upper half of a key
-        return np.ascontiguousarray(keys.view(np.int32).reshape(-1, 2)[:, :: -1 if sys.byteorder == "little" else 1])
+    threads = step.execution.num_threads
+    # the first index is the upper half of a key
+    swap = slice(None, None, -1 if sys.byteorder == "little" else 1)
 
-    # A kind with many pairs is sorted in ranges, one a thread.
-    ranges = []
-    for kind in PairKind:
-        total = sum(map(len, parts[kind]))
-        pieces = min(step.execution.num_threads, _MOST_RANGES) if total > _WORTH_RANGES else 1
-        sample = np.sort(np.concatenate([part[::997] for part in parts[kind]])) if pieces > 1 else None
-        cuts = [] if sample is None else [int(sample[len(sample) * k // pieces]) for k in range(1, pieces)]
-        ranges += [(kind, low, high) for low, high in itertools.pairwise([0, *cuts, _ALL])]
+    def begin(kind: PairKind) -> tuple[NDArray[np.int64], NDArray[np.int32], list[int]]:
+        """The keys of a kind, parted so that ranges between cuts can be sorted apart; room for the pairs; the cuts."""
+        keys = np.concatenate([np.zeros(0, dtype=np.int64), *parts[kind]])
+        pieces = threads if len(keys) > _WORTH_RANGES else 1
+        cuts = [len(keys) * k // pieces for k in range(pieces + 1)]
+        if pieces > 1:
+            keys.partition(cuts[1:-1])
+        return keys, np.empty((len(keys), 2), dtype=np.int32), cuts
+
+    def finish(keys: NDArray[np.int64], pairs: NDArray[np.int32], low: int, high: int) -> None:
+        """Sort a range and write its pairs."""
+        keys[low:high].sort()
+        pairs[low:high] = keys[low:high].view(np.int32).reshape(-1, 2)[:, swap]
+
     with step.timed("sort"):
-        found = step.execution.run([lambda r=r: pairs(*r) for r in ranges])  # type: ignore[misc]
-        by_kind = {kind: [p for p, r in zip(found, ranges, strict=True) if r[0] == kind] for kind in PairKind}
-        return Candidates(*(pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in by_kind.values()))
+        found = step.execution.run([lambda k=k: begin(k) for k in PairKind])  # type: ignore[misc]
+        ranges = [(keys, pairs, *cut) for keys, pairs, cuts in found for cut in itertools.pairwise(cuts)]
+        step.execution.run([lambda r=r: finish(*r) for r in ranges])  # type: ignore[misc]
+    return Candidates(*(pairs for _, pairs, _ in found))
 
 
 def validated_inflation(value: float) -> float:

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from .lanes import least_coordinate
 from .rounding import INTERPOLATION, UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -109,9 +110,7 @@ def swept_lower(
 
     Exactly as `fill_records` makes it.
     """
-    lower = wp.min(sign * x_t0[c[0]][axis], sign * x_t1[c[0]][axis])
-    for k in range(1, num_corners):
-        lower = wp.min(lower, wp.min(sign * x_t0[c[k]][axis], sign * x_t1[c[k]][axis]))
+    lower = least_coordinate(x_t0, x_t1, c[0], c[1], c[2], num_corners, axis, sign)
     if inflation > wp.float64(0.0):
         lower = inflated_below(lower, inflation)
     return lower

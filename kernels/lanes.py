@@ -330,6 +330,34 @@ def lowest_bit(mask: wp.uint32) -> int:
     ...
 
 
+@wp.func_native(
+    """
+    const double* a = (const double*)x_t0.data + axis;
+    const double* b = (const double*)x_t1.data + axis;
+    const int c[3] = {v0, v1, v2};
+    double least = sign * a[3LL * v0];
+    for (int k = 0; k < num_corners; ++k) {
+        const double x = sign * a[3LL * c[k]], y = sign * b[3LL * c[k]];
+        least = x < least ? x : least;
+        least = y < least ? y : least;
+    }
+    return least;
+"""
+)
+def least_coordinate(
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    v0: int,
+    v1: int,
+    v2: int,
+    num_corners: int,
+    axis: int,
+    sign: wp.float64,
+) -> wp.float64:
+    """Least sign·coordinate of vertices on an axis at both frames; the arrays are contiguous."""
+    ...
+
+
 @wp.func_native(chosen(UNITED_RECORDS))
 def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
     """The union of three records."""
