@@ -133,7 +133,7 @@ class Step:
         mesh = self.mesh
         active = None
         moving_alone = not mesh.self_collision[~mesh.static].any()
-        self.skip_moving = moving_alone and int((~mesh.static).sum()) == 1
+        skip_moving = moving_alone and int((~mesh.static).sum()) == 1
         self.counts["active bodies"] = mesh.num_bodies
         if mesh.num_bodies > 1 and not mesh.self_collision[~mesh.static].all():
             near = bodies_near(self.workspace, self.host, inflation, self.execution)
@@ -141,25 +141,23 @@ class Step:
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))
         self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, num_frames, active)
+        self.joins = joins_of(self.boxes, self.kinds(), skip_moving)
 
-    def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> tuple[PairSearch, list]:
-        """A search over all joins, with the room that the memory limit leaves."""
-        joins = joins_of(self.boxes, self.kinds(), self.skip_moving)
-        room = self.room(joins, bytes_per_pair)
-        search = PairSearch(
+    def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
+        """A search with the room that the memory limit leaves."""
+        return PairSearch(
             self.boxes,
             self.execution,
             self.buffers,
             with_cull=with_cull,
             t_end=t_end,
             separation=self.separation,
-            largest_room=room,
+            largest_room=self.room(bytes_per_pair),
         )
-        return search, joins
 
-    def room(self, joins: list, bytes_per_pair: int) -> int:
+    def room(self, bytes_per_pair: int) -> int:
         """Pairs that the memory limit has room for at a time."""
-        least = max([_LEAST_KEYS, *(join.target.primitives.count for join in joins)])
+        least = max([_LEAST_KEYS, *(join.target.primitives.count for join in self.joins)])
         least *= 1 if self.execution.is_cuda else self.execution.num_threads
         limit = self.options.memory_limit
         if limit is None:
@@ -189,9 +187,9 @@ class Step:
         with self.timed("boxes"):
             self.begin_boxes(inflation, 1.0, num_frames=1)
         with self.timed("pairs"):
-            search, joins = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
+            search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
             parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
-            for batch in search.batches(joins):
+            for batch in search.batches(self.joins):
                 for kind, views in parts.items():  # the room is about to be used again
                     parts[kind] = [np.array(view) if view.base is not None else view for view in views]
                 for found in batch:
@@ -244,8 +242,8 @@ class Step:
             with self.timed("boxes"):
                 self.boxes.shorten(best)
             with self.timed("pairs"):
-                search, joins = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
-                batches = search.batches(joins, 0, stride)
+                search = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
+                batches = search.batches(self.joins, 0, stride)
             least = best
             while True:
                 with self.timed("pairs"):
@@ -286,10 +284,8 @@ class Step:
         with self.timed("boxes"):
             self.begin_boxes(self.inflation, t_max, num_frames=2)
         with self.timed("pairs"):
-            search, joins = self.search(
-                with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + ContactStore.BYTES_PER_CONTACT
-            )
-            batches = search.batches(joins)
+            search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + ContactStore.BYTES_PER_CONTACT)
+            batches = search.batches(self.joins)
             store = ContactStore(self.buffers, self.execution, self.largest_contacts())
         kernel = make_narrow_phase(self.options.real).pairs_contacts
         options = self.options.for_kernel(self.length_scale)
