@@ -275,7 +275,7 @@ class Step:
         for kind in sorted(search.num_launches):
             self.counts[f"{kind_name(kind)} searches"] += search.num_launches[kind]
             self.counts[f"{kind_name(kind)} candidates"] = search.candidates[kind]
-        self.counts["batches"] += search.num_batches
+        self.counts["batches of pairs"] += search.num_batches
 
     def contacts(self) -> MeshResult:
         """The toi of every pair that the cull leaves open, and what follows from them."""

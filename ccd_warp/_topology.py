@@ -191,6 +191,8 @@ class Topology:
         arrays = [self.vertex_body, self.moving_vertices, self.static_vertices, *self.corners.values()]
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
         arrays += [array for order in self._orders.values() for array in order]
+        rules = self.rules
+        arrays += [rules.self_collision, rules.body_pairs, rules.ring_begin, rules.ring]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 
 

@@ -37,7 +37,6 @@ WIDTH = wp.constant(16)  # boxes of a block
 BLOCK_FLOATS = wp.constant(96)
 BLOCK_CORNERS = wp.constant(48)
 RECORD = wp.constant(8)  # floats of a record
-LEAF_LEVELS = 8  # of a tree of 2^31 boxes
 CLASS_BITS = 3
 
 _HALF = wp.constant(wp.float64(0.5))
