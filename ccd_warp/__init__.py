@@ -4,6 +4,7 @@ CCD here means: every vertex moves on a straight line over a step, and the quest
 in [0, t_max]. A collision is never missed and never reported late.
 """
 
+from ccd_warp import datasets
 from ccd_warp._candidates import Candidates
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
@@ -24,6 +25,7 @@ __all__ = [
     "PairResult",
     "__version__",
     "collision_free_step",
+    "datasets",
     "edge_edge_ccd",
     "find_candidates",
     "mesh_ccd",
