@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from oracle import exact_tois
+from ccd_warp.benchmarks.oracle import exact_tois
 from published import DATA, requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 import warp as wp
-from families import FAMILIES
-from oracle import exact_gap, exact_tois
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
 from published import all_queries, requires_data
 
 import ccd_warp as ccd

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
-from families import FAMILIES
-from oracle import exact_tois
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.oracle import exact_tois
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd

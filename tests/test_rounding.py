@@ -15,6 +15,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.oracle import exact_tois
 from ccd_warp.kernels.boxes import end_box
 from ccd_warp.kernels.cull import is_free_by_sides, is_free_by_volume
 from ccd_warp.kernels.facets import make_facets
@@ -24,8 +26,6 @@ from ccd_warp.kernels.patch import make_patch
 from ccd_warp.kernels.points import corners, row_points
 from ccd_warp.kernels.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
 from ccd_warp.kernels.volume import make_volume
-from families import FAMILIES
-from oracle import exact_tois
 
 REALS = {"float64": wp.float64, "float32": wp.float32}
 FLOATS = {"float64": np.float64, "float32": np.float32}

@@ -10,8 +10,8 @@ import threading
 import numpy as np
 import pytest
 import trimesh
-from families import FAMILIES
-from oracle import exact_tois
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.oracle import exact_tois
 from test_candidates import brute_force, check, single, soup
 
 import ccd_warp as ccd

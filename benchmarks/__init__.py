@@ -1,0 +1,26 @@
+"""Speed against error of CCD (continuous collision detection), ours and every peer's, in one run: ``ccd-warp bench``.
+
+Installed as ``ccd_warp.benchmarks``; what it needs beyond the package is the extra ``bench``.
+"""
+
+from importlib.util import find_spec
+
+# Module of each requirement of the extra, by the name under which it is installed.
+REQUIRED = {
+    "ipctk": "ipctk",
+    "matplotlib": "matplotlib",
+    "psutil": "psutil",
+    "python-flint": "flint",
+    "tqdm": "tqdm",
+}
+
+
+def require_extra() -> None:
+    """Check that the extra ``bench`` is installed.
+
+    Raises:
+        ValueError: If something of it is missing, in one line that says what and how to install it.
+    """
+    missing = [package for package, module in REQUIRED.items() if find_spec(module) is None]
+    if missing:
+        raise ValueError(f"bench needs {', '.join(missing)}; install with: pip install 'ccd-warp[bench]'")
