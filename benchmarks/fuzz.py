@@ -17,7 +17,7 @@ Every batch draws a kind, a source of queries, a precision and options. A query 
 One batch in four is also put side by side into one mesh, where `mesh_ccd` and `collision_free_step` must neither miss a
 query nor be late for one: that covers boxes, tree, filter and cull, beside scales and places of any kind.
 
-Failing queries are saved as CSV in the public format beside a JSON with the options; the exit status is then 1.
+Failing queries are saved as .npz beside a JSON with the options; the exit status is then 1.
 """
 
 from __future__ import annotations
@@ -33,13 +33,17 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
-from queries import FAMILIES, POINTS, SOLVE, UNIT_ROUNDOFF, all_queries, exact_gap, exact_tois, has_published, write_csv
-from queries import size_of as size_of_pairs
+from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS
+from ccd_warp.benchmarks.methods import SOLVE
+from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
+from ccd_warp.benchmarks.query_sets import default_data, size_of_motion
 from tqdm import tqdm
 
 import ccd_warp as ccd
+from ccd_warp import datasets
 
 KINDS = tuple(SOLVE)
+UNIT_ROUNDOFF = {"float64": 2.0**-53, "float32": 2.0**-24}
 MUTATIONS = ("published_noise", "published_crossover", "published_scaled_axes", "published_snapped", "family_mutated")
 CHECKS = ("missed", "late", "phantom", "capped", "gap", "insane")
 BATCH = 100
@@ -136,7 +140,7 @@ def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict
     separation = options["minimum_separation"] * (scale or 1.0)
     t_max = options["t_max"]
     exact = exact_tois(kind, points_t0, points_t1, separation, t_max)
-    size = size_of_pairs(points_t0, points_t1)
+    size = size_of_motion(points_t0, points_t1)
     precision = options["precision"]
     failures = []
     counts = Counter(queries=len(exact), collisions=sum(e.hit for e in exact), hits=int(result.hit.sum()))
@@ -243,15 +247,15 @@ def tasks(seed: int, batches: int, sources: list[str], kinds: list[str], argumen
 
 
 def save(folder: Path, seed: int, report: dict) -> Path:
-    """Failing queries of a batch as CSV, and all that is needed to repeat them as JSON."""
+    """Failing queries of a batch as arrays, and all that is needed to repeat them as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
     queries = {i: (p0, p1) for i, _, _, p0, p1 in report["failures"]}
     points_t0, points_t1 = (np.stack(points) for points in zip(*queries.values(), strict=True))
     options = report["options"]
     separation = options["minimum_separation"] * options.get("length_scale", 1.0)
     truth = [e.hit for e in exact_tois(report["kind"], points_t0, points_t1, separation, options["t_max"])]
-    path = folder / f"seed{seed}_batch{report['index']}_{report['kind']}_{report['source']}.csv"
-    write_csv(path, points_t0, points_t1, np.array(truth))
+    path = folder / f"seed{seed}_batch{report['index']}_{report['kind']}_{report['source']}.npz"
+    np.savez(path, points_t0=points_t0, points_t1=points_t1, truth=np.array(truth))
     rows = {i: row for row, i in enumerate(queries)}
     failures = [
         {"row": rows[i], "query": i, "check": name, "message": text} for i, name, text, *_ in report["failures"]
@@ -279,8 +283,9 @@ def main() -> int:
     print(f"seed {seed}")
     sources = parsed.families or [*FAMILIES, *MUTATIONS]
     published = {}
-    if has_published():
-        sets = all_queries()
+    folder = default_data()
+    if folder is not None:
+        sets = datasets.find_queries(folder)
         for kind in ("vertex-face", "edge-edge"):
             parts = [(q.points_t0, q.points_t1) for q in sets if q.kind == kind]
             published[kind] = tuple(np.concatenate(frames) for frames in zip(*parts, strict=True))

@@ -8,20 +8,36 @@ import os
 import platform
 from pathlib import Path
 
+import psutil
+import warp as wp
+
+_PACKAGES = ("ccd-warp", "warp-lang", "numpy", "ipctk")
+
 
 def machine() -> dict:
-    """Name of the processor and versions of what was measured."""
+    """Names of the processor and the GPUs, cores, memory, versions, date."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        name = next(
-            (line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line), name
-        )
-    versions = {package: importlib.metadata.version(package) for package in ("ccd-warp", "warp-lang", "numpy", "ipctk")}
+        lines = (line for line in info.read_text().splitlines() if line.startswith("model name"))
+        name = next((line.split(":")[1].strip() for line in lines), name)
     return {
         "cpu": name,
-        "cores": os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_gib": round(psutil.virtual_memory().total / 2**30),
+        "gpus": [device.name for device in wp.get_cuda_devices()],
+        "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "versions": versions,
+        "versions": {package: importlib.metadata.version(package) for package in _PACKAGES},
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
     }
+
+
+def describe(about: dict) -> str:
+    """One line on a machine."""
+    versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
+    gpus = "".join(f", {name}" for name in about["gpus"])
+    return (
+        f"{about['cpu']}, {about['cores']} cores{gpus}, {about['memory_gib']} GiB, {about['system']}, "
+        f"Python {about['python']}, {versions}, {about['date']}"
+    )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
 import numpy as np
 import trimesh
-from published import requires_data, simulation_step
+
+from ccd_warp import datasets
 
 
 @dataclass(frozen=True)
@@ -134,27 +132,30 @@ def long_step(num_faces: int) -> Scene:
     )
 
 
-def published_scenes() -> list[Callable[[], Scene]]:
-    """The published steps, where they are present."""
-    if requires_data.args[0]:
+def published_scenes(folder: Path | None) -> list[tuple[str, Callable[[], Scene]]]:
+    """The steps that a folder in the public formats holds, by name."""
+    if folder is None:
         return []
 
-    def load(name: str) -> Scene:
-        step = simulation_step(name)
+    def load(name: str, frames: tuple[Path, Path]) -> Scene:
+        step = datasets.read_step(*frames)
         return Scene(name, step.vertices_t0, step.vertices_t1, step.faces)
 
-    return [lambda: load("cloth-funnel"), lambda: load("rod-twist")]
+    steps = datasets.find_steps(folder)
+    return [(Path(name).name, lambda n=name, f=frames: load(Path(n).name, f)) for name, frames in steps.items()]
 
 
-def all_scenes(quick: bool) -> list[Callable[[], Scene]]:
-    """Every scene of the benchmark, built when it is its turn."""
+def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[], Scene]]]:
+    """Every scene of the benchmark by name, built when it is its turn."""
     scenes: list[Callable[[], Scene]] = [
-        *published_scenes(),
         lambda: cloth_over_sphere(10_000),
         lambda: cloth_over_sphere(100_000),
         lambda: spheres_through_each_other(100_000),
         lambda: pile(1_000, 100),
         lambda: ground_under_cloth(100_000),
         lambda: long_step(20_000),
+        lambda: cloth_over_sphere(1_000_000),
     ]
-    return scenes if quick else [*scenes, lambda: cloth_over_sphere(1_000_000)]
+    names = ("cloth 10k", "cloth 100k", "spheres 100k", "pile", "giant face 100k", "long step", "cloth 1M")
+    made = list(zip(names, scenes, strict=True))
+    return [*published_scenes(folder), *(made[:3] if quick else made)]

@@ -108,6 +108,18 @@ def _make_parser() -> argparse.ArgumentParser:
     )
     _add_options(demo)
     demo.set_defaults(command=_demo)
+
+    bench = commands.add_parser(
+        "bench",
+        help="speed against error, beside the peers (extra 'bench')",
+        description="Measures time, error, and missed, late and phantom answers of ours, ipc-toolkit's Tight-Inclusion "
+        "and additive CCD, the univariate cubic and others, on published and generated queries, and whole steps. "
+        "Ctrl-C keeps what was measured, and the same command goes on from there.",
+    )
+    from ccd_warp.benchmarks.command import add_arguments
+
+    add_arguments(bench)
+    bench.set_defaults(command=_bench)
     return parser
 
 
@@ -220,6 +232,13 @@ def _demo(arguments: argparse.Namespace) -> int:
     if folder is not None and not arguments.quiet:
         print(f"\nwrote the meshes and results to {folder}")
     return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from ccd_warp.benchmarks.command import run
+
+    _start_quietly(None)
+    return run(arguments)
 
 
 def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[str, float], options: dict) -> None:

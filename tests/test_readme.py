@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import json
 import re
 import subprocess
 import sys
@@ -59,17 +58,6 @@ def test_every_option_is_in_the_table():
             assert row, f"{function.__name__}: option {name} is not in the README's table"
             default = ast.literal_eval(row[1].strip("`"))
             assert default == parameter.default, f"{function.__name__}: {name} defaults to {parameter.default!r}"
-
-
-def test_whole_steps_are_those_of_the_raw_figures():
-    raw = json.loads((README.parent / "benchmarks" / "results" / "whole_step.json").read_text())
-    text = README.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (.+?) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", text, re.MULTILINE)
-    assert len(rows) == len(raw["scenes"])
-    for row, scene in zip(rows, raw["scenes"], strict=True):
-        s = scene["seconds"]
-        names = (s["peer build"], s["find_candidates"], s["peer build"] + s["peer step"], s["collision_free_step"])
-        assert row == (scene["scene"], *(f"{1e3 * value:.1f}" for value in (*names, s["mesh_ccd"])))
 
 
 def test_links_lead_somewhere():

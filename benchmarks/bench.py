@@ -1,0 +1,280 @@
+"""The benchmark: what is measured in which order, kept after every task, so that it can be interrupted and resumed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ccd_warp.benchmarks import scaling, whole_step
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.interleaved import Effort, measure
+from ccd_warp.benchmarks.journal import Journal, fingerprint
+from ccd_warp.benchmarks.machine import machine
+from ccd_warp.benchmarks.methods import KINDS, all_methods
+from ccd_warp.benchmarks.query_sets import QuerySet, generated_sets, make_set, published_sets
+from ccd_warp.benchmarks.raw_file import write_raw
+from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
+from tqdm import tqdm
+
+SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "growth")
+CASE_TOLERANCE = 1e-6
+JOURNAL = "bench.journal"
+RAW = "bench.json"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run measures.
+
+    Attributes:
+        quick: Whether it is to end within five minutes on two cores.
+        data: Folder of queries in the public formats, or None.
+        devices: Warp devices of ours.
+        sections: Which of :data:`SECTIONS`.
+        max_queries: Most queries of a set; a larger one is sampled.
+        tolerances: Of the sweep.
+        generated: Queries of each generated set, and of each family in the set of hard cases.
+        sweep: Effort of a point of the sweep.
+        case_queries: Queries of a family and kind in the table of hard cases.
+        cases: Effort of a cell row of that table.
+        batches: Sizes of batches.
+        rounds: Interleaved repeats of everything else.
+        step_seconds: Time of the rounds of a scene.
+        step_rounds: Least rounds of a scene.
+        growth: Faces of the scenes of growing size.
+    """
+
+    quick: bool
+    data: str | None
+    devices: tuple[str, ...]
+    sections: tuple[str, ...]
+    max_queries: int
+    tolerances: tuple[float, ...]
+    generated: tuple[int, int]
+    sweep: Effort
+    case_queries: int
+    cases: Effort
+    batches: tuple[int, ...]
+    rounds: int
+    step_seconds: float
+    step_rounds: int
+    growth: tuple[int, ...]
+
+    @classmethod
+    def make(cls, *, quick: bool, data: Path | None, devices: list[str], sections: tuple[str, ...]) -> Settings:
+        """The full run, or the quick one."""
+        common: dict[str, Any] = {
+            "quick": quick,
+            "data": None if data is None else str(data),
+            "devices": tuple(devices),
+            "sections": sections,
+        }
+        if quick:
+            return cls(
+                **common,
+                max_queries=2_000,
+                tolerances=(1e-1, 1e-2, 1e-4, 1e-6, 1e-9, 1e-12),
+                generated=(1_000, 20),
+                sweep=Effort(rounds=3, batch=20_000, seconds=0.02, peer_seconds=0.3, cap=0.1),
+                case_queries=100,
+                cases=Effort(rounds=1, batch=2_000, seconds=0.02, peer_seconds=0.25, cap=0.05),
+                batches=tuple(10**k for k in range(7)),
+                rounds=3,
+                step_seconds=2.0,
+                step_rounds=2,
+                growth=(10_000, 30_000, 100_000),
+            )
+        return cls(
+            **common,
+            max_queries=20_000,
+            tolerances=tuple(10.0**-k for k in range(1, 13)),
+            generated=(5_000, 100),
+            sweep=Effort(rounds=5, batch=100_000, seconds=0.05, peer_seconds=1.0, cap=0.1),
+            case_queries=300,
+            cases=Effort(rounds=3, batch=10_000, seconds=0.03, peer_seconds=1.5, cap=0.1),
+            batches=tuple(10**k for k in range(8)),
+            rounds=5,
+            step_seconds=10.0,
+            step_rounds=3,
+            growth=(10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000),
+        )
+
+    def as_dict(self) -> dict:
+        """For the raw file; the folder by its name alone."""
+        return {**asdict(self), "data": None if self.data is None else Path(self.data).name}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One thing to measure.
+
+    Attributes:
+        key: Its name in the journal; the part before the first | is its section.
+        seconds: About how long it takes, for the remaining time.
+        run: Measures it; a JSON object comes back.
+    """
+
+    key: str
+    seconds: float
+    run: Callable[[], Any]
+
+
+def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
+    """Every task in its order. Sets and scenes are made when they are first needed."""
+    methods = all_methods(list(settings.devices))
+    folder = None if settings.data is None else Path(settings.data)
+
+    @cache
+    def sets() -> dict[tuple[str, str], QuerySet]:
+        found = [] if folder is None else published_sets(folder, settings.max_queries, progress=not quiet)
+        found += generated_sets(*settings.generated)
+        return {(q.name, q.kind): q for q in found}
+
+    def effort_seconds(effort: Effort) -> float:
+        in_process = sum(m.solve is not None for m in methods)
+        return effort.rounds * (1.6 * effort.peer_seconds + in_process * effort.seconds) + 0.1 * in_process
+
+    if "sweep" in settings.sections:
+        yield Task("sets", 3.0, lambda: [q.describe() for q in sets().values()])
+        for name, kind in sets():
+            for tolerance in settings.tolerances:
+                yield Task(
+                    f"sweep|{name}|{kind}|{tolerance:g}",
+                    effort_seconds(settings.sweep),
+                    lambda n=name, k=kind, t=tolerance: {
+                        "set": n,
+                        "kind": k,
+                        "tolerance": t,
+                        "rows": measure(methods, sets()[n, k], t, settings.sweep),
+                    },
+                )
+    if "cases" in settings.sections:
+        for name in FAMILIES:
+            for kind in KINDS:
+                yield Task(
+                    f"cases|{name}|{kind}",
+                    effort_seconds(settings.cases),
+                    lambda n=name, k=kind: {
+                        "family": n,
+                        "kind": k,
+                        "why": FAMILIES[n].why,
+                        "fails": FAMILIES[n].fails,
+                        "rows": measure(methods, case_set(n, k, settings.case_queries), CASE_TOLERANCE, settings.cases),
+                    },
+                )
+    if "batches" in settings.sections:
+        yield Task(
+            "batches",
+            settings.rounds * settings.batches[-1] * 3e-6,
+            lambda: scaling.measure_batches(methods, settings.batches, settings.rounds, about["memory_gib"]),
+        )
+    if "start" in settings.sections:
+        yield Task("start", 20.0 * len(settings.devices), lambda: scaling.measure_start(list(settings.devices)))
+    if "threads" in settings.sections:
+        yield Task(
+            "threads",
+            10.0,
+            lambda: (
+                scaling.measure_threads(200_000, settings.rounds)
+                + scaling.measure_mesh_threads(cloth_over_sphere(100_000), settings.rounds)
+            ),
+        )
+    if "steps" in settings.sections:
+        for name, make in all_scenes(folder, settings.quick):
+            for device in settings.devices:
+                yield Task(
+                    f"steps|{name}|{device}",
+                    settings.step_seconds + 5.0,
+                    lambda m=make, d=device: whole_step.measure(m(), d, settings.step_seconds, settings.step_rounds),
+                )
+    if "growth" in settings.sections:
+        for size in settings.growth:
+            yield Task(f"growth|{size}", 4.0 + 8e-6 * size, lambda s=size: whole_step.grow_apart(s))
+
+
+def case_set(name: str, kind: str, count: int) -> QuerySet:
+    """The queries of a family: tolerances in units of each query's own size, unless it has a separation of its own."""
+    case = FAMILIES[name]
+    points = case(kind, count, np.random.default_rng(2))
+    scale = case.length_scale if case.minimum_separation else None
+    return make_set(name, kind, *points, most=count, separation=case.minimum_separation, length_scale=scale)
+
+
+def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict, bool]:
+    """Measure what the journal does not hold yet.
+
+    Args:
+        settings: What to measure.
+        folder: Where journal and raw file are.
+        quiet: No progress bar.
+
+    Returns:
+        The raw figures, and whether they are complete: False after an interruption by Ctrl-C.
+    """
+    about = machine()
+    folder.mkdir(parents=True, exist_ok=True)
+    journal = Journal(folder / JOURNAL, fingerprint(asdict(settings), about))
+    if journal.records and not quiet:
+        print(f"going on after {len(journal.records)} tasks of an interrupted run", file=sys.stderr)
+    complete = True
+    try:
+        todo = list(tasks(settings, about, quiet))
+        bar_format = "{l_bar}{bar}| {elapsed} gone, about {postfix[0]} left: {postfix[1]}"
+        total = sum(task.seconds for task in todo)
+        with tqdm(
+            total=total, file=sys.stderr, bar_format=bar_format, postfix=["?", ""], disable=quiet, leave=False
+        ) as bar:
+            for task in todo:
+                if task.key in journal.records:
+                    bar.total -= task.seconds
+                    continue
+                bar.postfix = [_clock(_left(bar)), task.key.replace("|", " ")]
+                bar.refresh()
+                journal.add(task.key, task.run())
+                bar.update(task.seconds)
+    except KeyboardInterrupt:
+        complete = False
+    raw = assemble(settings, about, journal.records, complete)
+    write_raw(folder / RAW, raw)
+    if complete:
+        journal.close()
+    return raw, complete
+
+
+def _left(bar: tqdm) -> float:
+    """Seconds that are left: the estimate, corrected by how it did so far."""
+    done, elapsed = bar.n, bar.format_dict["elapsed"]
+    return (bar.total - done) * (elapsed / done if done > 0.05 * bar.total else 1.0)
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def assemble(settings: Settings, about: dict, records: dict[str, Any], complete: bool) -> dict:
+    """The raw file from the records of the tasks."""
+    raw: dict[str, Any] = {
+        "machine": about,
+        "settings": settings.as_dict(),
+        "complete": complete,
+        "methods": [{"name": m.name, "group": m.group, "note": m.note} for m in all_methods(list(settings.devices))],
+        "sets": records.get("sets", []),
+    }
+    for section in SECTIONS:
+        if section in records:
+            raw[section] = records[section]
+        else:
+            raw[section] = [record for key, record in records.items() if key.startswith(section + "|")]
+    if len(raw["growth"]) > 1:
+        raw["exponents"] = whole_step.exponents(raw["growth"])
+    return raw
+
+
+def with_max_queries(settings: Settings, most: int | None) -> Settings:
+    """The settings with another limit of the queries of a set."""
+    return settings if most is None else replace(settings, max_queries=most)

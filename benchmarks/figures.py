@@ -1,0 +1,311 @@
+"""Pictures of the raw figures, readable in greyscale: markers and lines differ, colour only helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from ccd_warp.benchmarks.machine import describe
+from ccd_warp.benchmarks.methods import REFERENCE
+from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, set_name, time_text
+from ccd_warp.benchmarks.sections import scene_name
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+# Errors of zero are drawn at the left edge.
+_LEAST_ERROR = 1e-18
+# Line, marker and colour of the methods that a picture of many lines shows.
+_STYLES: dict[str, dict[str, Any]] = {
+    "ours float64": {"color": "black", "linestyle": "-", "marker": "o", "linewidth": 2.2},
+    "ours float32": {"color": "black", "linestyle": "--", "marker": "o", "markerfacecolor": "white"},
+    "plain bisection": {"color": "tab:blue", "linestyle": "-.", "marker": "D"},
+    REFERENCE: {"color": "tab:red", "linestyle": "-", "marker": "s"},
+    "additive CCD": {"color": "tab:orange", "linestyle": "--", "marker": "^"},
+    "cubic, closed form": {"color": "0.45", "linestyle": ":", "marker": "v"},
+    "cubic, companion": {"color": "0.45", "linestyle": ":", "marker": "<"},
+    "cubic, newton": {"color": "0.45", "linestyle": ":", "marker": ">"},
+    "both ends": {"color": "0.65", "linestyle": ":", "marker": "x"},
+}
+_OTHER = [("tab:green", "P"), ("tab:purple", "X"), ("tab:brown", "*"), ("tab:olive", "h"), ("tab:cyan", "p")]
+_HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++")
+
+
+def style(method: str, methods: list[str]) -> dict[str, Any]:
+    """How a method is drawn, the same in every picture."""
+    if method in _STYLES:
+        return _STYLES[method]
+    others = [m for m in methods if m not in _STYLES]
+    color, marker = _OTHER[others.index(method) % len(_OTHER)]
+    return {"color": color, "linestyle": "-", "marker": marker}
+
+
+def draw_all(raw: dict, folder: Path, prefix: str = "bench_") -> list[Path]:
+    """Draw every picture that the raw figures have data for; the files written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, (draw, has_data) in _PICTURES.items():
+        if not has_data(raw):
+            continue
+        figure = draw(raw)
+        figure.text(0.995, 0.002, describe(raw["machine"]), ha="right", va="bottom", fontsize=6, color="0.35")
+        path = folder / f"{prefix}{name}.png"
+        figure.savefig(path, dpi=110)
+        plt.close(figure)
+        written.append(path)
+    return written
+
+
+def _panels(count: int, columns: int, width: float = 4.0, height: float = 3.3) -> tuple[Figure, list[Axes]]:
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(width * columns, height * rows + 0.9), layout="constrained", squeeze=False
+    )
+    figure.get_layout_engine().set(rect=(0, 0.015, 1, 0.98))
+    flat = list(axes.flat)
+    for unused in flat[count:]:
+        unused.set_axis_off()
+    return figure, flat[:count]
+
+
+def _methods(raw: dict) -> list[str]:
+    return [m["name"] for m in raw["methods"]]
+
+
+def _by_set(raw: dict) -> dict[str, list[dict]]:
+    result: dict[str, list[dict]] = {}
+    for unit in raw["sweep"]:
+        result.setdefault(set_name(unit), []).append(unit)
+    return result
+
+
+def _curves(raw: dict, shown: list[str]) -> dict[str, dict[str, list[tuple[float, dict]]]]:
+    """Rows by set and method, each with its tolerance."""
+    curves: dict[str, dict[str, list[tuple[float, dict]]]] = {}
+    for name, units in _by_set(raw).items():
+        for unit in units:
+            for row in unit["rows"]:
+                if row["method"] in shown:
+                    curves.setdefault(name, {}).setdefault(row["method"], []).append((unit["tolerance"], row))
+    return curves
+
+
+def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
+    handles: dict[str, Any] = {}
+    for ax in axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside upper center", ncols=columns, frameon=False, fontsize=8
+    )
+
+
+def draw_pareto(raw: dict) -> Figure:
+    """Time of a query against the 99th percentile of the error; crosses where a collision is missed or late."""
+    methods = [m for m in _methods(raw) if m != "both ends"]
+    curves = _curves(raw, methods)
+    figure, axes = _panels(len(curves), 4)
+    for ax, (name, by_method) in zip(axes, curves.items(), strict=True):
+        for method in methods:
+            points = [(max(r["error"]["p99"], _LEAST_ERROR), r) for _, r in by_method.get(method, []) if r["error"]]
+            if not points:
+                continue
+            x, y = [e for e, _ in points], [r["seconds"] for _, r in points]
+            ax.plot(x, y, label=method, markersize=4.5, **style(method, _methods(raw)))
+            bad = [(e, r["seconds"]) for e, r in points if r["missed"] or r["late"]]
+            if bad:
+                ax.plot(*zip(*bad, strict=True), "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
+        ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses or is late")
+        ax.set(xscale="log", yscale="log", title=name, xlabel="99th percentile of |error of toi|")
+        ax.set_ylabel("seconds a query")
+        ax.grid(alpha=0.3)
+    _legend_below(figure, axes)
+    return figure
+
+
+def draw_phantoms(raw: dict) -> Figure:
+    """Share of queries without a contact that a method reports as one, against the tolerance."""
+    shown = [m for m in _methods(raw) if "threads" not in m]
+    free = {set_name(unit) for unit in raw["sweep"] for r in unit["rows"] if r["queries"] > r["contacts"]}
+    curves = {name: by_method for name, by_method in _curves(raw, shown).items() if name in free}
+    figure, axes = _panels(len(curves), 4)
+    for ax, (name, by_method) in zip(axes, curves.items(), strict=True):
+        for method in shown:
+            points = [
+                (t, r["phantom"] / (r["queries"] - r["contacts"]))
+                for t, r in by_method.get(method, [])
+                if r["queries"] > r["contacts"]
+            ]
+            x, y = zip(*points, strict=True) if points else ((), ())
+            ax.plot(x, y, label=method, markersize=4.5, **style(method, _methods(raw)))
+        ax.set_yscale("symlog", linthresh=1e-3)
+        ax.set(xscale="log", title=name, xlabel="tolerance", ylabel="phantoms / queries without contact")
+        ax.set_ylim(-1e-4, 1.5)
+        ax.grid(alpha=0.3)
+    _legend_below(figure, axes)
+    return figure
+
+
+def draw_cases(raw: dict) -> Figure:
+    """Families by methods: red with the number where a collision is missed or late, else phantoms in grey."""
+    methods = [m for m in _methods(raw) if "threads" not in m]
+    families = list(dict.fromkeys(unit["family"] for unit in raw["cases"]))
+    cells: dict[tuple[int, int], dict[str, int]] = {}
+    for unit in raw["cases"]:
+        for row in unit["rows"]:
+            if row["method"] in methods:
+                cell = cells.setdefault((families.index(unit["family"]), methods.index(row["method"])), {})
+                free = {"free": row["queries"] - row["contacts"]}
+                for key, value in {
+                    **{k: row[k] or 0 for k in ("missed", "late", "phantom", "limited")},
+                    **free,
+                }.items():
+                    cell[key] = cell.get(key, 0) + value
+    level = np.full((len(families), len(methods)), 6)  # not applicable
+    for at, cell in cells.items():
+        share = cell["phantom"] / max(cell["free"], 1)
+        level[at] = 5 if cell["missed"] else 4 if cell["late"] else np.digitize(share, [1e-9, 0.05, 0.3])
+    figure, ax = plt.subplots(figsize=(1.15 * len(methods) + 3.4, 0.33 * len(families) + 2.2), layout="constrained")
+    figure.get_layout_engine().set(rect=(0, 0.015, 1, 0.98))
+    colors = ListedColormap(["white", "0.92", "0.84", "0.74", "#f4b6a6", "#b00020", "0.97"])
+    ax.imshow(level, cmap=colors, vmin=0, vmax=6, aspect="auto")
+    for i, j in np.ndindex(level.shape):
+        cell = cells.get((i, j))
+        color, weight = ("white", "bold") if level[i, j] == 5 else ("black", "normal")
+        ax.text(
+            j, i, _cell_text(cell), ha="center", va="center", fontsize=6, color=color, weight=weight, linespacing=0.95
+        )
+    ax.set_xticks(range(len(methods)), methods, rotation=30, ha="left", fontsize=8)
+    ax.xaxis.tick_top()
+    ax.set_yticks(range(len(families)), [name.replace("_", " ") for name in families], fontsize=8)
+    ax.set_xticks(np.arange(-0.5, len(methods)), minor=True)
+    ax.set_yticks(np.arange(-0.5, len(families)), minor=True)
+    ax.grid(which="minor", color="0.5", linewidth=0.4)
+    ax.tick_params(which="minor", length=0)
+    ax.set_xlabel(
+        f"tolerance {DEFAULT_TOLERANCE:g}; dark red: collisions missed; light red: reported late, by any amount; "
+        "grey: phantoms, darker for more;\nlimited: answers cut short by a limit, of work (ours, still conservative) "
+        "or of time (peers, which then have none)",
+        fontsize=8,
+    )
+    return figure
+
+
+def _cell_text(cell: dict[str, int] | None) -> str:
+    """What is wrong with a method's answers for a family; a dot where nothing is."""
+    if cell is None:
+        return "n/a"
+    parts = [f"{cell[key]} {word}" for key, word in (("missed", "MISSED"), ("late", "late")) if cell[key]]
+    if cell["phantom"] and not parts:
+        parts.append(f"{cell['phantom']} phantom")
+    if cell["limited"]:
+        parts.append(f"{cell['limited']} limited")
+    return "\n".join(parts) or "·"
+
+
+def draw_scaling(raw: dict) -> Figure:
+    """Throughput against the batch, seconds of a call with the first call's, speed-up by threads."""
+    figure, (rate, call, threads) = _panels(3, 3, 4.6, 3.9)
+    threads.set_visible(bool(raw["threads"]))
+    methods = _methods(raw)
+    data = raw["batches"] or {"rows": []}
+    for method in dict.fromkeys(row["method"] for row in data["rows"]):
+        rows = [row for row in data["rows"] if row["method"] == method]
+        n, seconds = [row["count"] for row in rows], [row["seconds"] for row in rows]
+        drawn = style(method, methods)
+        rate.loglog(n, [a / b for a, b in zip(n, seconds, strict=True)], label=method, markersize=4.5, **drawn)
+        call.loglog(n, seconds, markersize=4.5, **drawn)
+    for unit in raw["sweep"]:
+        if (unit["set"], unit["kind"], unit["tolerance"]) == ("random_colliding", "vertex-face", DEFAULT_TOLERANCE):
+            row = next(row for row in unit["rows"] if row["method"] == REFERENCE)
+            rate.axhline(1 / row["seconds"], label=f"{REFERENCE}, one by one", color="tab:red", linestyle="-")
+    for row, line in zip(raw["start"], ("-", "--", "-.", ":") * 4, strict=False):
+        where = f"{row['precision']}, {row['device']}"
+        call.axhline(row["compile"], color="0.3", linestyle=line, linewidth=1, label=f"first call, compiling: {where}")
+        call.axhline(row["load"], color="0.7", linestyle=line, linewidth=1, label=f"first call, cached: {where}")
+    rate.set(xlabel="queries of a call", ylabel="queries a second", title="random colliding, vertex-face")
+    call.set(xlabel="queries of a call", ylabel="seconds of the call", title="launch and compile overhead")
+    for (what, marker), line in zip(
+        ((w, "osD^v"[k % 5]) for k, w in enumerate(dict.fromkeys(r["what"] for r in raw["threads"]))),
+        ("-", "--", "-.", ":", "-"),
+        strict=False,
+    ):
+        rows = [row for row in raw["threads"] if row["what"] == what]
+        xs = [row["threads"] for row in rows]
+        threads.plot(xs, [r["speedup"] for r in rows], color="black", linestyle=line, marker=marker, label=what)
+    if raw["threads"]:
+        counts = sorted({row["threads"] for row in raw["threads"]})
+        threads.plot(counts, counts, color="0.7", label="ideal")
+        threads.set_xticks(counts)
+    threads.set(xlabel="threads", ylabel="speed-up", title="threads")
+    for ax in (rate, call, threads):
+        ax.grid(alpha=0.3)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def draw_steps(raw: dict) -> Figure:
+    """Shares of the stages in the time of a call, with the time itself and the peer's."""
+    rows = raw["steps"]
+    calls = ("find_candidates", "collision_free_step", "mesh_ccd")
+    names = list(dict.fromkeys(s for row in rows for c in calls for s in row["stages"][c] if s != "total"))
+    figure, axes = _panels(3, 3, 4.8, 0.42 * len(rows) + 1.2)
+    greys = np.linspace(0.95, 0.25, len(names))
+    for ax, call in zip(axes, calls, strict=True):
+        left = np.zeros(len(rows))
+        total = np.array([sum(t for s, t in row["stages"][call].items() if s != "total") for row in rows])
+        for name, grey, hatch in zip(names, greys, _HATCHES, strict=False):
+            width = np.array([row["stages"][call].get(name, 0.0) for row in rows]) / total
+            ax.barh(range(len(rows)), width, left=left, color=str(grey), hatch=hatch, edgecolor="black", label=name)
+            left += width
+        for y, row in enumerate(rows):
+            peer = row["seconds"]["peer build"] + (call != "find_candidates") * row["seconds"]["peer step"]
+            ax.text(1.02, y, f"{time_text(row['seconds'][call])} (peer {time_text(peer)})", va="center", fontsize=7)
+        ax.set_xlim(0, 1.75)
+        ax.set_xticks([0, 0.5, 1], ["0", "50 %", "100 %"])
+        labels = [scene_name(row) for row in rows] if ax is axes[0] else [""] * len(rows)
+        ax.set_yticks(range(len(rows)), labels, fontsize=8)
+        ax.invert_yaxis()
+        ax.set(xlabel="share of the call's time", title=call)
+    _legend_below(figure, axes, columns=len(names))
+    return figure
+
+
+def draw_growth(raw: dict) -> Figure:
+    """Time and peak memory of a step against the faces of the scene."""
+    rows, powers = raw["growth"], raw["exponents"]
+    figure, (time, memory) = _panels(2, 2, 4.6, 3.8)
+    faces = [row["faces"] for row in rows]
+    for (name, line), marker in zip(
+        {"find_candidates": ":", "collision_free_step": "-", "mesh_ccd": "--"}.items(), "so^", strict=True
+    ):
+        seconds = [row["seconds"][name] for row in rows]
+        time.loglog(faces, seconds, line, marker=marker, color="black", label=f"{name}: faces^{powers[name]:.2f}")
+    time.loglog(faces, [rows[-1]["seconds"]["mesh_ccd"] * n / faces[-1] for n in faces], color="0.7", label="linear")
+    time.set(xlabel="faces", ylabel="seconds a step", title="cloth over sphere: time")
+    if "peak memory" in powers:
+        peak = [row["peak_bytes_above_input"] / 2**20 for row in rows]
+        memory.loglog(faces, peak, "-", marker="o", color="black", label=f"faces^{powers['peak memory']:.2f}")
+        memory.loglog(faces, [peak[-1] * n / faces[-1] for n in faces], color="0.7", label="linear")
+    memory.set(xlabel="faces", ylabel="MiB beside the input, at the peak", title="memory")
+    for ax in (time, memory):
+        ax.legend(frameon=False, fontsize=8)
+        ax.grid(alpha=0.3)
+    return figure
+
+
+_PICTURES = {
+    "pareto": (draw_pareto, lambda raw: raw["sweep"]),
+    "phantoms": (draw_phantoms, lambda raw: raw["sweep"]),
+    "cases": (draw_cases, lambda raw: raw["cases"]),
+    "scaling": (draw_scaling, lambda raw: raw["batches"]),
+    "steps": (draw_steps, lambda raw: raw["steps"]),
+    "growth": (draw_growth, lambda raw: len(raw["growth"]) > 1),
+}

@@ -1,0 +1,164 @@
+"""Every method on one set at one tolerance, in interleaved rounds: time, error, faults, limits, memory."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from ccd_warp.benchmarks.accuracy import judged
+from ccd_warp.benchmarks.memory import PeakMemory
+from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method
+from ccd_warp.benchmarks.peers import Peer
+from ccd_warp.benchmarks.query_sets import QuerySet
+
+# Queries of the reference whose own times are kept, so that two runs can be compared on the same work.
+REFERENCE_QUERIES = 200
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure.
+
+    Attributes:
+        rounds: Interleaved repeats.
+        batch: Queries of a timed call; smaller sets are tiled.
+        seconds: Most time of a call in process; a method that is slower gets the first queries of the set.
+        peer_seconds: Time of a peer's first pass; the other passes repeat it.
+        cap: Seconds after which a query of a peer is stopped.
+    """
+
+    rounds: int
+    batch: int
+    seconds: float
+    peer_seconds: float
+    cap: float
+
+
+@dataclass
+class _Batch:
+    """A method in process, with the queries that it is timed and judged on."""
+
+    method: Method
+    queries: QuerySet
+    tolerance: float
+    count: int
+    tile: int
+    answer: Answer
+    peak_bytes: int | None
+    rounds: list[float]
+
+    @classmethod
+    def make(cls, method: Method, queries: QuerySet, tolerance: float, effort: Effort) -> _Batch:
+        """Find out how many queries fit the time, and answer those."""
+        count = min(4, len(queries))
+        while True:
+            batch = cls(method, queries, tolerance, count, count, Answer(np.empty(0)), None, [])
+            arrays = batch.arrays()
+            seconds = batch.once(*arrays)  # loads kernels and fills caches, too
+            seconds = min(seconds, batch.once(*arrays))
+            if count == len(queries) or 2 * seconds > effort.seconds:
+                break
+            count = min(4 * count, len(queries))
+        # a call has a fixed cost, so that this is an upper bound of the time of a query
+        batch.tile = max(count, min(effort.batch, int(count * effort.seconds / max(seconds, 1e-9))))
+        arrays = batch.arrays()
+        memory = PeakMemory()
+        batch.once(*arrays)
+        batch.peak_bytes = memory.bytes()
+        return batch
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both frames of the timed call."""
+        points = (self.queries.points_t0[: self.count], self.queries.points_t1[: self.count])
+        return tuple(np.ascontiguousarray(np.resize(p, (self.tile, *p.shape[1:]))) for p in points)
+
+    def once(self, points_t0: np.ndarray, points_t1: np.ndarray) -> float:
+        """Seconds of one call."""
+        q = self.queries
+        begin = time.perf_counter()
+        answer = self.method.solve(q.kind, points_t0, points_t1, self.tolerance, q.separation, q.length_scale)
+        seconds = time.perf_counter() - begin
+        limited = None if answer.limited is None else answer.limited[: self.count]
+        self.answer = Answer(answer.toi[: self.count], limited)
+        return seconds
+
+    def row(self) -> dict:
+        limited = self.answer.limited
+        return {
+            "method": self.method.name,
+            **_speed([seconds / self.tile for seconds in self.rounds]),
+            "timed_queries": self.tile,
+            **judged(self.queries.exact[: self.count], self.answer.toi),
+            "limited": None if limited is None else int(limited.sum()),
+            "peak_bytes": self.peak_bytes,
+        }
+
+
+def _speed(per_query: list[float]) -> dict:
+    return {
+        "seconds": float(np.median(per_query)),
+        "seconds_low": float(min(per_query)),
+        "seconds_high": float(max(per_query)),
+    }
+
+
+def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
+    """Figures of a peer; a query that was stopped has taken the cap, and has no answer that could be right or wrong."""
+    answers = peer.answers
+    count = answers.count
+    passes = np.array(answers.rounds) - answers.overhead
+    answered = np.ones(count, dtype=bool)
+    answered[answers.capped] = False
+    row = {
+        "method": method.name,
+        **_speed(list(passes.mean(axis=1))),
+        "timed_queries": count,
+        "call_overhead": answers.overhead,
+        **judged(queries.exact[:count][answered], answers.toi[:count][answered]),
+        "limited": len(answers.capped),
+        "peak_bytes": answers.peak_bytes,
+    }
+    if method.name == REFERENCE:
+        times = np.median(passes, axis=0)[:REFERENCE_QUERIES]
+        row["query_seconds"] = [
+            float(f"{t:.3g}") if ok else None for t, ok in zip(times, answered[: len(times)], strict=True)
+        ]
+    return row
+
+
+def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: Effort) -> list[dict]:
+    """One row a method; a method that does not know the set's separation is left out."""
+    methods = [m for m in methods if m.has_separation or not queries.separation]
+    batches = [_Batch.make(m, queries, tolerance, effort) for m in methods if m.solve is not None]
+    arrays = {id(batch): batch.arrays() for batch in batches}
+    peers = {}
+    unit = queries.unit()
+    try:
+        for m in methods:
+            if m.peer is not None:
+                frames = (queries.points_t0, queries.points_t1)
+                separation = queries.separation * (queries.length_scale or 1.0)
+                peers[m.name] = Peer(m.peer, queries.kind, *frames, tolerance * unit, separation, effort.cap)
+        for _ in range(effort.rounds):
+            for batch in batches:
+                batch.rounds.append(batch.once(*arrays[id(batch)]))
+            for peer in peers.values():
+                peer.run(effort.peer_seconds)
+    finally:
+        for peer in peers.values():
+            peer.close()
+    rows = {batch.method.name: batch.row() for batch in batches}
+    for m in methods:
+        if m.name in peers:
+            rows[m.name] = _peer_row(m, queries, peers[m.name])
+    ours = next((batch for batch in batches if batch.method.group == "ours"), None)
+    if ours is not None:
+        # the errors of ours on the very queries that a peer has answered
+        for m in methods:
+            if m.name in peers:
+                answers = peers[m.name].answers
+                same = np.setdiff1d(np.arange(answers.count), answers.capped)
+                same = same[same < ours.count]
+                rows[m.name]["ours_on_the_same"] = judged(queries.exact[same], ours.answer.toi[same])
+    return [rows[m.name] for m in methods]

@@ -1,0 +1,60 @@
+"""What was measured so far, on disk: an interrupted run keeps it, and the next one goes on from there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import ccd_warp
+
+
+def fingerprint(settings: dict, about: dict) -> str:
+    """What has to agree for two halves of a run to be one: settings, machine, versions, and the code of the package."""
+    digest = hashlib.sha256(json.dumps([settings, {**about, "date": ""}], sort_keys=True).encode())
+    for package in (ccd_warp.__path__[0], ccd_warp.kernels.__path__[0], Path(__file__).parent):
+        for path in sorted(Path(package).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class Journal:
+    """Records by key, one JSON a line, each on disk before the next is measured."""
+
+    def __init__(self, path: Path, mark: str) -> None:
+        self.path = path
+        self.records: dict[str, Any] = {}
+        self.is_resumed = False
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        if lines and _parsed(lines[0]) == {"fingerprint": mark}:
+            self.is_resumed = True
+            for line in lines[1:]:
+                if (entry := _parsed(line)) is not None:  # the last line may be cut short
+                    self.records[entry["key"]] = entry["record"]
+        self._write([{"fingerprint": mark}, *({"key": k, "record": r} for k, r in self.records.items())])
+
+    def _write(self, entries: list[dict]) -> None:
+        new = self.path.with_suffix(".new")
+        new.write_text("".join(json.dumps(entry) + "\n" for entry in entries), encoding="utf-8")
+        os.replace(new, self.path)
+
+    def add(self, key: str, record: Any) -> None:
+        """Keep a record."""
+        self.records[key] = record
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"key": key, "record": record}) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def close(self) -> None:
+        """The run is complete: the next one starts afresh."""
+        self.path.unlink(missing_ok=True)
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except json.JSONDecodeError:
+        return None

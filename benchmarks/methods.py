@@ -1,0 +1,144 @@
+"""The methods that are compared: ours, the plain bisection, the peers, the univariate cubic, the test at both ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks.univariate import ends_ccd, univariate_ccd
+
+import ccd_warp as ccd
+from ccd_warp._launch import default_num_threads
+
+KINDS = ("vertex-face", "edge-edge")
+SHORT = {"vertex-face": "VF", "edge-edge": "EE"}
+SOLVE = {
+    "vertex-face": ccd.vertex_face_ccd,
+    "edge-edge": ccd.edge_edge_ccd,
+    "point-segment": ccd.point_segment_ccd,
+    "point-point": ccd.point_point_ccd,
+}
+# The method that ours is divided by where two runs are compared.
+REFERENCE = "Tight-Inclusion"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Times of impact of a batch, and which of them a limit cut short (None where the method has no limit)."""
+
+    toi: np.ndarray
+    limited: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.
+
+    Attributes:
+        name: As in every table and figure.
+        group: "ours", "ablation", "peer" or "baseline".
+        solve: Batch solver (kind, points_t0, points_t1, tolerance, separation, length_scale) to :class:`Answer`; None
+            for a peer that is called query by query.
+        peer: Name in :mod:`peers`, or None.
+        has_separation: Whether it knows a minimum separation.
+        note: What it is, and in what the comparison is unlike.
+    """
+
+    name: str
+    group: str
+    note: str
+    solve: Callable[..., Answer] | None = None
+    peer: str | None = None
+    has_separation: bool = True
+
+
+def _ours(precision: str, threads: int | None, device: str, method: str = "clipping") -> Callable[..., Answer]:
+    def solve(
+        kind: str,
+        points_t0: np.ndarray,
+        points_t1: np.ndarray,
+        tolerance: float,
+        separation: float,
+        length_scale: float | None,
+    ) -> Answer:
+        result = SOLVE[kind](
+            points_t0,
+            points_t1,
+            tolerance=tolerance,
+            minimum_separation=separation,
+            length_scale=length_scale,
+            precision=precision,
+            method=method,
+            device=device,
+            num_threads=threads,
+        )
+        return Answer(result.toi, np.asarray(result.status) >= ccd.CCDStatus.ITERATION_LIMIT)
+
+    return solve
+
+
+def _univariate(roots: str) -> Callable[..., Answer]:
+    def solve(kind: str, points_t0: Any, points_t1: Any, tolerance: float, _: float, scale: float | None) -> Answer:
+        return Answer(univariate_ccd(kind, points_t0, points_t1, tolerance=tolerance, roots=roots, length_scale=scale))
+
+    return solve
+
+
+def _ends(kind: str, points_t0: Any, points_t1: Any, tolerance: float, _: float, scale: float | None) -> Answer:
+    return Answer(ends_ccd(kind, points_t0, points_t1, tolerance=tolerance, length_scale=scale))
+
+
+def all_methods(devices: list[str]) -> list[Method]:
+    """Every method, ours on each of the devices ("cpu", "cuda:0", …)."""
+    threads = default_num_threads()
+    methods = []
+    for precision in ("float64", "float32"):
+        one = "The public call from NumPy arrays, conversion included."
+        methods.append(Method(f"ours {precision}", "ours", f"{one} One thread.", _ours(precision, 1, "cpu")))
+        if threads > 1:
+            name = f"ours {precision}, {threads} threads"
+            methods.append(Method(name, "ours", f"The same on {threads} threads.", _ours(precision, threads, "cpu")))
+        for device in devices:
+            if device != "cpu":
+                note = f"The same on {wp.get_device(device).name}, copies to it and back included."
+                methods.append(Method(f"ours {precision}, {device}", "ours", note, _ours(precision, None, device)))
+    note = "Ablation: the literature's inclusion test on boxes and its bisection, in our kernel, one thread."
+    methods.append(Method("plain bisection", "ablation", note, _ours("float64", 1, "cpu", "bisection")))
+    note = (
+        "ipctk.tight_inclusion, raw: no rescaling of its toi, no refinement at zero. One call a query; the cost of a "
+        "Python call, measured on a query that is decided at once, is subtracted."
+    )
+    methods.append(Method(REFERENCE, "peer", note, peer="tight_inclusion"))
+    note = (
+        "ipctk.AdditiveCCD, called as Tight-Inclusion. It has no tolerance: it stops where the gap has shrunk to a "
+        "fraction of that at the start, and the tolerance of the sweep is that fraction (conservative_rescaling = "
+        "1 − tolerance), so its toi cannot be had unscaled and is early by about that share of the approach. Its "
+        "distances are Euclidean. Where it answers a hit at nan, that is no answer: it has missed a contact."
+    )
+    methods.append(Method("additive CCD", "peer", note, peer="additive"))
+    for roots in ("closed_form", "companion", "newton"):
+        name = f"cubic, {roots.replace('_', ' ')}"
+        note = (
+            "Univariate: the roots of the coplanarity cubic and both ends of the step, each tested for a distance "
+            "within the tolerance. Vectorised NumPy."
+        )
+        methods.append(Method(name, "baseline", note, _univariate(roots), has_separation=False))
+    note = "The discrete test: is the distance within the tolerance at t = 0, or at t = 1. Vectorised NumPy."
+    methods.append(Method("both ends", "baseline", note, _ends, has_separation=False))
+    return methods
+
+
+def check_devices(devices: list[str] | None) -> list[str]:
+    """The devices to measure: those asked for, or the CPU and every GPU.
+
+    Raises:
+        ValueError: If there is no such device.
+    """
+    present = [device.alias for device in wp.get_devices()]
+    for device in devices or []:
+        if device not in present:
+            raise ValueError(f"devices holds {device!r}; expected some of {', '.join(present)}")
+    return list(devices) if devices else present

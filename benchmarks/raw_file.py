@@ -1,0 +1,84 @@
+"""The raw figures: one JSON for all, and a CSV of each table beside it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+
+def write_raw(path: Path, raw: dict) -> None:
+    """Write the JSON, with a line for each record of a list, and the CSV files ``NAME_sweep.csv`` and so on."""
+    parts = []
+    for key, value in raw.items():
+        if isinstance(value, list) and value:
+            lines = ",\n".join("  " + json.dumps(record, default=_plain) for record in value)
+            parts.append(f' "{key}": [\n{lines}\n ]')
+        else:
+            parts.append(f' "{key}": {json.dumps(value, default=_plain)}')
+    new = path.with_suffix(".new")
+    new.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
+    os.replace(new, path)
+    for name, rows in tables(raw).items():
+        if rows:
+            write_csv(path.with_name(f"{path.stem}_{name}.csv"), rows)
+
+
+def read_raw(path: Path) -> dict:
+    """Read the JSON.
+
+    Raises:
+        ValueError: If it is not there or not a raw file of this benchmark.
+    """
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(
+            f"{path} cannot be read ({error.strerror}); expected a bench.json of ccd-warp bench"
+        ) from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not JSON ({error}); expected a bench.json of ccd-warp bench") from error
+    if not isinstance(raw, dict) or not {"machine", "settings", "sweep", "steps"} <= raw.keys():
+        raise ValueError(f"{path} lacks machine, settings, sweep or steps; expected a bench.json of ccd-warp bench")
+    return raw
+
+
+def tables(raw: dict) -> dict[str, list[dict]]:
+    """The lists of the raw figures as flat rows."""
+    result: dict[str, list[dict]] = {}
+    for name in ("sweep", "cases"):
+        result[name] = [
+            _flat({**{k: v for k, v in unit.items() if k != "rows"}, **row})
+            for unit in raw.get(name, [])
+            for row in unit["rows"]
+        ]
+    for name in ("steps", "growth", "start", "threads"):
+        result[name] = [_flat(row) for row in raw.get(name) or []]
+    result["batches"] = list((raw.get("batches") or {"rows": []})["rows"])
+    return result
+
+
+def _flat(record: dict, prefix: str = "") -> dict[str, Any]:
+    """Nested objects by joined names; lists of single queries are left to the JSON."""
+    flat: dict[str, Any] = {}
+    for key, value in record.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        elif key != "query_seconds":
+            flat[prefix + key] = value
+    return flat
+
+
+def write_csv(path: Path, rows: list[dict]) -> None:
+    """Write rows under the union of their columns."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _plain(value: Any) -> Any:
+    return value.item()

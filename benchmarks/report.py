@@ -1,0 +1,206 @@
+"""docs/benchmarks.md, the README's tables, and what the command prints at its end, from the raw figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ccd_warp.benchmarks import sections
+from ccd_warp.benchmarks.machine import describe
+from ccd_warp.benchmarks.methods import REFERENCE
+from ccd_warp.benchmarks.numbers import (
+    DEFAULT_TOLERANCE,
+    OURS,
+    at_default,
+    at_least,
+    error_of,
+    error_text,
+    ratio_text,
+    rows_of,
+    set_name,
+    table,
+    time_text,
+)
+
+COMMAND = "ccd-warp bench --output benchmarks/results --docs ."
+
+
+def document(raw: dict, figures: str = "figures") -> str:
+    """docs/benchmarks.md: every number in it stands in the raw file."""
+
+    def picture(name: str, title: str) -> list[str]:
+        return [f"![{title}]({figures}/bench_{name}.png)", ""]
+
+    lines = [
+        "# Speed against error",
+        "",
+        "What ccd_warp, the literature's method in the same kernel, ipc-toolkit's Tight-Inclusion and additive CCD, "
+        "the univariate cubic and the test at both ends of the step cost, and what their answers are worth against "
+        "exact arithmetic. Every number and picture on this page is made from one raw file by one command; run it, "
+        "and the page is of your machine:",
+        "",
+        "```sh",
+        f"pip install -e '.[bench]' && {COMMAND}",
+        "```",
+        "",
+        "`--render` writes the page from the raw file alone, `--quick` takes five minutes, `--compare OLD.json` says "
+        "what became slower or less accurate.",
+        "",
+        "## Conditions",
+        "",
+        *sections.conditions(raw),
+        "",
+        "## Methods",
+        "",
+        *sections.methods(raw),
+        "",
+        "## Sets",
+        "",
+        *sections.sets(raw),
+        "",
+    ]
+    if raw["sweep"]:
+        lines += [
+            "## Ours and the peers, at the default tolerance",
+            "",
+            *sections.peer_ratios(raw),
+            "",
+            *picture("pareto", "Time of a query against the error of its toi"),
+            *picture("phantoms", "Phantom contacts against the tolerance"),
+            "## Where another method is ahead",
+            "",
+            "Found by comparing each figure of the sweep with that of ours in float64 on one thread, errors and "
+            "phantoms on the same queries; and the whole steps.",
+            "",
+            *sections.grouped_better(raw),
+            "",
+        ]
+    if raw["cases"]:
+        lines += [
+            "## Hard cases",
+            "",
+            f"Tolerance {DEFAULT_TOLERANCE:g}. A cell is missed/late/phantom, the largest error, and the time of a "
+            "query; bold where a collision is missed or late. Families are in "
+            "[hard_cases.py](../benchmarks/hard_cases.py).",
+            "",
+            *picture("cases", "Missed, late and phantom answers by family and method"),
+            *sections.fault_totals(raw),
+            "",
+            *sections.why(raw),
+            "",
+            *sections.hard_cases(raw),
+            "",
+        ]
+    if raw["batches"]:
+        lines += ["## Batches, the first call, threads", "", *picture("scaling", "Batch size, overhead and threads")]
+        lines += [*sections.batches(raw), "", *sections.threads(raw), ""]
+    if raw["steps"]:
+        lines += [
+            "## Whole steps",
+            "",
+            "Milliseconds on all cores, against ipc-toolkit's fastest broad phase (LBVH) and its step bound with "
+            "Tight-Inclusion. Each call is made twice in a row and the second timed, the peer's as ours.",
+            "",
+            *sections.steps(raw),
+            "",
+            *picture("steps", "Time by stage"),
+            *picture("growth", "Time and memory against the faces of a scene"),
+        ]
+    if raw["sweep"]:
+        lines += ["## The sweep", "", "Time of a query, and the 99th percentile of the error of its toi.", ""]
+        lines += [*sections.by_tolerance(raw), "", "## Every figure at the default tolerance", ""]
+        for unit in at_default(raw):
+            lines += [f"### {set_name(unit)}", "", *sections.by_method(unit), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def readme_queries(raw: dict) -> list[str]:
+    rows = []
+    for unit in at_default(raw):
+        by = rows_of(unit)
+        ours, peer = by[OURS], by[REFERENCE]
+        same = peer["ours_on_the_same"]
+        rows.append(
+            [
+                set_name(unit),
+                time_text(ours["seconds"]),
+                at_least(peer) + time_text(peer["seconds"]),
+                at_least(peer) + ratio_text(peer["seconds"] / ours["seconds"]),
+                f"{error_text(error_of(same, 'median'))}, {error_text(error_of(same, 'max'))}",
+                f"{error_text(error_of(peer, 'median'))}, {error_text(error_of(peer, 'max'))}",
+                f"{same['missed'] + same['late']}, {same['phantom']}",
+                f"{peer['missed'] + peer['late']}, {peer['phantom']}",
+            ]
+        )
+    header = ["queries", "ours", "Tight-Inclusion", "ratio", "error: median, max", "its error"]
+    return table([*header, "missed or late, phantom", "its"], rows)
+
+
+def readme_steps(raw: dict) -> list[str]:
+    return table(sections.STEP_HEADER, ([sections.scene_name(row), *sections.step_cells(row)] for row in raw["steps"]))
+
+
+README_TABLES = {"queries": readme_queries, "whole steps": readme_steps}
+
+
+def readme(text: str, raw: dict) -> str:
+    """The README with its tables between their marks replaced.
+
+    Raises:
+        ValueError: If a mark is missing.
+    """
+    for name, make in README_TABLES.items():
+        begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
+        if begin not in text or end not in text:
+            raise ValueError(f"the README lacks the marks of {name!r}; expected {begin.strip()} and {end}")
+        before, rest = text.split(begin)
+        text = before + begin + "\n".join(make(raw)) + "\n" + end + rest.split(end)[1]
+    return text
+
+
+def write_docs(root: Path, raw: dict) -> list[Path]:
+    """Write docs/benchmarks.md and the README's tables of a checkout.
+
+    Raises:
+        ValueError: If there is no such checkout.
+    """
+    page, front = root / "docs" / "benchmarks.md", root / "README.md"
+    if not front.is_file() or not page.parent.is_dir():
+        raise ValueError(f"docs is {root}; expected the root of a checkout, with README.md and docs/")
+    text = readme(front.read_text(encoding="utf-8"), raw)
+    page.write_text(document(raw), encoding="utf-8")
+    front.write_text(text, encoding="utf-8")
+    return [page, front]
+
+
+def summary(raw: dict) -> list[str]:
+    """A few lines for the terminal."""
+    lines = [describe(raw["machine"])]
+    if at_default(raw):
+        lines += [
+            "",
+            f"a query at tolerance {DEFAULT_TOLERANCE:g}, one thread; m/l/p: missed, late, phantom where both answered",
+            "",
+        ]
+        lines.append(f"{'set':24} {'ours':>9} {'m/l/p':>8} {REFERENCE:>16} {'m/l/p':>8} {'ratio':>8}")
+        for unit in at_default(raw):
+            by = rows_of(unit)
+            ours, peer = by[OURS], by[REFERENCE]
+            same = peer["ours_on_the_same"]
+            faults = ["/".join(str(row[k]) for k in ("missed", "late", "phantom")) for row in (same, peer)]
+            ratio = ratio_text(peer["seconds"] / ours["seconds"])
+            lines.append(
+                f"{set_name(unit):24} {time_text(ours['seconds']):>9} {faults[0]:>8} "
+                f"{at_least(peer) + time_text(peer['seconds']):>16} {faults[1]:>8} {at_least(peer) + ratio:>8}"
+            )
+    if raw["cases"]:
+        missed: dict[str, int] = {}
+        for unit in raw["cases"]:
+            for row in unit["rows"]:
+                missed[row["method"]] = missed.get(row["method"], 0) + row["missed"] + row["late"]
+        lines += ["", "hard cases, missed or late: " + ", ".join(f"{name} {n}" for name, n in missed.items())]
+    if raw["steps"]:
+        lines += ["", f"{'whole step, ms':34} {'LBVH + step':>12} {'free step':>10} {'mesh_ccd':>9}"]
+        for row in raw["steps"]:
+            cells = sections.step_cells(row)
+            lines.append(f"{sections.scene_name(row):34} {cells[2]:>12} {cells[3]:>10} {cells[4]:>9}")
+    return lines

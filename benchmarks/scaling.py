@@ -1,0 +1,110 @@
+"""How the speed of pairs depends on the size of a batch and on threads, and what the first call costs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.methods import SOLVE, Method
+
+import ccd_warp as ccd
+from ccd_warp._launch import default_num_threads
+
+FAMILY = "random_colliding"
+_FIRST_CALL = (
+    "import time, numpy as np, ccd_warp as ccd, warp as wp; wp.config.log_level = wp.LOG_ERROR; "
+    "x = np.zeros((1, 4, 3)); a = time.perf_counter(); ccd.vertex_face_ccd(x, x, precision='{precision}', "
+    "device='{device}'); print(time.perf_counter() - a)"
+)
+
+
+def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: float) -> dict:
+    """Seconds of a warm call with so many pairs, for ours and the cubic; counts that memory does not hold are named."""
+    few = FAMILIES[FAMILY]("vertex-face", 100_000, np.random.default_rng(4))
+    chosen = [m for m in methods if m.group == "ours" or m.name == "cubic, closed form"]
+    rows, left_out = [], []
+    for count in counts:
+        # two frames of twelve float64, once in NumPy and once in Warp, and as much again for results and temporaries
+        if count * 400 > 0.5 * memory_gib * 2**30:
+            left_out.append(count)
+            continue
+        points = [np.ascontiguousarray(np.resize(p, (count, 4, 3))) for p in few]
+        times: dict[str, list[float]] = {m.name: [] for m in chosen}
+        for _ in range(rounds * (20 if count <= 1000 else 1)):
+            for m in chosen:
+                if m.group == "baseline" and count > 1_000_000:
+                    continue
+                begin = time.perf_counter()
+                m.solve("vertex-face", *points, 1e-6, 0.0, 1.0)
+                times[m.name].append(time.perf_counter() - begin)
+        for name, seconds in times.items():
+            if seconds:
+                rows.append({"method": name, "count": count, "seconds": float(np.median(seconds[len(seconds) // 4 :]))})
+    return {"family": FAMILY, "rows": rows, "left_out": left_out}
+
+
+def measure_start(devices: list[str]) -> list[dict]:
+    """Seconds of the first call of a process: with nothing compiled before, and with kernels in Warp's cache."""
+    rows = []
+    for device in devices:
+        for precision in ("float64", "float32"):
+            code = _FIRST_CALL.format(precision=precision, device=device)
+            with tempfile.TemporaryDirectory() as cache:
+                environment = {**os.environ, "WARP_CACHE_PATH": cache}
+                compiled, loaded = (_last_number(code, environment) for _ in range(2))
+            rows.append({"device": device, "precision": precision, "compile": compiled, "load": loaded})
+    return rows
+
+
+def _last_number(code: str, environment: dict[str, str]) -> float:
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    return float(done.stdout.split()[-1])
+
+
+def thread_counts() -> list[int]:
+    """Powers of two up to the cores, and the cores."""
+    cores = default_num_threads()
+    return sorted({2**k for k in range(cores.bit_length()) if 2**k <= cores} | {cores})
+
+
+def measure_threads(batch: int, rounds: int) -> list[dict]:
+    """Speed-up of a batch of pairs by threads on the CPU, medians of the ratios of interleaved rounds."""
+    rows = []
+    for kind in ("vertex-face", "edge-edge"):
+        points = [np.resize(p, (batch, 4, 3)) for p in FAMILIES[FAMILY](kind, 10_000, np.random.default_rng(5))]
+        points = [np.ascontiguousarray(p) for p in points]
+        times: dict[int, list[float]] = {threads: [] for threads in thread_counts()}
+        for _ in range(rounds + 1):
+            for threads, seconds in times.items():
+                begin = time.perf_counter()
+                SOLVE[kind](*points, device="cpu", num_threads=threads)
+                seconds.append(time.perf_counter() - begin)
+        one = np.array(times[1][1:])
+        for threads, seconds in times.items():
+            rows.append({"what": kind, "threads": threads, "speedup": float(np.median(one / np.array(seconds[1:])))})
+    return rows
+
+
+def measure_mesh_threads(scene, rounds: int) -> list[dict]:
+    """The same of ``mesh_ccd`` on a scene."""
+    mesh = scene.mesh(ccd)
+    frames = (scene.vertices_t0, scene.vertices_t1)
+    pipelines = {n: ccd.CollisionPipeline(mesh, device="cpu", num_threads=n) for n in thread_counts()}
+    times: dict[int, list[float]] = {n: [] for n in pipelines}
+    for _ in range(rounds + 1):
+        for n, pipeline in pipelines.items():
+            pipeline.mesh_ccd(*frames)
+            begin = time.perf_counter()
+            pipeline.mesh_ccd(*frames)
+            times[n].append(time.perf_counter() - begin)
+    one = np.array(times[1][1:])
+    return [
+        {"what": f"mesh_ccd, {scene.name}", "threads": n, "speedup": float(np.median(one / np.array(seconds[1:])))}
+        for n, seconds in times.items()
+    ]
