@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,14 @@ from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal, fingerprint
 from ccd_warp.benchmarks.machine import machine
-from ccd_warp.benchmarks.methods import KINDS, all_methods
+from ccd_warp.benchmarks.methods import KINDS, Method, all_methods
+from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE
 from ccd_warp.benchmarks.query_sets import QuerySet, generated_sets, make_set, published_sets
 from ccd_warp.benchmarks.raw_file import write_raw
 from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
 from tqdm import tqdm
 
 SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "growth")
-CASE_TOLERANCE = 1e-6
 JOURNAL = "bench.journal"
 RAW = "bench.json"
 
@@ -66,7 +66,15 @@ class Settings:
     growth: tuple[int, ...]
 
     @classmethod
-    def make(cls, *, quick: bool, data: Path | None, devices: list[str], sections: tuple[str, ...]) -> Settings:
+    def make(
+        cls,
+        *,
+        quick: bool,
+        data: Path | None,
+        devices: list[str],
+        sections: tuple[str, ...] = SECTIONS,
+        max_queries: int | None = None,
+    ) -> Settings:
         """The full run, or the quick one."""
         common: dict[str, Any] = {
             "quick": quick,
@@ -77,7 +85,7 @@ class Settings:
         if quick:
             return cls(
                 **common,
-                max_queries=2_000,
+                max_queries=max_queries or 2_000,
                 tolerances=(1e-1, 1e-2, 1e-4, 1e-6, 1e-9, 1e-12),
                 generated=(1_000, 20),
                 sweep=Effort(rounds=3, batch=20_000, seconds=0.02, peer_seconds=0.3, cap=0.1),
@@ -91,7 +99,7 @@ class Settings:
             )
         return cls(
             **common,
-            max_queries=20_000,
+            max_queries=max_queries or 20_000,
             tolerances=tuple(10.0**-k for k in range(1, 13)),
             generated=(5_000, 100),
             sweep=Effort(rounds=5, batch=100_000, seconds=0.05, peer_seconds=1.0, cap=0.1),
@@ -150,6 +158,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
                         "set": n,
                         "kind": k,
                         "tolerance": t,
+                        "points": sets()[n, k].fingerprint(),
                         "rows": measure(methods, sets()[n, k], t, settings.sweep),
                     },
                 )
@@ -159,13 +168,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
                 yield Task(
                     f"cases|{name}|{kind}",
                     effort_seconds(settings.cases),
-                    lambda n=name, k=kind: {
-                        "family": n,
-                        "kind": k,
-                        "why": FAMILIES[n].why,
-                        "fails": FAMILIES[n].fails,
-                        "rows": measure(methods, case_set(n, k, settings.case_queries), CASE_TOLERANCE, settings.cases),
-                    },
+                    lambda n=name, k=kind: measure_case(methods, case_set(n, k, settings.case_queries), settings.cases),
                 )
     if "batches" in settings.sections:
         yield Task(
@@ -197,6 +200,18 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
             yield Task(f"growth|{size}", 4.0 + 8e-6 * size, lambda s=size: whole_step.grow_apart(s))
 
 
+def measure_case(methods: list[Method], queries: QuerySet, effort: Effort) -> dict:
+    """The methods on a family, at the default tolerance."""
+    return {
+        "family": queries.name,
+        "kind": queries.kind,
+        "why": FAMILIES[queries.name].why,
+        "tolerance": DEFAULT_TOLERANCE,
+        "points": queries.fingerprint(),
+        "rows": measure(methods, queries, DEFAULT_TOLERANCE, effort),
+    }
+
+
 def case_set(name: str, kind: str, count: int) -> QuerySet:
     """The queries of a family: tolerances in units of each query's own size, unless it has a separation of its own."""
     case = FAMILIES[name]
@@ -205,7 +220,7 @@ def case_set(name: str, kind: str, count: int) -> QuerySet:
     return make_set(name, kind, *points, most=count, separation=case.minimum_separation, length_scale=scale)
 
 
-def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict, bool]:
+def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict | None, bool]:
     """Measure what the journal does not hold yet.
 
     Args:
@@ -214,15 +229,25 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict,
         quiet: No progress bar.
 
     Returns:
-        The raw figures, and whether they are complete: False after an interruption by Ctrl-C.
+        The raw figures, and whether they are complete: False after an interruption by Ctrl-C. None, and nothing is
+        written, if that came before the first figure.
     """
     about = machine()
-    folder.mkdir(parents=True, exist_ok=True)
-    journal = Journal(folder / JOURNAL, fingerprint(asdict(settings), about))
-    if journal.records and not quiet:
-        print(f"going on after {len(journal.records)} tasks of an interrupted run", file=sys.stderr)
+    mark = fingerprint(asdict(settings), about, None if settings.data is None else Path(settings.data))
+    journal = Journal(folder / JOURNAL, mark)
+
+    def say(line: str) -> None:
+        if not quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    if journal.set_aside:
+        say(f"what another run has measured is kept in {journal.set_aside}")
+    if journal.records:
+        say(f"going on after {len(journal.records)} tasks of an interrupted run")
     complete = True
     try:
+        if "sweep" in settings.sections:
+            say("reading and solving the sets of queries in exact arithmetic …")
         todo = list(tasks(settings, about, quiet))
         bar_format = "{l_bar}{bar}| {elapsed} gone, about {postfix[0]} left: {postfix[1]}"
         total = sum(task.seconds for task in todo)
@@ -239,7 +264,9 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict,
                 bar.update(task.seconds)
     except KeyboardInterrupt:
         complete = False
-    raw = assemble(settings, about, journal.records, complete)
+    if not journal.records:
+        return None, complete
+    raw = assemble(settings, about, journal.records, complete, mark)
     write_raw(folder / RAW, raw)
     if complete:
         journal.close()
@@ -256,12 +283,13 @@ def _clock(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def assemble(settings: Settings, about: dict, records: dict[str, Any], complete: bool) -> dict:
+def assemble(settings: Settings, about: dict, records: dict[str, Any], complete: bool, mark: str) -> dict:
     """The raw file from the records of the tasks."""
     raw: dict[str, Any] = {
         "machine": about,
         "settings": settings.as_dict(),
         "complete": complete,
+        "fingerprint": mark,
         "methods": [{"name": m.name, "group": m.group, "note": m.note} for m in all_methods(list(settings.devices))],
         "sets": records.get("sets", []),
     }
@@ -273,8 +301,3 @@ def assemble(settings: Settings, about: dict, records: dict[str, Any], complete:
     if len(raw["growth"]) > 1:
         raw["exponents"] = whole_step.exponents(raw["growth"])
     return raw
-
-
-def with_max_queries(settings: Settings, most: int | None) -> Settings:
-    """The settings with another limit of the queries of a set."""
-    return settings if most is None else replace(settings, max_queries=most)

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ccd_warp.benchmarks.methods import check_devices
     from ccd_warp.benchmarks.query_sets import default_data
     from ccd_warp.benchmarks.raw_file import read_raw
-    from ccd_warp.benchmarks.report import document, summary, write_docs
+    from ccd_warp.benchmarks.report import check_docs, document, summary, write_docs
 
     threshold = compare.DEFAULT_THRESHOLD if arguments.threshold is None else arguments.threshold
     if not threshold > 1:
@@ -67,13 +67,20 @@ def run(arguments: argparse.Namespace) -> int:
     for part in arguments.only or []:
         if part not in bench.SECTIONS:
             raise ValueError(f"only holds {part!r}; expected some of {', '.join(bench.SECTIONS)}")
-    # read before the hours of measuring, so that a wrong name is seen at once
+    # all that can be wrong is found before the hours of measuring
     old = None if arguments.compare is None else read_raw(arguments.compare)
     folder: Path = arguments.output
+    if arguments.docs is not None:
+        check_docs(arguments.docs)
+        if arguments.only:
+            raise ValueError("docs are written from all parts; expected --docs without --only")
     say = (lambda line: None) if arguments.quiet else print
     if arguments.render:
-        raw, complete = read_raw(folder / bench.RAW), True
+        raw: dict | None = read_raw(folder / bench.RAW)
+        complete = True
     else:
+        if arguments.only and (folder / bench.RAW).exists():
+            raise ValueError(f"{folder} holds figures that --only would drop; expected another --output")
         data = arguments.data if arguments.data is not None else default_data()
         if arguments.data is not None and not arguments.data.is_dir():
             raise ValueError(f"data is {arguments.data}; expected a folder")
@@ -84,15 +91,23 @@ def run(arguments: argparse.Namespace) -> int:
             data=data,
             devices=check_devices(arguments.devices),
             sections=tuple(s for s in bench.SECTIONS if arguments.only is None or s in arguments.only),
+            max_queries=arguments.max_queries,
         )
-        settings = bench.with_max_queries(settings, arguments.max_queries)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / bench.JOURNAL).touch()
+        except OSError as error:
+            raise ValueError(f"output is {folder}; expected a folder to write to ({error.strerror})") from error
         raw, complete = bench.run(settings, folder, quiet=arguments.quiet)
+    if raw is None:
+        print("interrupted before the first figure", file=sys.stderr)
+        return INTERRUPTED
     written = draw_all(raw, folder)
     (folder / "bench.md").write_text(document(raw, figures="."), encoding="utf-8")
     for line in summary(raw):
         say(line)
     say(f"\nraw figures, {len(written)} pictures and bench.md are in {folder}")
-    if arguments.docs is not None and complete:
+    if arguments.docs is not None and raw["complete"]:
         draw_all(raw, arguments.docs / "docs" / "figures")
         for path in write_docs(arguments.docs, raw):
             say(f"wrote {path}")

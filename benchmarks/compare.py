@@ -1,7 +1,9 @@
 """Two runs beside each other: what became slower or less accurate.
 
 Times are divided by those of the peer in the same run, on queries and scenes that both runs have finished, so that a
-slower machine cancels. A figure of one set and method is the geometric mean over the tolerances of both runs.
+slower machine cancels; they are the least of the rounds, which noise can only raise. The peer runs on one core, so that
+noise on others, or on a GPU, stays. A figure of one set and method is the geometric mean over the tolerances of both
+runs. Not compared: growth, batches, threads, memory.
 """
 
 from __future__ import annotations
@@ -55,6 +57,12 @@ def _worse_error(old: float | None, new: float | None) -> float:
     return 1.0 if old is None or new is None else max(new, _ERROR_FLOOR) / max(old, _ERROR_FLOOR)
 
 
+def _least_ratio(row: dict, call: str) -> float:
+    """Least time of the peer over that of ours on a whole step."""
+    least = {name: low for name, (low, _) in row["spread"].items()}
+    return (least["peer build"] + (call != "find_candidates") * least["peer step"]) / least[call]
+
+
 def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
     """Every figure that both runs have, and notes on what could not be compared."""
     found: list[Change] = []
@@ -67,21 +75,27 @@ def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
         for key in before.keys() & after.keys():
             rows = [rows_of(unit) for unit in (before[key], after[key])]
             label = set_name(after[key]) if section == "sweep" else f"{key[0]} {key[1]}"
-            at = f" at {key[2]:g}" if key[2] else ""
-            machine = reference_ratio(*(r.get(REFERENCE, {}) for r in rows))
-            if machine is None:
+            at = f" at {key[2]:g}" if section == "sweep" else ""
+            if before[key]["points"] != after[key]["points"]:
+                notes.append(f"{label}: other queries in the two runs, not compared")
+                continue
+            for method in rows[0].keys() ^ rows[1].keys():
+                notes.append(f"{method} is in one run only")
+            machine = reference_ratio(*(r.get(REFERENCE, {}) for r in rows)) if section == "sweep" else None
+            if machine is None and section == "sweep":
                 notes.append(f"{label}{at}: the peer has answered too few queries of both runs to compare times")
             for method in rows[0].keys() & rows[1].keys():
                 if not method.startswith("ours"):
                     continue
                 a, b = rows[0][method], rows[1][method]
-                if machine is not None and section == "sweep":
-                    speed.setdefault(f"{label}, {method}: time", []).append(b["seconds"] / a["seconds"] / machine)
-                if (a["queries"], a["contacts"]) != (b["queries"], b["contacts"]):
-                    notes.append(f"{label}{at}, {method}: other queries in the two runs, answers not compared")
+                if machine is not None:
+                    ratio = b["seconds_low"] / a["seconds_low"] / machine
+                    speed.setdefault(f"{label}, {method}: time", []).append(ratio)
+                if a["queries"] != b["queries"]:
+                    notes.append(f"{label}{at}, {method}: fewer queries in one of the runs, answers not compared")
                     continue
-                for fault in ("missed", "late", "phantom"):
-                    ratio = math.inf if fault != "phantom" else (b[fault] + 1) / (a[fault] + 1)
+                for fault in ("missed", "late", "phantom", "limited"):
+                    ratio = math.inf if fault in ("missed", "late") else (b[fault] + 1) / (a[fault] + 1)
                     ratio = ratio if b[fault] > a[fault] else 1.0
                     found.append(Change(f"{label}{at}, {method}: {fault}", ratio, f"{a[fault]} → {b[fault]}"))
                 for name in ("median", "p99", "max"):
@@ -95,9 +109,20 @@ def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
     if only := len(before.keys() ^ after.keys()):
         notes.append(f"{only} scenes are in one run only")
     for name in before.keys() & after.keys():
-        for call, ratio in before[name]["ratio"].items():
-            now = after[name]["ratio"][call]
-            found.append(Change(f"{name}, {call}: time", ratio / now, f"peer's / ours {ratio:.2f} → {now:.2f}"))
+        for call in before[name]["ratio"]:
+            was, now = (_least_ratio(rows[name], call) for rows in (before, after))
+            found.append(Change(f"{name}, {call}: time", was / now, f"peer's / ours {was:.2f} → {now:.2f}"))
+        steps = [rows[name]["step"] for rows in (before, after)]
+        ratio = steps[0] / steps[1] if steps[1] else (math.inf if steps[0] else 1.0)
+        found.append(Change(f"{name}: collision-free step", ratio, f"{steps[0]:.6g} → {steps[1]:.6g}"))
+        others = [rows[name]["disagreements"] for rows in (before, after)]
+        found.append(
+            Change(
+                f"{name}: candidates other than the peer's",
+                (others[1] + 1) / (others[0] + 1),
+                f"{others[0]} → {others[1]}",
+            )
+        )
     return sorted(found, key=lambda change: (-change.ratio, change.what)), notes
 
 

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
-from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, set_name, time_text
+from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, time_text
 from ccd_warp.benchmarks.sections import scene_name
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -20,6 +20,8 @@ from matplotlib.figure import Figure
 
 # Errors of zero are drawn at the left edge.
 _LEAST_ERROR = 1e-18
+# Share of answers cut short from which on a point is marked.
+_CUT_SHARE = 0.05
 # Line, marker and colour of the methods that a picture of many lines shows.
 _STYLES: dict[str, dict[str, Any]] = {
     "ours float64": {"color": "black", "linestyle": "-", "marker": "o", "linewidth": 2.2},
@@ -118,10 +120,16 @@ def draw_pareto(raw: dict) -> Figure:
                 continue
             x, y = [e for e, _ in points], [r["seconds"] for _, r in points]
             ax.plot(x, y, label=method, markersize=4.5, **style(method, _methods(raw)))
+            cut = [(e, r["seconds"]) for e, r in points if (r["limited"] or 0) > _CUT_SHARE * r["queries"]]
+            if cut:
+                ax.plot(*zip(*cut, strict=True), "o", color="white", markersize=2.2, zorder=4)
             bad = [(e, r["seconds"]) for e, r in points if r["missed"] or r["late"]]
             if bad:
                 ax.plot(*zip(*bad, strict=True), "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
         ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses or is late")
+        ax.plot(
+            [], [], "o", color="0.3", markerfacecolor="white", markersize=5, label="with a white dot: over 5 % limited"
+        )
         ax.set(xscale="log", yscale="log", title=name, xlabel="99th percentile of |error of toi|")
         ax.set_ylabel("seconds a query")
         ax.grid(alpha=0.3)
@@ -223,8 +231,10 @@ def draw_scaling(raw: dict) -> Figure:
         call.loglog(n, seconds, markersize=4.5, **drawn)
     for unit in raw["sweep"]:
         if (unit["set"], unit["kind"], unit["tolerance"]) == ("random_colliding", "vertex-face", DEFAULT_TOLERANCE):
-            row = next(row for row in unit["rows"] if row["method"] == REFERENCE)
-            rate.axhline(1 / row["seconds"], label=f"{REFERENCE}, one by one", color="tab:red", linestyle="-")
+            for row in (row for row in unit["rows"] if is_peer(row)):
+                each = row["seconds"] + row["call_overhead"]
+                line = {k: v for k, v in style(row["method"], methods).items() if k != "marker"}
+                rate.axhline(1 / each, label=f"{row['method']}, one by one", **line)
     for row, line in zip(raw["start"], ("-", "--", "-.", ":") * 4, strict=False):
         where = f"{row['precision']}, {row['device']}"
         call.axhline(row["compile"], color="0.3", linestyle=line, linewidth=1, label=f"first call, compiling: {where}")

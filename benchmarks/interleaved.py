@@ -107,24 +107,34 @@ def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
     """Figures of a peer; a query that was stopped has taken the cap, and has no answer that could be right or wrong."""
     answers = peer.answers
     count = answers.count
-    passes = np.array(answers.rounds) - answers.overhead
-    answered = np.ones(count, dtype=bool)
-    answered[answers.capped] = False
+    answered = answered_by(peer)[:count]
+    passes = np.array(answers.rounds)
+    floor = answers.resolution
     row = {
         "method": method.name,
-        **_speed(list(passes.mean(axis=1))),
+        **_speed([max(seconds - answers.overhead, floor) for seconds in passes.mean(axis=1)]),
+        "below_resolution": bool(np.median(passes.mean(axis=1)) - answers.overhead < floor),
+        "median_query_seconds": max(float(np.median(np.median(passes, axis=0))) - answers.overhead, floor),
         "timed_queries": count,
         "call_overhead": answers.overhead,
+        "resolution": floor,
         **judged(queries.exact[:count][answered], answers.toi[:count][answered]),
         "limited": len(answers.capped),
+        "undecided": int(np.isnan(answers.toi[:count]).sum()) - len(answers.capped),
         "peak_bytes": answers.peak_bytes,
     }
     if method.name == REFERENCE:
-        times = np.median(passes, axis=0)[:REFERENCE_QUERIES]
+        # what two runs are compared by: the least of the rounds, which noise can only raise, with the call's overhead
+        times = passes.min(axis=0)[:REFERENCE_QUERIES]
         row["query_seconds"] = [
             float(f"{t:.3g}") if ok else None for t, ok in zip(times, answered[: len(times)], strict=True)
         ]
     return row
+
+
+def answered_by(peer: Peer) -> np.ndarray:
+    """Which queries of the set a peer has answered, bool, shape [n]: not stopped, and not said to be hit at nan."""
+    return ~np.isnan(peer.answers.toi)
 
 
 def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: Effort) -> list[dict]:
@@ -139,7 +149,7 @@ def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: 
             if m.peer is not None:
                 frames = (queries.points_t0, queries.points_t1)
                 separation = queries.separation * (queries.length_scale or 1.0)
-                peers[m.name] = Peer(m.peer, queries.kind, *frames, tolerance * unit, separation, effort.cap)
+                peers[m.name] = Peer(m.peer, queries.kind, *frames, tolerance, unit, separation, effort.cap)
         for _ in range(effort.rounds):
             for batch in batches:
                 batch.rounds.append(batch.once(*arrays[id(batch)]))
@@ -157,8 +167,6 @@ def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: 
         # the errors of ours on the very queries that a peer has answered
         for m in methods:
             if m.name in peers:
-                answers = peers[m.name].answers
-                same = np.setdiff1d(np.arange(answers.count), answers.capped)
-                same = same[same < ours.count]
+                same = np.flatnonzero(answered_by(peers[m.name])[: ours.count])
                 rows[m.name]["ours_on_the_same"] = judged(queries.exact[same], ours.answer.toi[same])
     return [rows[m.name] for m in methods]

@@ -11,9 +11,12 @@ from typing import Any
 import ccd_warp
 
 
-def fingerprint(settings: dict, about: dict) -> str:
-    """What has to agree for two halves of a run to be one: settings, machine, versions, and the code of the package."""
+def fingerprint(settings: dict, about: dict, data: Path | None) -> str:
+    """What has to agree for two halves of a run to be one: settings, machine, versions, code of the package, data."""
     digest = hashlib.sha256(json.dumps([settings, {**about, "date": ""}], sort_keys=True).encode())
+    for path in sorted(data.rglob("*")) if data is not None else ():
+        if path.is_file():
+            digest.update(f"{path.relative_to(data)} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
     for package in (ccd_warp.__path__[0], ccd_warp.kernels.__path__[0], Path(__file__).parent):
         for path in sorted(Path(package).glob("*.py")):
             digest.update(path.read_bytes())
@@ -21,18 +24,25 @@ def fingerprint(settings: dict, about: dict) -> str:
 
 
 class Journal:
-    """Records by key, one JSON a line, each on disk before the next is measured."""
+    """Records by key, one JSON a line, each on disk before the next is measured.
+
+    Attributes:
+        records: What was measured, by key.
+        set_aside: Where the journal of another run was moved to, if there was one.
+    """
 
     def __init__(self, path: Path, mark: str) -> None:
         self.path = path
         self.records: dict[str, Any] = {}
-        self.is_resumed = False
+        self.set_aside: Path | None = None
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         if lines and _parsed(lines[0]) == {"fingerprint": mark}:
-            self.is_resumed = True
             for line in lines[1:]:
                 if (entry := _parsed(line)) is not None:  # the last line may be cut short
                     self.records[entry["key"]] = entry["record"]
+        elif len(lines) > 1:
+            self.set_aside = path.with_suffix(".old")
+            os.replace(path, self.set_aside)
         self._write([{"fingerprint": mark}, *({"key": k, "record": r} for k, r in self.records.items())])
 
     def _write(self, entries: list[dict]) -> None:

@@ -62,9 +62,21 @@ def set_name(unit: dict) -> str:
     return f"{unit['set'].replace('_', ' ')} {SHORT[unit['kind']]}"
 
 
-def at_least(row: dict) -> str:
-    """Mark of a time that is a lower bound, as some queries were stopped."""
-    return "> " if row.get("call_overhead") is not None and row["limited"] else ""
+def is_peer(row: dict) -> bool:
+    """Whether a row is of a peer that is called query by query."""
+    return "call_overhead" in row
+
+
+def bound(row: dict) -> str:
+    """Mark of a time that is a lower bound, as some queries were stopped, or an upper one, lost in the overhead."""
+    if not is_peer(row):
+        return ""
+    return "> " if row["limited"] else "< " if row["below_resolution"] else ""
+
+
+def share_text(part: int | None, whole: int) -> str:
+    """A share in per cent."""
+    return "–" if part is None else "0 %" if part == 0 else f"{100 * part / whole:.2g} %"
 
 
 def error_of(row: dict, name: str) -> float | None:

@@ -1,7 +1,8 @@
 """ipc-toolkit's narrow phases, one Python call a query, in a process of their own that is stopped where one hangs.
 
 The process starts neither Warp nor a kernel of ours; it writes into shared memory, so that no message is sent for a
-query. A query that takes longer than the cap is stopped, counts as having taken the cap and has no answer.
+query. A query that takes longer than the cap is stopped, counts as having taken the cap and has no answer; so does one
+that ends the process.
 """
 
 from __future__ import annotations
@@ -15,19 +16,24 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.memory import PeakMemory
+from ccd_warp.benchmarks.memory import PeakMemory, resident
 
-PEERS = ("tight_inclusion", "additive")
+# Calls that the cost of a Python call is measured on, around every piece of a pass.
+_OVERHEAD_CALLS = 60
+_PIECE = 500
+# Places in the shared state: the query that runs, and the memory of the process before its piece.
+_CURRENT, _MEMORY = 0, 1
 
 
-def _solver(peer: str, kind: str) -> Callable[[list[np.ndarray], float, float], tuple[bool, float]]:
+def _solver(peer: str, kind: str, tolerance: float) -> Callable[[list[np.ndarray], float, float], tuple[bool, float]]:
     """One query as (points, tolerance, separation) to (hit, toi)."""
     import ipctk
 
     ipctk.set_logger_level(ipctk.LoggerLevel.off)  # additive CCD warns of every small gap
+    is_face = kind == "vertex-face"
     if peer == "tight_inclusion":
         # the raw function: no rescaling of toi, no refinement of a toi of zero
-        raw = ipctk.tight_inclusion.point_triangle_ccd if kind == "vertex-face" else ipctk.tight_inclusion.edge_edge_ccd
+        raw = ipctk.tight_inclusion.point_triangle_ccd if is_face else ipctk.tight_inclusion.edge_edge_ccd
 
         def tight_inclusion(points: list[np.ndarray], tolerance: float, separation: float) -> tuple[bool, float]:
             hit, toi, _ = raw(*points, min_distance=separation, tolerance=tolerance)
@@ -35,55 +41,62 @@ def _solver(peer: str, kind: str) -> Callable[[list[np.ndarray], float, float], 
 
         return tight_inclusion
 
-    made: dict[float, Any] = {}
+    # It has no tolerance: it stops where the gap has shrunk to 1 - conservative_rescaling of that at the start.
+    solver = ipctk.AdditiveCCD(conservative_rescaling=1.0 - tolerance)
+    solve = solver.point_triangle_ccd if is_face else solver.edge_edge_ccd
 
-    def additive(points: list[np.ndarray], tolerance: float, separation: float) -> tuple[bool, float]:
-        # It has no tolerance: it stops where the gap has shrunk to 1 - conservative_rescaling of that at the start.
-        if tolerance not in made:
-            made[tolerance] = ipctk.AdditiveCCD(conservative_rescaling=1.0 - tolerance)
-        solver = made[tolerance]
-        solve = solver.point_triangle_ccd if kind == "vertex-face" else solver.edge_edge_ccd
+    def additive(points: list[np.ndarray], _: float, separation: float) -> tuple[bool, float]:
         return solve(*points, min_distance=separation)
 
     return additive
 
 
-def _overhead(solve: Callable, kind: str) -> float:
-    """Seconds of a call for a query that is decided at once: two primitives at rest, far apart."""
-    x = np.random.default_rng(0).uniform(-1, 1, (4, 3))
-    x[2 if kind == "edge-edge" else 1 :, 2] += 100.0
-    points = [*x, *x]
-    times = []
-    for _ in range(1000):
-        begin = time.perf_counter()
-        solve(points, 1e-3, 0.0)
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
+def _far_apart(kind: str) -> list[list[np.ndarray]]:
+    """Queries that are decided at once: two primitives at rest, far apart."""
+    x = np.random.default_rng(0).uniform(-1, 1, (_OVERHEAD_CALLS, 4, 3))
+    x[:, 2 if kind == "edge-edge" else 1 :, 2] += 100.0
+    return [[*points, *points] for points in x]
 
 
 def _serve(connection: Any, peer: str, kind: str, queries: Any, shared: tuple) -> None:
-    """Loop of the process: takes (positions, seconds or None), answers how many of them were taken."""
+    """Loop of the process: takes (positions, seconds or None), answers (how many were taken, overhead, memory)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, and ends this process
-    points_t0, points_t1, tolerances, separation = queries
-    toi, seconds, current = (np.frombuffer(array, dtype=dtype) for array, dtype in zip(shared, "ddq", strict=True))
-    solve = _solver(peer, kind)
-    connection.send(_overhead(solve, kind))
+    points_t0, points_t1, tolerance, unit, separation = queries
+    toi, seconds, state = (np.frombuffer(array, dtype=dtype) for array, dtype in zip(shared, "ddq", strict=True))
+    solve = _solver(peer, kind, tolerance)
+    lengths = tolerance * unit
+    empty = _far_apart(kind)
+
+    def overhead() -> float:
+        times = []
+        for points in empty:
+            begin = time.perf_counter()
+            solve(points, 1e-3, 0.0)
+            times.append(time.perf_counter() - begin)
+        return float(np.median(times))
+
+    overhead()  # the first calls are slow
+    connection.send(None)
     while True:
         positions, budget = connection.recv()
         points = [[*points_t0[i], *points_t1[i]] for i in positions]  # arrays are made before the clock runs
         memory = PeakMemory()
+        state[_MEMORY] = memory.before or -1
+        cost = [overhead()]
         taken = 0
         end = time.perf_counter() + (budget if budget is not None else 1e9)
         for i, arguments in zip(positions, points, strict=True):
             begin = time.perf_counter()
             if taken and begin > end:
                 break
-            current[0] = i
-            hit, t = solve(arguments, tolerances[i], separation)
+            state[_CURRENT] = i
+            hit, t = solve(arguments, lengths[i], separation)
             seconds[i] = time.perf_counter() - begin
             toi[i] = t if hit else np.inf
             taken += 1
-        connection.send((taken, memory.bytes()))
+        state[_CURRENT] = -1
+        cost.append(overhead())
+        connection.send((taken, cost, memory.bytes()))
 
 
 @dataclass
@@ -92,19 +105,33 @@ class PeerAnswers:
 
     Attributes:
         count: How many queries it took, from the first on.
-        capped: Which of them were stopped at the cap.
-        toi: Times of impact of all queries of the set; inf where there is none, nan where it was stopped or not asked.
+        capped: Which of them were stopped at the cap, or ended the process.
+        toi: Times of impact of all queries of the set; inf where there is none, nan where it was stopped or not asked,
+            or said so itself.
         rounds: Seconds of each query in each pass, shape [rounds, count], call overhead included.
-        overhead: Seconds of a Python call that does nothing.
-        peak_bytes: Most memory that a pass took; None where unknown.
+        overheads: Seconds of a Python call that does nothing, measured around each piece of each pass.
+        peak_bytes: Most memory that a piece took; None where unknown.
     """
 
     count: int = 0
     capped: list[int] = field(default_factory=list)
     toi: np.ndarray = field(default_factory=lambda: np.empty(0))
     rounds: list[np.ndarray] = field(default_factory=list)
-    overhead: float = 0.0
+    overheads: list[float] = field(default_factory=list)
     peak_bytes: int | None = None
+
+    @property
+    def overhead(self) -> float:
+        """Seconds of a Python call that does nothing."""
+        return float(np.median(self.overheads)) if self.overheads else 0.0
+
+    @property
+    def resolution(self) -> float:
+        """Least time of a query that the overhead lets be seen: how far its measurements lie apart."""
+        if not self.overheads:
+            return 0.0
+        low, high = np.percentile(self.overheads, [10, 90])
+        return max(float(high - low), 0.05 * self.overhead)
 
 
 class Peer:
@@ -116,12 +143,14 @@ class Peer:
         kind: str,
         points_t0: np.ndarray,
         points_t1: np.ndarray,
-        tolerances: np.ndarray,
+        tolerance: float,
+        unit: np.ndarray,
         separation: float,
         cap: float,
     ) -> None:
+        """``unit`` is the length of each query that the tolerance is a multiple of, shape [n]."""
         self.name, self.kind, self.cap = peer, kind, cap
-        self.queries = (points_t0, points_t1, tolerances, separation)
+        self.queries = (points_t0, points_t1, tolerance, unit, separation)
         self.answers = PeerAnswers(toi=np.full(len(points_t0), np.nan))
         # A clean server forks quickly after a stop, and holds no threads whose locks a fork would copy.
         methods = multiprocessing.get_all_start_methods()
@@ -131,9 +160,9 @@ class Peer:
         n = len(points_t0)
         self._shared = tuple(
             self._context.RawArray(kind, max(1, size))
-            for kind, size in ((ctypes.c_double, n), (ctypes.c_double, n), (ctypes.c_longlong, 1))
+            for kind, size in ((ctypes.c_double, n), (ctypes.c_double, n), (ctypes.c_longlong, 2))
         )
-        self._toi, self._seconds, self._current = (
+        self._toi, self._seconds, self._state = (
             np.frombuffer(array, dtype=dtype) for array, dtype in zip(self._shared, "ddq", strict=True)
         )
         self._process: Any = None
@@ -145,7 +174,12 @@ class Peer:
         )
         self._process.start()
         theirs.close()
-        self.answers.overhead = self._connection.recv()
+        try:
+            self._connection.recv()
+        except EOFError as error:
+            raise ValueError(
+                f"the process of {self.name} ended as it began; is ipctk installed as it should be?"
+            ) from error
 
     def close(self) -> None:
         """End the process."""
@@ -168,35 +202,42 @@ class Peer:
             if left is not None and left <= 0 and answers.count:
                 break
             # Few at a time, so that a stop loses nothing and the arrays of a pass are not all made at once.
-            taken = self._take(positions[:500], left)
+            taken = self._take(positions[:_PIECE], left)
             if first:
                 answers.count += taken
             positions = positions[taken:]
-        self._close_pass()
+        answers.toi[: answers.count] = self._toi[: answers.count]
+        answers.rounds.append(self._seconds[: answers.count].copy())
 
     def _take(self, positions: list[int], budget: float | None) -> int:
         """Have some queries solved; how many were taken, one that was stopped included."""
         if self._process is None:
             self._start()
-        self._current[0] = -1
-        self._connection.send((positions, budget))
-        current, since = -1, time.perf_counter()
-        while not self._connection.poll(min(0.05, self.cap / 4)):
-            if self._current[0] != current:
-                current, since = int(self._current[0]), time.perf_counter()
-            elif current >= 0 and time.perf_counter() - since > self.cap:
-                self.close()
-                self._toi[current], self._seconds[current] = np.nan, self.cap
-                self.answers.capped.append(current)
-                return positions.index(current) + 1
+        self._state[_CURRENT] = -1
         try:
-            taken, peak = self._connection.recv()
-        except EOFError as error:  # it crashed: the query it was at has no answer
-            raise RuntimeError(f"{self.name} ended at query {self._current[0]} of a {self.kind} set") from error
-        self.answers.peak_bytes = peak if peak is None else max(peak, self.answers.peak_bytes or 0)
+            self._connection.send((positions, budget))
+            current, since = -1, time.perf_counter()
+            while not self._connection.poll(min(0.05, self.cap / 4)):
+                if self._state[_CURRENT] != current:
+                    current, since = int(self._state[_CURRENT]), time.perf_counter()
+                elif current >= 0 and time.perf_counter() - since > self.cap:
+                    return self._stop(positions, current)
+            taken, cost, peak = self._connection.recv()
+        except (EOFError, OSError):  # the query has ended the process
+            return self._stop(positions, max(int(self._state[_CURRENT]), positions[0]))
+        self.answers.overheads += cost
+        self._keep_peak(peak)
         return taken
 
-    def _close_pass(self) -> None:
-        answers = self.answers
-        answers.toi[: answers.count] = self._toi[: answers.count]
-        answers.rounds.append(self._seconds[: answers.count].copy())
+    def _stop(self, positions: list[int], current: int) -> int:
+        """End the process at a query, which then has no answer; how many of the positions were taken."""
+        if self._state[_MEMORY] > 0 and self._process.is_alive():
+            self._keep_peak(resident("VmHWM", self._process.pid) - int(self._state[_MEMORY]))
+        self.close()
+        self._toi[current], self._seconds[current] = np.nan, self.cap
+        self.answers.capped.append(current)
+        return positions.index(current) + 1
+
+    def _keep_peak(self, peak: int | None) -> None:
+        if peak is not None:
+            self.answers.peak_bytes = max(peak, self.answers.peak_bytes or 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,13 @@ class QuerySet:
         if self.length_scale is not None:
             return np.full(len(self), self.length_scale)
         return size_of_motion(self.points_t0, self.points_t1)
+
+    def fingerprint(self) -> str:
+        """Mark of the queries: two runs compare only what is the same in both."""
+        digest = hashlib.sha256(f"{self.separation} {self.length_scale}".encode())
+        digest.update(self.points_t0.tobytes())
+        digest.update(self.points_t1.tobytes())
+        return digest.hexdigest()[:16]
 
     def describe(self) -> dict:
         """What a reader of the raw file needs to know."""

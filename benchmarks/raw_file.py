@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+_KEYS = ("machine", "settings", "complete", "methods", "sets", "sweep", "cases", "batches", "start", "threads", "steps")
+
 
 def write_raw(path: Path, raw: dict) -> None:
     """Write the JSON, with a line for each record of a list, and the CSV files ``NAME_sweep.csv`` and so on."""
@@ -40,8 +42,9 @@ def read_raw(path: Path) -> dict:
         ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not JSON ({error}); expected a bench.json of ccd-warp bench") from error
-    if not isinstance(raw, dict) or not {"machine", "settings", "sweep", "steps"} <= raw.keys():
-        raise ValueError(f"{path} lacks machine, settings, sweep or steps; expected a bench.json of ccd-warp bench")
+    lacking = set(_KEYS) - (raw.keys() if isinstance(raw, dict) else set())
+    if lacking:
+        raise ValueError(f"{path} lacks {', '.join(sorted(lacking))}; expected a bench.json of ccd-warp bench")
     return raw
 
 

@@ -49,7 +49,7 @@ def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int,
 
 
 def measure_start(devices: list[str]) -> list[dict]:
-    """Seconds of the first call of a process: with nothing compiled before, and with kernels in Warp's cache."""
+    """Seconds of the first call of a process, imports aside: with nothing compiled, and with kernels in the cache."""
     rows = []
     for device in devices:
         for precision in ("float64", "float32"):
@@ -62,9 +62,20 @@ def measure_start(devices: list[str]) -> list[dict]:
 
 
 def _last_number(code: str, environment: dict[str, str]) -> float:
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    return float(done.stdout.split()[-1])
+    return float(run_apart([sys.executable, "-c", code], environment).split()[-1])
+
+
+def run_apart(command: list[str], environment: dict[str, str] | None = None) -> str:
+    """What a process of its own prints.
+
+    Raises:
+        ValueError: If it fails, with the last line that it said.
+    """
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines()[-1:] or ["nothing"]
+        raise ValueError(f"a process of the benchmark ended with {done.returncode} and said: {said[0]}")
+    return done.stdout
 
 
 def thread_counts() -> list[int]:

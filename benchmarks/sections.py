@@ -2,49 +2,56 @@
 
 from __future__ import annotations
 
-import re
-
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE, SHORT
 from ccd_warp.benchmarks.numbers import (
     OURS,
     PEERS,
     at_default,
-    at_least,
+    bound,
     count_text,
     error_of,
     error_text,
+    is_peer,
     memory_text,
     ratio_text,
     rows_of,
     set_name,
+    share_text,
     table,
     time_text,
 )
 
 
 def conditions(raw: dict) -> list[str]:
-    effort = raw["settings"]["sweep"]
+    sweep, cases = raw["settings"]["sweep"], raw["settings"]["cases"]
     lines = [
-        f"Measured on: {describe(raw['machine'])}.",
+        f"Measured on: {describe(raw['machine'])}. Code and settings: {raw['fingerprint'][:12]}.",
         "",
-        f"- All methods take turns in {effort['rounds']} rounds on the same queries; times are medians over the "
-        "rounds, low and high the extremes.",
-        "- The tolerance is an absolute length for every method, in the unit of the data; for the hard cases it is a "
-        "multiple of the size of each query's own motion.",
-        f"- Ours, the bisection and the baselines are called with batches of up to {effort['batch']:,} queries, tiled "
-        f"from the set, that fit into {effort['seconds']:g} s; a method that is too slow for the whole set gets its "
-        "first queries, in a fixed random order.",
-        "- The peers are called query by query, in a process of their own, on as many of the same first queries as "
-        f"fit into {effort['peer_seconds']:g} s. The cost of the Python call is measured on a query that is decided at "
-        "once, and subtracted. A query that takes longer "
-        f"than {effort['cap']:g} s is stopped and counts as that long, so "
-        "that `>` marks a lower bound; it has no answer, and is in no other column but `limited`.",
+        f"- All methods take turns in {sweep['rounds']} rounds ({cases['rounds']} for the hard cases). Times are "
+        "medians over the rounds, low and high the extremes: their spread is over repeats, not over samples.",
+        "- A query's time is the mean over queries, so a few slow ones set it; the median query stands beside it.",
+        "- Ours, the bisection and the baselines are called with batches: "
+        f"up to {sweep['batch']:,} queries, tiled from the set, that fit into {sweep['seconds']:g} s "
+        f"({cases['batch']:,} and {cases['seconds']:g} s for the hard cases). A method that is too slow for the whole "
+        "set gets its first queries, in a fixed random order.",
+        "- The peers are called query by query, in a process of their own, on as many of the first queries as fit into "
+        f"{sweep['peer_seconds']:g} s ({cases['peer_seconds']:g} s). The cost of the Python call is measured around "
+        "every pass on queries that are decided at once, and subtracted; what is left below the scatter of those "
+        "measurements is given as that scatter, with `<`.",
+        f"- A query of a peer that takes longer than {sweep['cap']:g} s ({cases['cap']:g} s) is stopped and counts as "
+        "that long: `>` marks such a time, which is mostly the limit then, and a lower bound. It has no answer, and is "
+        "in no column but `limited`.",
+        "- The tolerance is a length in the unit of the data; for the hard cases, whose scales differ by hundreds of "
+        "orders of magnitude, a multiple of the size of each query's own motion. Additive CCD takes it as the fraction "
+        "of the start gap that is left, the cubic as a Euclidean distance, the others as a width along the axes.",
         "- The error is τ − toi against exact arithmetic, where both are finite. `least signed` below zero is a toi "
-        "after the contact. Missed, late and phantom are counts among the queries judged.",
-        "- `limited` counts answers that a limit cut short: of iterations or resolution (ours, still conservative), or "
+        "after the contact. Missed, late (by any amount) and phantom are counts among the queries judged, and so is "
+        "everything that compares ours with a peer: it is of the queries that both have answered.",
+        "- `limited` is the share that a limit cut short: of iterations or resolution (ours, still conservative), or "
         "the time above (peers).",
-        "- `MiB` is what a call takes at its peak beside its input; for a peer, what its process grew by.",
+        "- `MiB` is what a call takes at its peak beside its input: for ours and the baselines of a whole batch, for a "
+        "peer what its process grew by, query after query.",
     ]
     if not raw["complete"]:
         lines += ["", "**The run was interrupted: parts are missing.**"]
@@ -67,17 +74,18 @@ def by_method(unit: dict) -> list[str]:
     """All figures of one point."""
     rows = []
     for row in unit["rows"]:
+        of = row["timed_queries"] if is_peer(row) else row["queries"]
         rows.append(
             [
                 row["method"],
-                at_least(row) + time_text(row["seconds"]),
+                bound(row) + time_text(row["seconds"]),
                 f"{time_text(row['seconds_low'])} … {time_text(row['seconds_high'])}",
-                count_text(1 / row["seconds"]) if row["seconds"] > 0 else "–",
+                count_text(1 / row["seconds"]),
                 f"{row['queries']:,}",
                 *(error_text(error_of(row, name)) for name in ("median", "p99", "max", "least_signed")),
                 *(f"**{row[fault]}**" if row[fault] else 0 for fault in ("missed", "late")),
                 row["phantom"],
-                "–" if row["limited"] is None else row["limited"],
+                share_text(row["limited"], of),
                 memory_text(row["peak_bytes"]),
             ]
         )
@@ -99,17 +107,28 @@ def peer_ratios(raw: dict) -> list[str]:
                     set_name(unit),
                     name,
                     time_text(ours["seconds"]),
-                    at_least(peer) + time_text(peer["seconds"]),
-                    at_least(peer) + ratio_text(peer["seconds"] / ours["seconds"]),
+                    bound(peer) + time_text(peer["seconds"]),
+                    time_text(peer["median_query_seconds"]),
+                    bound(peer) + ratio_text(peer["seconds"] / ours["seconds"]),
                     *(
                         f"{error_text(error_of(same, k))} / {error_text(error_of(peer, k))}"
                         for k in ("median", "p99", "max")
                     ),
                     *(f"{same[k]} / {peer[k]}" for k in ("missed", "late", "phantom")),
-                    f"{peer['limited']} of {peer['timed_queries']}",
+                    f"{peer['limited']} of {peer['timed_queries']:,}",
                 ]
             )
-    header = ["set", "peer", "ours", "peer's", "ratio", "median error: ours / peer's", "99 %", "max"]
+    header = [
+        "set",
+        "peer",
+        "ours",
+        "peer's",
+        "its median query",
+        "ratio",
+        "median error: ours / peer's",
+        "99 %",
+        "max",
+    ]
     return table([*header, "missed", "late", "phantom", "peer's stopped"], rows)
 
 
@@ -120,21 +139,20 @@ def by_tolerance(raw: dict) -> list[str]:
     for unit in raw["sweep"]:
         by = rows_of(unit)
         cells = [
-            f"{at_least(by[m])}{time_text(by[m]['seconds'])}, {error_text(error_of(by[m], 'p99'))}"
+            f"{bound(by[m])}{time_text(by[m]['seconds'])}, {error_text(error_of(by[m], 'p99'))}" if m in by else "–"
             for m in chosen
-            if m in by
         ]
         rows.append([set_name(unit), f"{unit['tolerance']:.0e}", *cells])
     return table(["set", "tolerance", *chosen], rows)
 
 
 def cell_text(row: dict) -> str:
-    """missed/late/phantom of a method in a family, and its time."""
+    """missed/late/phantom of a method in a family, its largest error and its time; red where a collision is missed."""
     faults = f"{row['missed']}/{row['late']}/{row['phantom']}"
     if row["missed"] or row["late"]:
-        faults = f"**{faults}**"
-    stopped = f" ({row['limited']} stopped)" if row.get("call_overhead") is not None and row["limited"] else ""
-    return f"{faults}, {error_text(error_of(row, 'max'))}, {at_least(row)}{time_text(row['seconds'])}{stopped}"
+        faults = f"{'🟥 ' if row['missed'] else ''}**{faults}**"
+    stopped = f" ({row['limited']} of {row['timed_queries']} stopped)" if is_peer(row) and row["limited"] else ""
+    return f"{faults}, {error_text(error_of(row, 'max'))}, {bound(row)}{time_text(row['seconds'])}{stopped}"
 
 
 def hard_cases(raw: dict) -> list[str]:
@@ -148,8 +166,20 @@ def hard_cases(raw: dict) -> list[str]:
 
 
 def why(raw: dict) -> list[str]:
-    seen = {unit["family"]: unit for unit in raw["cases"]}
-    return table(["family", "why it is hard", "what fails"], ([n, u["why"], u["fails"]] for n, u in seen.items()))
+    """Why each family is hard, and which methods missed a collision there in this run."""
+    missed: dict[str, dict[str, int]] = {}
+    reasons = {}
+    for unit in raw["cases"]:
+        reasons[unit["family"]] = unit["why"]
+        found = missed.setdefault(unit["family"], {})
+        for row in unit["rows"]:
+            if row["missed"]:
+                found[row["method"]] = found.get(row["method"], 0) + row["missed"]
+    rows = [
+        [name, reason, ", ".join(f"{m} {n}" for m, n in missed[name].items()) or "none"]
+        for name, reason in reasons.items()
+    ]
+    return table(["family", "why it is hard", "missed here"], rows)
 
 
 def fault_totals(raw: dict) -> list[str]:
@@ -166,7 +196,8 @@ def fault_totals(raw: dict) -> list[str]:
 
 
 def batches(raw: dict) -> list[str]:
-    data = raw["batches"] or {"rows": [], "left_out": []}
+    """Throughput against the size of a batch, and from which size on a call of ours is faster than a peer's calls."""
+    data = raw["batches"]
     names = list(dict.fromkeys(row["method"] for row in data["rows"]))
     counts = sorted({row["count"] for row in data["rows"]})
     seconds = {(row["method"], row["count"]): row["seconds"] for row in data["rows"]}
@@ -174,11 +205,23 @@ def batches(raw: dict) -> list[str]:
     lines = table(["queries of a call", *(f"{m}, queries/s" for m in names)], rows)
     if data["left_out"]:
         lines += ["", f"Left out, as memory would not hold them: {', '.join(f'{n:,}' for n in data['left_out'])}."]
-    start = table(
-        ["first call of a process", "nothing compiled before", "kernels in Warp's cache"],
-        ([f"{r['precision']}, {r['device']}", time_text(r["compile"]), time_text(r["load"])] for r in raw["start"]),
-    )
-    return [*lines, "", *start]
+    unit = next((u for u in at_default(raw) if (u["set"], u["kind"]) == (data["family"], "vertex-face")), None)
+    if unit is not None:
+        by = rows_of(unit)
+        for name in PEERS:
+            each = by[name]["seconds"] + by[name]["call_overhead"]
+            faster = [n for n in counts if seconds[OURS, n] < n * each]
+            since = f"ours is faster from {faster[0]:,} on" if faster else "none is large enough for ours"
+            what = f"{name}, called from Python for each of the same queries, takes {time_text(each)} a call"
+            lines += ["", f"{what}: of the sizes above, {since}."]
+        lines += ["", f"A call of ours with a single query takes {time_text(seconds[OURS, counts[0]])}."]
+    return lines
+
+
+def first_calls(raw: dict) -> list[str]:
+    rows = [[f"{r['precision']}, {r['device']}", time_text(r["compile"]), time_text(r["load"])] for r in raw["start"]]
+    header = ["first call of a process, imports aside", "nothing compiled before", "kernels in Warp's cache"]
+    return table(header, rows)
 
 
 def threads(raw: dict) -> list[str]:
@@ -198,6 +241,7 @@ def step_cells(row: dict) -> list[str]:
     return [f"{1e3 * value:.1f}" for value in values]
 
 
+_CALLS = ("find_candidates", "collision_free_step", "mesh_ccd")
 STEP_HEADER = (
     "scene, faces",
     "LBVH",
@@ -217,81 +261,32 @@ def steps(raw: dict) -> list[str]:
     ratios = [
         [
             scene_name(row),
-            *(ratio_text(row["ratio"][n]) for n in ("find_candidates", "collision_free_step", "mesh_ccd")),
+            *(ratio_text(row["ratio"][n]) for n in _CALLS),
+            *(time_text(row["first"][n]) for n in _CALLS[1:]),
             f"{row['step']:.6g} / {row['peer_step']:.6g}",
-            f"{sum(row['candidates']):,}",
+            f"{sum(row['candidates']):,} / {sum(row['peer_candidates']):,}",
             row["disagreements"],
+            row["rounds"],
         ]
         for row in raw["steps"]
     ]
-    header = ["ratio of times, peer's to ours", "`find_candidates`", "`collision_free_step`", "`mesh_ccd`"]
-    lines += ["", *table([*header, "step: ours / peer's", "candidates", "unlike the peer's"], ratios)]
-    if raw["growth"]:
-        rows = [
-            [
-                f"{row['faces']:,}",
-                *(time_text(row["seconds"][n]) for n in ("find_candidates", "collision_free_step", "mesh_ccd")),
-                memory_text(row["peak_bytes_above_input"]),
-            ]
-            for row in raw["growth"]
+    header = ["ratio of times, peer's to ours", *(f"`{name}`" for name in _CALLS)]
+    header += ["first `collision_free_step`", "first `mesh_ccd`", "step: ours / peer's", "candidates: ours / peer's"]
+    return [*lines, "", *table([*header, "other than the peer's", "rounds"], ratios)]
+
+
+def growth(raw: dict) -> list[str]:
+    rows = [
+        [
+            f"{row['faces']:,}",
+            *(time_text(row["seconds"][n]) for n in _CALLS),
+            memory_text(row["peak_bytes_above_input"]),
         ]
-        header = ["faces", "`find_candidates`", "`collision_free_step`", "`mesh_ccd`", "peak MiB beside the input"]
-        lines += ["", *table(header, rows)]
+        for row in raw["growth"]
+    ]
+    lines = table(["faces", *(f"`{name}`" for name in _CALLS), "peak MiB beside the input"], rows)
     if "exponents" in raw:
         powers = ", ".join(f"{name} {value:.2f}" for name, value in raw["exponents"].items())
-        lines += ["", f"Powers of the number of faces, fitted: {powers}."]
+        lines += ["", f"Powers of the number of faces, fitted to all of these: {powers}."]
+        lines += ["Below one they say that fixed costs still count at the small end."]
     return lines
-
-
-_ERRORS = {"median": "median", "p99": "99th percentile of the", "max": "largest"}
-
-
-def where_peers_are_better(raw: dict) -> list[str]:
-    """Every figure in which a peer, or a baseline that missed nothing, is ahead of ours in float64 on one thread."""
-    lines = []
-    for unit in raw["sweep"]:
-        by = rows_of(unit)
-        ours = by[OURS]
-        place = f"{set_name(unit)} at {unit['tolerance']:.0e}"
-        for name, row in by.items():
-            if name.startswith("ours") or not row["queries"]:
-                continue
-            faulty = f" (missing {row['missed']}, late for {row['late']})" if row["missed"] or row["late"] else ""
-            if row["seconds"] < ours["seconds"]:
-                errors = [error_text(error_of(r, "p99")) for r in (row, ours)]
-                lines.append(
-                    f"{place}: {name} takes {time_text(row['seconds'])} a query (99 % of errors below {errors[0]}), "
-                    f"ours {time_text(ours['seconds'])} ({errors[1]}){faulty}"
-                )
-            if (same := row.get("ours_on_the_same")) is None:
-                continue
-            for key in ("median", "p99", "max"):
-                a, b = error_of(same, key), error_of(row, key)
-                if a is not None and b is not None and b < a:
-                    lines.append(
-                        f"{place}: {_ERRORS[key]} error of {name} {error_text(b)}, of ours {error_text(a)}{faulty}"
-                    )
-            if row["phantom"] < same["phantom"]:
-                lines.append(f"{place}: {name} has {row['phantom']} phantoms, ours {same['phantom']}{faulty}")
-    for row in raw["steps"]:
-        for name, ratio in row["ratio"].items():
-            if ratio < 1:
-                lines.append(f"{scene_name(row)}: `{name}` takes {1 / ratio:.2f} times the time of the peer")
-    return lines
-
-
-def grouped_better(raw: dict) -> list[str]:
-    """The same, as a list of at most a line for each set, method and kind of figure."""
-    groups: dict[tuple[str, str], list[str]] = {}
-    for line in where_peers_are_better(raw):
-        place, rest = line.split(": ", 1)
-        found = re.match(r"(.*) at (\S+)$", place)
-        method = next((m["name"] for m in raw["methods"] if m["name"] in rest), "")
-        figure = next((k for k in ("takes", "phantoms", *_ERRORS.values()) if k in rest), "")
-        key = (f"{found[1] if found else place}, {method}".rstrip(", "), figure)
-        groups.setdefault(key, []).append(f"at {found[2]}: {rest}" if found else rest)
-    lines = []
-    for (place, _), found in groups.items():
-        more = f" (and at {len(found) - 1} other tolerances)" if len(found) > 1 else ""
-        lines.append(f"- {place}: {found[0]}{more}")
-    return lines or ["- Nowhere in this run."]

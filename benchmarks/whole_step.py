@@ -2,14 +2,13 @@
 
 Peer: `Candidates.build` with `LBVH`, its fastest, then `compute_collision_free_stepsize` with `TightInclusionCCD`, both
 on all cores. Each round calls the peer and ours in turn on the same two frames; medians. The time of a mesh's
-construction counts for neither; the first step, which orders the mesh once, is given apart.
+construction counts for neither; the first call, which orders the mesh once, is given apart.
 """
 
 from __future__ import annotations
 
 import json
 import statistics
-import subprocess
 import sys
 import time
 
@@ -17,6 +16,7 @@ import ipctk
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.memory import PeakMemory
+from ccd_warp.benchmarks.scaling import run_apart
 from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere
 
 import ccd_warp as ccd
@@ -33,7 +33,7 @@ def timed(function):
     return result, time.perf_counter() - begin
 
 
-class Peer:
+class ToolkitScene:
     """ipc-toolkit on one scene. A sheet and a sphere are one mesh to it, and what rests moves by nothing."""
 
     def __init__(self, scene: Scene, mesh: ccd.CollisionMesh) -> None:
@@ -72,7 +72,7 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         begin = time.perf_counter()
         call()
         first[name] = time.perf_counter() - begin
-    peer = Peer(scene, mesh)
+    peer = ToolkitScene(scene, mesh)
     seconds: dict[str, list[float]] = {name: [] for name in ("peer build", "peer step", *calls)}
     stages: dict[str, dict[str, list[float]]] = {name: {} for name in calls}
     results = {}
@@ -111,7 +111,6 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         "step": results["collision_free_step"],
         "toi": contacts.toi,
         "peer_step": results["peer step"],
-        "threads": by_threads(scene, mesh) if device == "cpu" else {},
     }
 
 
@@ -132,23 +131,6 @@ def disagreements(scene: Scene, mesh: ccd.CollisionMesh, found: ccd.Candidates, 
         low, high = zip(*((frames[:, c].min(axis=(0, 2)), frames[:, c].max(axis=(0, 2))) for c in corners), strict=True)
         count += int(((low[0] <= high[1]) & (low[1] <= high[0])).all(axis=1).sum())
     return count
-
-
-def by_threads(scene: Scene, mesh: ccd.CollisionMesh) -> dict[str, dict[str, float]]:
-    """Speed-up of each stage of ``mesh_ccd`` on all threads over one."""
-    frames = (scene.vertices_t0, scene.vertices_t1)
-    every = ccd.CollisionPipeline(mesh, device="cpu")
-    one = ccd.CollisionPipeline(mesh, device="cpu", num_threads=1)
-    times: dict[str, dict[str, list[float]]] = {"one": {}, "all": {}}
-    for _ in range(4):
-        for name, pipeline in (("one", one), ("all", every)):
-            pipeline.mesh_ccd(*frames)
-            for stage, value in pipeline.timings.items():
-                times[name].setdefault(stage, []).append(value)
-    return {
-        stage: {"one": statistics.median(values[1:]), "all": statistics.median(times["all"][stage][1:])}
-        for stage, values in times["one"].items()
-    }
 
 
 def grow(num_faces: int) -> dict:
@@ -174,8 +156,7 @@ def grow(num_faces: int) -> dict:
 def grow_apart(num_faces: int) -> dict:
     """`grow` in a process of its own, whose memory holds nothing else."""
     command = [sys.executable, "-m", "ccd_warp.benchmarks.whole_step", str(num_faces)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(run_apart(command).splitlines()[-1])
 
 
 def exponents(rows: list[dict]) -> dict[str, float]:

@@ -145,7 +145,7 @@ def test_a_query_that_hangs_is_stopped_and_the_next_one_is_answered():
     line = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0]])
     p0[2] = line + np.array([[0, 0.3, 0], [0, 0.3, 0], [0, 0, 0], [0, 0, 0]])
     p1[2] = line - np.array([[0, 0.3, 0], [0, 0.3, 0], [0, 0, 0], [0, 0, 0]])
-    peer = Peer("tight_inclusion", "edge-edge", p0, p1, np.full(6, 1e-12), 0.0, cap=0.3)
+    peer = Peer("tight_inclusion", "edge-edge", p0, p1, 1e-12, np.ones(6), 0.0, cap=0.3)
     try:
         for _ in range(2):
             peer.run(30.0)
@@ -162,7 +162,7 @@ def test_a_query_that_hangs_is_stopped_and_the_next_one_is_answered():
 @pytest.mark.parametrize("name", ["tight_inclusion", "additive"])
 def test_a_peer_repeats_the_queries_of_its_first_pass(name):
     queries = _set(count=30)
-    peer = Peer(name, queries.kind, queries.points_t0, queries.points_t1, np.full(30, 1e-3), 0.0, cap=1.0)
+    peer = Peer(name, queries.kind, queries.points_t0, queries.points_t1, 1e-3, np.ones(30), 0.0, cap=1.0)
     try:
         for _ in range(3):
             peer.run(10.0)
@@ -236,7 +236,7 @@ def test_a_run_is_kept_when_it_is_interrupted_and_resumed(settings, few_families
     assert compare.compare(raw, raw, 1.25)[1] is False
 
 
-def test_a_journal_of_other_settings_or_a_cut_line_is_not_taken(tmp_path):
+def test_a_journal_of_other_settings_is_set_aside_and_a_cut_line_is_not_taken(tmp_path):
     path = tmp_path / "j"
     journal = Journal(path, "a")
     journal.add("x", 1)
@@ -244,8 +244,10 @@ def test_a_journal_of_other_settings_or_a_cut_line_is_not_taken(tmp_path):
     with path.open("a") as file:
         file.write('{"key": "cut", "rec')
     again = Journal(path, "a")
-    assert again.is_resumed and again.records == {"x": 1, "y": {"z": 2}}
-    assert Journal(path, "b").records == {}
+    assert again.records == {"x": 1, "y": {"z": 2}} and again.set_aside is None
+    other = Journal(path, "b")
+    assert other.records == {}
+    assert '"key": "y"' in other.set_aside.read_text(), "the measurement of the other run is kept"
 
 
 def test_numpy_numbers_are_written(tmp_path):
@@ -258,19 +260,32 @@ def test_numpy_numbers_are_written(tmp_path):
 
 def _row(method: str, seconds: float, **values) -> dict:
     error = {"median": 1e-9, "p99": 1e-8, "max": 1e-7, "least_signed": 0.0}
-    row = {"method": method, "seconds": seconds, "queries": 100, "contacts": 50, "missed": 0, "late": 0, "phantom": 3}
+    row = {
+        "method": method,
+        "seconds_low": seconds,
+        "queries": 100,
+        "contacts": 50,
+        "missed": 0,
+        "late": 0,
+        "phantom": 3,
+        "limited": 0,
+    }
     return {**row, "error": error, **values}
 
 
-def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, **values) -> dict:
+def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, bound: float = 0.5, **values) -> dict:
     unit = {
         "set": "a",
         "kind": "vertex-face",
         "tolerance": 1e-6,
+        "points": "same",
         "rows": [_row("ours float64", ours, **values), _row(REFERENCE, peer, query_seconds=[peer] * 20)],
     }
-    scene = {"scene": "s", "device": "cpu", "ratio": {"mesh_ccd": step}}
-    return {"machine": {}, "settings": {}, "sweep": [unit], "cases": [], "steps": [scene]}
+    spread = {"peer build": [0.25 * step, 9.0], "peer step": [0.75 * step, 9.0], "mesh_ccd": [1.0, 9.0]}
+    scene = {"scene": "s", "device": "cpu", "ratio": {"mesh_ccd": step}, "spread": spread}
+    scene |= {"step": bound, "disagreements": 0}
+    sections = {name: [] for name in ("methods", "sets", "cases", "batches", "start", "threads")}
+    return {"machine": {}, "settings": {}, "complete": True, "sweep": [unit], "steps": [scene], **sections}
 
 
 @pytest.mark.parametrize(
@@ -289,11 +304,20 @@ def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, **values) -
         (_raw(error={"median": 1e-10, "p99": 1e-8, "max": 1e-7, "least_signed": 0.0}), False),
         (_raw(step=10.0), True),
         (_raw(step=25.0), False),
+        (_raw(bound=0.3), True),
+        (_raw(limited=5), True),
     ],
 )
 def test_compare_sees_what_became_worse(new, is_worse):
     lines, found = compare.compare(_raw(), new, 1.25)
     assert found is is_worse, "\n".join(lines)
+
+
+def test_other_queries_under_the_same_name_are_not_compared():
+    other = _raw(ours=1e-3, missed=7)
+    other["sweep"][0]["points"] = "other"
+    lines, is_worse = compare.compare(_raw(), other, 1.25)
+    assert not is_worse and any("other queries in the two runs" in line for line in lines)
 
 
 def test_runs_with_nothing_in_common_do_not_pass():
