@@ -51,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments after the program's name; those of the process by default.
 
     Returns:
-        Exit status: 0 for a finished run, with a collision or without; 2 for bad input, with one line on stderr.
+        Exit status: 0 for a finished run, with a collision or without; 1 where ``bench --compare`` found something
+        worse; 2 for bad input, with one line on stderr; 130 after Ctrl-C.
     """
     try:
         arguments = _make_parser().parse_args(argv)
@@ -94,6 +95,9 @@ def _make_parser() -> argparse.ArgumentParser:
         help="write contacts and the toi of every vertex as .npz, .json or .csv (two files: NAME.csv holds the "
         "contacts, NAME_vertices.csv the vertices)",
     )
+    run.add_argument(
+        "--picture", metavar="FILE", type=Path, help="draw the step at its start, toi and end as .png (extra 'viz')"
+    )
     _add_options(run)
     run.set_defaults(command=_run)
 
@@ -106,6 +110,7 @@ def _make_parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--output-dir", metavar="DIR", type=Path, help="write the scenes' meshes (PLY) and results (JSON) there"
     )
+    demo.add_argument("--pictures", metavar="DIR", type=Path, help="draw the scenes as .png there (extra 'viz')")
     _add_options(demo)
     demo.set_defaults(command=_demo)
 
@@ -172,6 +177,8 @@ def _run(arguments: argparse.Namespace) -> int:
     _start_quietly(arguments.device)
     if arguments.output is not None:
         check_output_path(arguments.output)
+    if arguments.picture is not None:
+        _check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
     bodies = [read_frames(arguments.start, arguments.end)]
     bodies += [read_static(path) for path in arguments.static]
@@ -186,6 +193,10 @@ def _run(arguments: argparse.Namespace) -> int:
         begin = time.perf_counter()
         written = write_result(arguments.output, bodies, mesh, result)
         timings["write files"] = time.perf_counter() - begin
+    if arguments.picture is not None:
+        begin = time.perf_counter()
+        written.append(_draw(arguments.picture, bodies, mesh, result, options))
+        timings["draw picture"] = time.perf_counter() - begin
     if not arguments.quiet:
         _print_report(f"{arguments.start} -> {arguments.end}", bodies, mesh, result, timings, options)
         for path in written:
@@ -195,20 +206,22 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from ccd_warp._demo import bullet_scene, cloth_scene, static_test
-    from ccd_warp._files import InputError, write_mesh
+    from ccd_warp._files import write_mesh
     from ccd_warp._output import write_result
     from ccd_warp._report import format_toi
 
     _start_quietly(arguments.device)
-    folder = arguments.output_dir
+    folder, pictures = arguments.output_dir, arguments.pictures
+    scenes = (bullet_scene(), cloth_scene())
     if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"--output-dir {folder}: cannot create it ({error.strerror or error})") from error
+        _make_folder(folder, "--output-dir")
+    if pictures is not None:
+        _make_folder(pictures, "--pictures")
+        for scene in scenes:
+            _check_picture(pictures / f"{scene.name}.png", "--pictures")
     options = _given_options(arguments)
     kernel_seconds = _load_kernels(options, quiet=arguments.quiet)
-    for number, scene in enumerate((bullet_scene(), cloth_scene())):
+    for number, scene in enumerate(scenes):
         mesh, result, timings = _solve(scene.bodies, options, self_collision=scene.self_collision)
         if number == 0:
             timings = {"load kernels": kernel_seconds, **timings}
@@ -222,6 +235,8 @@ def _demo(arguments: argparse.Namespace) -> int:
                 print(f"  test at the start of the step  {'HIT' if at_start else 'MISS'}")
                 print(f"  test at the end of the step    {'HIT' if at_end else 'MISS'}")
                 print(f"  CCD over the whole step        toi = {format_toi(result.toi)}")
+        if pictures is not None:
+            _draw(pictures / f"{scene.name}.png", scene.bodies, mesh, result, options)
         if folder is None:
             continue
         for body in scene.bodies:
@@ -231,7 +246,47 @@ def _demo(arguments: argparse.Namespace) -> int:
         write_result(folder / f"{scene.name}.json", scene.bodies, mesh, result)
     if folder is not None and not arguments.quiet:
         print(f"\nwrote the meshes and results to {folder}")
+    if pictures is not None and not arguments.quiet:
+        print(f"\nwrote the pictures to {pictures}")
     return 0
+
+
+def _make_folder(folder: Path, option: str) -> None:
+    from ccd_warp._files import InputError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option} {folder}: cannot create it ({error.strerror or error})") from error
+
+
+def _check_picture(path: Path, option: str) -> None:
+    """Refuse a picture that cannot be drawn or written, before the work is done."""
+    from ccd_warp._files import InputError
+    from ccd_warp._viz_file import check_picture_path
+    from ccd_warp._viz_window import drawing_without_display
+
+    check_picture_path(path, option)
+    try:
+        with _closed_stderr(), drawing_without_display():
+            pass
+    except (ImportError, RuntimeError) as error:
+        raise InputError(f"{option}: {error}") from error
+
+
+def _draw(path: Path, bodies: "list[Body]", mesh, result, options: dict[str, Any]) -> Path:
+    import numpy as np
+
+    from ccd_warp import viz
+    from ccd_warp._files import InputError
+
+    vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
+    vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
+    try:
+        with _closed_stderr():
+            return viz.render_step(path, mesh, vertices_t0, vertices_t1, result, t_max=options.get("t_max", 1.0))
+    except OSError as error:
+        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
 
 def _bench(arguments: argparse.Namespace) -> int:

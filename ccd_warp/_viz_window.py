@@ -1,0 +1,94 @@
+"""PyVista, and a way to draw without a display."""
+
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+_CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
+_EGL, _OSMESA, _X = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkXOpenGLRenderWindow"
+_PROBE = """
+import vtkmodules.vtkRenderingOpenGL2
+from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkRenderer
+window = vtkRenderWindow()
+window.OffScreenRenderingOn()
+window.AddRenderer(vtkRenderer())
+window.Render()
+"""
+
+
+def import_pyvista() -> Any:
+    """The module.
+
+    Raises:
+        ImportError: If it is not installed.
+    """
+    try:
+        return importlib.import_module("pyvista")
+    except ModuleNotFoundError as error:
+        raise ImportError("ccd_warp.viz needs pyvista; install with: pip install 'ccd-warp[viz]'") from error
+
+
+def check_display(pyvista: Any) -> None:
+    """Refuse to open a window where there is none; VTK would go on without one, or crash.
+
+    Raises:
+        RuntimeError: If there is no display.
+    """
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY") and not pyvista.OFF_SCREEN:
+        raise RuntimeError("show_step found no display (DISPLAY is not set); render_step writes a picture without one")
+
+
+@contextmanager
+def drawing_without_display() -> Iterator[Any]:
+    """PyVista, set to draw without a display and without a word on stderr.
+
+    Raises:
+        ImportError: If PyVista is not installed.
+        RuntimeError: If the system has no OpenGL that works without a display.
+    """
+    pyvista = import_pyvista()
+    from vtkmodules.vtkCommonCore import vtkObject
+
+    warnings, chosen = vtkObject.GetGlobalWarningDisplay(), os.environ.get(_CHOICE)
+    vtkObject.GlobalWarningDisplayOff()
+    try:
+        window = chosen or _window_without_display()
+        if window is not None:
+            os.environ[_CHOICE] = window
+        yield pyvista
+    finally:
+        vtkObject.SetGlobalWarningDisplay(warnings)
+        if chosen is None:
+            os.environ.pop(_CHOICE, None)
+
+
+@cache
+def _window_without_display() -> str | None:
+    """VTK's class of a window that works, None for its own choice.
+
+    VTK asks for X first and falls back to EGL and then to OSMesa, but it crashes where a library of these is missing.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    from vtkmodules import vtkRenderingOpenGL2  # noqa: F401  # registers the classes
+    from vtkmodules.vtkRenderingCore import vtkRenderWindow
+
+    os.environ[_CHOICE] = _EGL
+    try:
+        if vtkRenderWindow().GetClassName() == _EGL:
+            return _EGL
+    finally:
+        del os.environ[_CHOICE]
+    for window in (_OSMESA, _X) if os.environ.get("DISPLAY") else (_OSMESA,):
+        probe = [sys.executable, "-c", _PROBE]
+        if subprocess.run(probe, env=os.environ | {_CHOICE: window}, capture_output=True, check=False).returncode == 0:
+            return window
+    raise RuntimeError(
+        "found no OpenGL to draw with; a library with EGL or OSMesa is needed, on Debian and Ubuntu: "
+        "apt-get install libegl1 libgl1-mesa-dri"
+    )

@@ -1,0 +1,485 @@
+"""Pictures of a step: where contacts are drawn, what the picture shows, and what is refused."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+import ccd_warp as ccd
+from ccd_warp import viz
+from ccd_warp._cli import main
+from ccd_warp._files import write_mesh
+from ccd_warp._viz_camera import make_camera
+from ccd_warp._viz_scene import make_scene
+from ccd_warp._viz_window import drawing_without_display
+
+SIZE = (600, 200)
+NO_FACES = np.zeros((0, 3), dtype=int)
+
+
+def _reason_not_to_draw() -> str:
+    try:
+        with drawing_without_display():
+            return ""
+    except (ImportError, RuntimeError) as error:
+        return str(error)
+
+
+REASON = _reason_not_to_draw()
+requires_drawing = pytest.mark.skipif(bool(REASON), reason=REASON)
+
+
+def _contacts(kind, primitives, toi, parameters) -> ccd.Contacts:
+    count = len(toi)
+    return ccd.Contacts(
+        kind=np.array(kind, dtype=np.int32),
+        primitives=np.array(primitives, dtype=np.int32).reshape(-1, 2),
+        toi=np.array(toi, dtype=np.float64),
+        parameters=np.array(parameters, dtype=np.float64).reshape(-1, 2),
+        normal=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        status=np.ones(count, dtype=np.int32),
+        gap=np.zeros(count),
+        width=np.zeros(count),
+    )
+
+
+def _balls_over_box(scale=1.0, offset=0.0):
+    """Two balls fall, the first into a static box, the second beside it; frames and mesh."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    box = trimesh.creation.box(extents=(3.0, 3.0, 1.0))
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ball, box], static=[2])
+    start = np.vstack([ball.vertices + [0.2, 0.1, 1.5], ball.vertices + [2.2, 0.0, 1.5], box.vertices])
+    end = start - np.repeat([1.0, 1.0, 0.0], np.diff(mesh.body_vertex_range))[:, None] * [0.0, 0.0, 1.0]
+    return mesh, scale * start + offset, scale * end + offset
+
+
+def _read(path) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def _draw(folder, mesh, start, end, *, mesh_options=None, **options) -> list[np.ndarray]:
+    """The three panels of a picture, without their titles."""
+    result = ccd.mesh_ccd(mesh, start, end, **(mesh_options or {}))
+    options = {"size": SIZE} | options
+    path = viz.render_step(folder / "step.png", mesh, start, end, result, **options)
+    image = _read(path)
+    assert image.shape == (options["size"][1], options["size"][0], 3)
+    return np.split(image[image.shape[0] // 10 :], 3, axis=1)
+
+
+def _is_drawn(panel) -> np.ndarray:
+    return (panel < 245).any(axis=2)
+
+
+def _alike(a, b) -> bool:
+    """Equal but for rounding, and with it the pixels along a few silhouettes."""
+    return bool((np.abs(a - b).max(axis=2) > 40).mean() < 0.005)
+
+
+def _red(panel) -> int:
+    """Pixels in the colour of the contacts."""
+    return int(((panel[..., 0] > 150) & (panel[..., 1:] < 80).all(axis=2)).sum())
+
+
+def test_contact_point_of_a_vertex_on_a_face():
+    """The face rises by 4 t, the vertex falls by 4 t from 2: they meet at t = 1/4, at z = 1."""
+    triangle = [[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]
+    mesh = ccd.CollisionMesh.from_arrays([(triangle, [[0, 1, 2]]), ([[1.0, 2, 2]], NO_FACES)])
+    start = np.vstack([triangle, [[1.0, 2, 2]]])
+    end = start + np.array([[0, 0, 4.0]] * 3 + [[0, 0, -4.0]])
+    points = viz.contact_points(mesh, start, end, _contacts([0], [[3, 0]], [0.25], [[0.25, 0.5]]))
+    assert points.tolist() == [[1.0, 2.0, 1.0]]
+
+
+def test_contact_point_is_halfway_between_features_that_are_a_gap_apart():
+    triangle = [[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]
+    mesh = ccd.CollisionMesh.from_arrays([(triangle, [[0, 1, 2]]), ([[1.0, 2, 2]], NO_FACES)])
+    frame = np.vstack([triangle, [[1.0, 2, 2]]])
+    points = viz.contact_points(mesh, frame, frame, _contacts([0], [[3, 0]], [0.5], [[0.25, 0.5]]))
+    assert points.tolist() == [[1.0, 2.0, 1.0]]
+
+
+def test_contact_point_of_two_edges():
+    bodies = [([[0.0, 0, 0], [4, 0, 0]], NO_FACES, [[0, 1]]), ([[1.0, -1, 2], [1, 3, 2]], NO_FACES, [[0, 1]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    start = np.vstack([body[0] for body in bodies])
+    end = start - np.array([[0, 0, 0], [0, 0, 0], [0, 0, 4], [0, 0, 4]])
+    points = viz.contact_points(mesh, start, end, _contacts([1], [[0, 1]], [0.5], [[0.25, 0.25]]))
+    assert points.tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_contact_points_of_loose_points():
+    """A particle falls on a cable, at a quarter of it, and another meets a third; an edge of a face comes first."""
+    bodies = [
+        ([[9.0, 9, 0], [8, 9, 0], [9, 8, 0]], [[0, 1, 2]]),
+        ([[0.0, 0, 0], [4, 0, 0]], NO_FACES, [[0, 1]]),
+        ([[1.0, 0, 1], [0, 5, 0], [2, 5, 0]], NO_FACES),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, loose_points=True)
+    start = np.vstack([body[0] for body in bodies])
+    end = start.copy()
+    end[5] -= [0, 0, 2]
+    end[6] += [2, 0, 0]
+    (cable,) = mesh.loose_edges
+    contacts = _contacts([2, 3], [[5, cable], [6, 7]], [0.5, 1.0], [[0.25, 0.0], [0.0, 0.0]])
+    assert viz.contact_points(mesh, start, end, contacts).tolist() == [[1.0, 0.0, 0.0], [2.0, 5.0, 0.0]]
+    found = ccd.mesh_ccd(mesh, start, end).contacts
+    # The tolerance, 1e-6 of a motion nine units long, moves each toi by less than as much over a speed of two.
+    assert np.allclose(viz.contact_points(mesh, start, end, found), [[1.0, 0.0, 0.0], [2.0, 5.0, 0.0]], atol=2e-5)
+
+
+def test_contact_points_of_another_mesh_are_refused():
+    mesh, start, end = _balls_over_box()
+    with pytest.raises(
+        ValueError, match=r"contacts\.primitives holds 999999; expected indices of the mesh's 652 faces"
+    ):
+        viz.contact_points(mesh, start, end, _contacts([0], [[0, 999999]], [0.5], [[0.0, 0.0]]))
+
+
+def test_contact_points_of_nothing():
+    mesh, start, end = _balls_over_box()
+    assert viz.contact_points(mesh, start, end, _contacts([], [], [], [])).shape == (0, 3)
+
+
+def test_package_imports_without_the_viewer():
+    code = (
+        "import sys, ccd_warp; print('ccd_warp.viz' in sys.modules);"
+        "import ccd_warp.viz; print('pyvista' in sys.modules, 'vtkmodules' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-3:] == ["False", "False", "False"]
+
+
+@pytest.mark.parametrize(("toi", "text"), [(0.3, "0.3"), (0.4877777777, "0.487777"), (1.0, "1"), (0.0, "0")])
+def test_toi_in_a_title_is_no_later(toi, text):
+    assert viz._rounded_down(toi) == text
+    assert float(text) <= toi
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_automatic_view_looks_across_the_motion(axis):
+    start = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    end = start + 5.0 * np.eye(3)[axis]
+    camera = make_camera(start, end, None, (400.0, 400.0), (10.0, 30.0, 50.0))
+    towards = (camera.position - camera.focus) / np.linalg.norm(camera.position - camera.focus)
+    assert abs(towards[axis]) < abs(towards[1 - axis]) and towards[2] > 0.0
+    # Everything is within the margins, and touches two of them.
+    shown = (np.vstack([start, end]) - camera.focus) @ np.column_stack([np.cross(camera.up, towards), camera.up])
+    pixels = shown / camera.pixel + 200.0
+    lower, upper = pixels.min(axis=0), pixels.max(axis=0)
+    assert (lower >= np.array([10.0, 50.0]) - 1e-6).all() and (upper <= np.array([390.0, 370.0]) + 1e-6).all()
+    assert np.isclose(upper - lower, [380.0, 320.0]).any()
+
+
+def test_scene_has_no_place_and_no_unit():
+    reference = make_scene(*_with_result(*_balls_over_box()))
+    for scale, offset in ((1.0, 1e6), (1e-6, 0.0), (1e300, 0.0)):
+        scene = make_scene(*_with_result(*_balls_over_box(scale, offset)))
+        # 2**-53 of an offset of 1e6, over the half side of 1.6
+        assert np.allclose(scene.start, reference.start, atol=1e-9) and np.allclose(scene.end, reference.end, atol=1e-9)
+        assert np.isclose(scene.first_body_size, reference.first_body_size)
+    assert np.abs(np.vstack([reference.start, reference.end])).max() == 1.0
+
+
+def _with_result(mesh, start, end):
+    return mesh, start, end, ccd.mesh_ccd(mesh, start, end)
+
+
+@requires_drawing
+def test_picture_shows_three_times(tmp_path):
+    panels = _draw(tmp_path, *_balls_over_box())
+    for panel in panels:
+        assert _is_drawn(panel).mean() > 0.1
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        assert not _alike(panels[a], panels[b])
+
+
+@requires_drawing
+def test_contacts_are_drawn_at_the_toi_alone(tmp_path):
+    panels = _draw(tmp_path, *_balls_over_box())
+    assert _red(panels[1]) > 20
+    assert _red(panels[0]) == _red(panels[2]) == 0
+
+
+@requires_drawing
+def test_no_contact_shows_the_end_of_what_was_looked_at(tmp_path):
+    mesh, start, end = _balls_over_box()
+    panels = _draw(tmp_path, mesh, start, end, mesh_options={"t_max": 0.25}, t_max=0.25)
+    assert all(_red(panel) == 0 for panel in panels)
+    assert not _alike(panels[0], panels[1]) and not _alike(panels[1], panels[2])
+    apart = end + [0.0, 0.0, 2.0]
+    panels = _draw(tmp_path, mesh, start, np.where(mesh.static[mesh.vertex_body][:, None], start, apart))
+    assert _alike(panels[1], panels[2]) and not _alike(panels[0], panels[2])
+
+
+@requires_drawing
+def test_static_bodies_are_grey_and_rest(tmp_path):
+    panels = _draw(tmp_path, *_balls_over_box(), colour="body")
+    spread = [np.ptp(panel, axis=2) for panel in panels]
+    for panel, colourful in zip(panels, spread, strict=True):
+        assert (_is_drawn(panel) & (colourful < 12)).mean() > 0.05  # the box
+        assert (colourful > 40).mean() > 0.02  # the balls
+    rests = (spread[0] < 12) & (spread[2] < 12) & _is_drawn(panels[0]) & _is_drawn(panels[2])
+    assert np.median(np.abs(panels[0] - panels[2])[rests]) == 0
+
+
+@requires_drawing
+def test_a_scene_of_static_bodies_alone(tmp_path):
+    box = trimesh.creation.box()
+    mesh = ccd.CollisionMesh.from_trimesh([box], static=[0])
+    panels = _draw(tmp_path, mesh, box.vertices, box.vertices)
+    assert _is_drawn(panels[0]).mean() > 0.2
+    assert _alike(panels[0], panels[2])
+
+
+@requires_drawing
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 1e6), (1e-6, 0.0), (1e-6, 1.0)])
+def test_far_and_tiny_scenes_fill_the_frame(tmp_path, scale, offset):
+    reference = _draw(tmp_path, *_balls_over_box())
+    panels = _draw(tmp_path, *_balls_over_box(scale, offset))
+    for panel, expected in zip(panels[:2], reference[:2], strict=True):
+        rows, columns = (np.flatnonzero(_is_drawn(panel).any(axis=axis)) for axis in (1, 0))
+        assert np.ptp(rows) > 0.6 * panel.shape[0] or np.ptp(columns) > 0.9 * panel.shape[1]
+        assert _alike(panel, expected)
+
+
+@requires_drawing
+def test_cables_and_particles_are_drawn(tmp_path):
+    x = np.linspace(-1.0, 1.0, 21)
+    cable = np.column_stack([x, 0.0 * x, 0.5 + 0.2 * x * x])
+    particles = np.column_stack([x, 0.5 + 0.0 * x, 0.3 + 0.0 * x])
+    links = np.column_stack([np.arange(20), np.arange(1, 21)])
+    mesh = ccd.CollisionMesh.from_arrays([(cable, NO_FACES, links), (particles, NO_FACES)], loose_points=[False, True])
+    start = np.vstack([cable, particles])
+    end = start - [0.0, 0.0, 0.5]
+    panels = _draw(tmp_path, mesh, start, end)
+    blue = [(panel[..., 2] - panel[..., 0] > 30).sum() for panel in panels]
+    ochre = [(panel[..., 0] - panel[..., 2] > 30).sum() for panel in panels]
+    assert min(blue) > 50 and min(ochre) > 50
+    alone = ccd.CollisionMesh.from_arrays([(cable, NO_FACES, links)])
+    assert _is_drawn(_draw(tmp_path, alone, cable, cable + [0, 0, 1.0])[0]).sum() > 50
+
+
+@requires_drawing
+@pytest.mark.parametrize("case", ["one_point", "degenerate_faces", "flat", "towards_the_viewer"])
+def test_degenerate_scenes_are_drawn(tmp_path, case):
+    faces, camera = [[0, 1, 2]], None
+    start = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    end = start + [0.0, 0.0, 1.0]
+    match case:
+        case "one_point":
+            start = end = np.ones((3, 3))
+        case "degenerate_faces":
+            faces = [[0, 1, 1], [0, 0, 0], [0, 1, 2], [0, 1, 2]]
+        case "flat":
+            end = start
+        case "towards_the_viewer":
+            camera = (0.0, 0.0, 1.0)
+    mesh = ccd.CollisionMesh.from_arrays([(start, faces)])
+    panels = _draw(tmp_path, mesh, start, end, camera=camera)
+    assert case == "one_point" or _is_drawn(panels[0]).mean() > 0.02
+
+
+@requires_drawing
+def test_what_is_small_is_shown_close_up(tmp_path):
+    """A ball of 2 % of the motion: without a close-up its colour would be on a few pixels."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    wall = trimesh.creation.box(extents=(0.1, 5.0, 5.0))
+    mesh = ccd.CollisionMesh.from_trimesh([ball, wall], static=[1])
+    start = np.vstack([ball.vertices - [4.6, 0.4, 0.3], wall.vertices])
+    panels = _draw(tmp_path, mesh, start, start + np.repeat([9.0, 0.0], [len(ball.vertices), 8])[:, None] * [1, 0, 0])
+    blue = [int((panel[..., 2] - panel[..., 0] > 30).sum()) for panel in panels]
+    assert blue[1] > 4 * blue[0] > 0
+
+
+@requires_drawing
+def test_colours_of_toi_read_in_grey(tmp_path):
+    from ccd_warp._viz_panel import _NO_TOI_COLOUR, _toi_colours
+
+    def lightness(rgb):
+        return np.asarray(rgb)[..., :3] @ [0.2126, 0.7152, 0.0722]
+
+    levels = lightness(_toi_colours()(np.linspace(0.0, 1.0, 32)))
+    none = lightness(np.frombuffer(bytes.fromhex(_NO_TOI_COLOUR[1:]), dtype=np.uint8) / 255.0)
+    assert (np.diff(levels) > 0.0).all() and levels[-1] < none - 0.1
+
+
+@requires_drawing
+def test_earlier_vertices_are_darker(tmp_path):
+    """A wavy sheet falls flat on a finer sheet at rest, its left side first; seen from above at t = 1."""
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21), indexing="ij"))
+    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
+    faces = np.vstack(
+        [np.column_stack([corner, corner + 21, corner + 1]), np.column_stack([corner + 1, corner + 21, corner + 22])]
+    )
+    rest = np.column_stack([x, y, 0.0 * x])
+    mesh = ccd.CollisionMesh.from_arrays([(rest, faces), (rest, faces)], static=[1])
+    start = np.vstack([rest + np.column_stack([0 * x, 0 * x, 0.1 + 0.5 * x]), rest])
+    end = start - np.repeat([0.7, 0.0], len(rest))[:, None] * [0.0, 0.0, 1.0]
+    panel = _draw(tmp_path, mesh, start, end, camera=(0.0, 0.0, 1.0))[2]
+    strip = panel[panel.shape[0] // 3, :].sum(axis=1)
+    inside = np.flatnonzero(strip < 700)
+    left, right = np.array_split(strip[inside], 2)
+    assert left.mean() < right.mean() - 50
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"size": (10, 10)}, r"size is \(10, 10\); expected width and height in \[150, 4000\]"),
+        ({"size": 7}, "size is 7"),
+        ({"camera": (0, 0, 0)}, r"camera is \(0, 0, 0\); expected three finite numbers"),
+        ({"camera": "left"}, "camera is 'left'"),
+        ({"colour": "red"}, "colour is 'red'; expected 'vertex_toi' or 'body'"),
+        ({"t_max": 0.0}, r"t_max is 0\.0; expected a number in \(0, 1\]"),
+    ],
+)
+def test_bad_options_are_refused(tmp_path, options, words):
+    mesh, start, end, result = _with_result(*_balls_over_box())
+    with pytest.raises(ValueError, match=words):
+        viz.render_step(tmp_path / "step.png", mesh, start, end, result, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_and_files_that_do_not_fit_are_refused(tmp_path):
+    mesh, start, end, result = _with_result(*_balls_over_box())
+    box = trimesh.creation.box()
+    other = ccd.CollisionMesh.from_trimesh([box])
+    with pytest.raises(ValueError, match=r"result\.vertex_toi has shape \(332,\); expected \(8,\)"):
+        viz.render_step(tmp_path / "step.png", other, box.vertices, box.vertices, result)
+    for name, words in (("step.jpg", "must end in .png"), ("none/step.png", "does not exist")):
+        with pytest.raises(ValueError, match=words):
+            viz.render_step(tmp_path / name, mesh, start, end, result)
+
+
+def test_missing_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    mesh, start, end, result = _with_result(*_balls_over_box())
+    with pytest.raises(ImportError, match=r"pip install 'ccd-warp\[viz\]'"):
+        viz.render_step(tmp_path / "step.png", mesh, start, end, result)
+    with pytest.raises(ImportError, match=r"pip install 'ccd-warp\[viz\]'"):
+        viz.show_step(mesh, start, end, result)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a display")
+def test_window_without_a_display_is_refused(monkeypatch):
+    pytest.importorskip("pyvista")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(RuntimeError, match="show_step found no display"):
+        viz.show_step(*_with_result(*_balls_over_box()))
+
+
+@requires_drawing
+@pytest.mark.parametrize("colour", ["body", "vertex_toi"])
+def test_window_has_a_slider_that_moves_the_bodies(monkeypatch, colour):
+    import pyvista
+
+    seen = {}
+
+    def play(plotter):
+        slider = plotter.widgets.slider_widgets[0] if hasattr(plotter, "widgets") else plotter.slider_widgets[0]
+        seen["value"] = slider.GetRepresentation().GetValue()
+        for t in (0.0, 1.0):
+            slider.GetRepresentation().SetValue(t)
+            slider.InvokeEvent("InteractionEvent")
+            (surface,) = (actor for name, actor in plotter.actors.items() if name.startswith("faces with edges"))
+            seen[t] = surface.bounds
+        plotter.close()
+
+    monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
+    monkeypatch.setattr(pyvista.Plotter, "show", play)
+    step = _with_result(*_balls_over_box())
+    with drawing_without_display():
+        viz.show_step(*step, colour=colour)
+    assert seen["value"] == pytest.approx(step[3].toi)
+    assert seen[1.0][5] < seen[0.0][5]
+
+
+@requires_drawing
+def test_environment_is_left_as_it_was(tmp_path):
+    before = dict(os.environ)
+    _draw(tmp_path, *_balls_over_box())
+    assert dict(os.environ) == before
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Files of a ball at both ends of a step, and of a box below it."""
+    ball, box = trimesh.creation.icosphere(subdivisions=2), trimesh.creation.box(extents=(4.0, 4.0, 1.0))
+    write_mesh(tmp_path / "start.ply", ball.vertices + [0.1, 0.2, 3.0], ball.faces)
+    write_mesh(tmp_path / "end.ply", ball.vertices + [0.1, 0.2, 0.0], ball.faces)
+    write_mesh(tmp_path / "box.ply", box.vertices, box.faces)
+    return tmp_path
+
+
+def _run(files, picture, *options) -> int:
+    arguments = ["run", files / "start.ply", files / "end.ply", "--static", files / "box.ply", "--picture", picture]
+    return main([str(argument) for argument in [*arguments, *options]])
+
+
+@requires_drawing
+def test_command_writes_a_picture_and_says_so(files, capfd):
+    assert _run(files, files / "step.png") == 0
+    captured = capfd.readouterr()
+    assert captured.err == ""
+    assert f"wrote {files / 'step.png'}" in captured.out and "draw picture" in captured.out
+    assert _is_drawn(_read(files / "step.png")).mean() > 0.1
+
+
+@requires_drawing
+def test_quiet_command_says_nothing(files, capfd):
+    assert _run(files, files / "step.PNG", "--quiet", "--t-max", "0.1") == 0
+    assert capfd.readouterr() == ("", "")
+    assert (files / "step.PNG").exists()
+
+
+@requires_drawing
+def test_demo_writes_a_picture_a_scene(tmp_path, capfd):
+    assert main(["demo", "--pictures", str(tmp_path / "new" / "folder")]) == 0
+    captured = capfd.readouterr()
+    assert captured.err == "" and "wrote the pictures" in captured.out
+    assert {path.name for path in (tmp_path / "new" / "folder").iterdir()} == {"bullet.png", "cloth.png"}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("step.jpg", "the name must end in .png"),
+        ("none/step.png", "does not exist"),
+        ("folder.png", "cannot be written"),
+    ],
+)
+def test_command_refuses_a_bad_name_before_the_work(files, capfd, name, words):
+    (files / "folder.png").mkdir()
+    (files / "start.ply").unlink()  # not even looked for
+    assert _run(files, files / name) == 2
+    captured = capfd.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert "--picture" in captured.err and words in captured.err
+
+
+@pytest.mark.parametrize("command", ["run", "demo"])
+def test_command_names_the_missing_extra_before_the_work(files, capfd, monkeypatch, command):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    status = _run(files, files / "step.png") if command == "run" else main(["demo", "--pictures", str(files)])
+    assert status == 2
+    captured = capfd.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert "pip install 'ccd-warp[viz]'" in captured.err
+
+
+def test_command_names_a_missing_opengl(files, capfd, monkeypatch):
+    pytest.importorskip("pyvista")
+
+    def find_none():
+        raise RuntimeError("found no OpenGL to draw with")
+
+    monkeypatch.setattr("ccd_warp._viz_window._window_without_display", find_none)
+    monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
+    assert _run(files, files / "step.png") == 2
+    assert capfd.readouterr().err == "ccd-warp: error: --picture: found no OpenGL to draw with\n"
