@@ -6,9 +6,10 @@ in [0, t_max]. A collision is never missed and never reported late.
 
 from ccd_warp import datasets
 from ccd_warp._candidates import Candidates
+from ccd_warp._line_search import LineSearchResult
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
-from ccd_warp._pipeline import CollisionPipeline, collision_free_step, find_candidates, mesh_ccd
+from ccd_warp._pipeline import CollisionPipeline, collision_free_step, find_candidates, line_search, mesh_ccd
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
 
@@ -20,6 +21,7 @@ __all__ = [
     "CollisionMesh",
     "CollisionPipeline",
     "Contacts",
+    "LineSearchResult",
     "MeshResult",
     "PairKind",
     "PairResult",
@@ -28,6 +30,7 @@ __all__ = [
     "datasets",
     "edge_edge_ccd",
     "find_candidates",
+    "line_search",
     "mesh_ccd",
     "point_point_ccd",
     "point_segment_ccd",

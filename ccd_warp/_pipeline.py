@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
+from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, search_step
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._results import MeshResult
@@ -236,6 +237,69 @@ def collision_free_step(
         return Step(workspace, vertices_t0, vertices_t1, options).bound()
 
 
+def line_search(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    *,
+    per: str = "scene",
+    safety: float = DEFAULT_SAFETY,
+    max_rounds: int = DEFAULT_MAX_ROUNDS,
+    **options: Any,
+) -> LineSearchResult:
+    """Shorten a step until it is certain to be free of collisions: as a whole, by bodies, or vertex by vertex.
+
+    A round takes the toi of every pair that still touches, shortens the displacements of its scene, bodies or vertices
+    to ``safety`` times it, and looks again, at the shortened step. Shortening each vertex by its own toi alone would
+    not do: a vertex that is stopped leaves one that would have passed behind it to run into it.
+
+    Pairs that touch at the start, or are within the minimum separation there, have toi 0, and what shares their
+    fraction does not move; they come back as ``touching``. With ``start_gap_fraction`` those that are only close may
+    move.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, as in :func:`mesh_ccd`.
+        vertices_t1: End positions wished for.
+        per: ``"scene"``: all vertices move by one fraction of their displacements; ``"body"``: each body by one;
+            ``"vertex"``: each vertex by its own.
+        safety: Share of its toi that what touches may move, in (0, 1).
+        max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices move by one fraction,
+            or not at all, and ``is_limited`` says so.
+        **options: Options of :func:`mesh_ccd`, all but ``t_max``.
+
+    Returns:
+        The end positions that can be taken, and the fractions that led there.
+
+    Raises:
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
+
+    References:
+        Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
+
+    Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
+    that passes the mesh's filter touches (or comes within the minimum separation), except pairs of ``touching``, whose
+    vertices do not move. Proof: the last round ran :func:`mesh_ccd` on these very positions, as they are rounded, and
+    every pair with a vertex that moves had toi ``inf`` there, which is certain.
+    """
+    check_step_is_whole(options.get("t_max", 1.0))
+
+    def solve(start: ArrayLike, end: ArrayLike) -> MeshResult:
+        return mesh_ccd(mesh, start, end, **options)
+
+    return search_step(mesh, vertices_t0, vertices_t1, solve, per=per, safety=safety, max_rounds=max_rounds)
+
+
+def check_step_is_whole(t_max: float) -> None:
+    """Check that a line search looks at all of the step.
+
+    Raises:
+        ValueError: If not.
+    """
+    if t_max != 1.0:
+        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search looks at the whole step")
+
+
 class CollisionPipeline:
     """The calls on one mesh with one set of options, for a time loop.
 
@@ -361,3 +425,34 @@ class CollisionPipeline:
         """
         with self._step(vertices_t0, vertices_t1) as step:
             return step.bound()
+
+    def line_search(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        per: str = "scene",
+        safety: float = DEFAULT_SAFETY,
+        max_rounds: int = DEFAULT_MAX_ROUNDS,
+    ) -> LineSearchResult:
+        """Like :func:`ccd_warp.line_search`.
+
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions wished for, as there.
+            per: ``"scene"``, ``"body"`` or ``"vertex"``.
+            safety: Share of its toi that what touches may move.
+            max_rounds: Most calls of :meth:`mesh_ccd`.
+
+        Returns:
+            The end positions that can be taken, and the fractions that led there.
+
+        Raises:
+            ValueError: As there, and if the pipeline's ``t_max`` is not 1.
+
+        Guarantee: as there; no pair with a vertex that moves touches on the way to the end positions.
+        """
+        check_step_is_whole(self._options.t_max)
+        return search_step(
+            self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
+        )

@@ -1,0 +1,177 @@
+"""The step of a line search: certain to be free for the scene, for bodies and for vertices, by exact arithmetic."""
+
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+from ccd_warp.benchmarks.oracle import exact_tois
+
+import ccd_warp as ccd
+
+PER = ("scene", "body", "vertex")
+every_per = pytest.mark.parametrize("per", PER)
+TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+FACE = np.array([[0, 1, 2]])
+
+
+def _exact_contacts(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray) -> list[tuple]:
+    """Pairs that share no vertex, have a vertex that moves, and touch: brute force and exact arithmetic."""
+    moved = (start != end).any(axis=1)
+    found = []
+    for kind, pairs in (
+        ("vertex-face", [(v, *f) for v in range(len(start)) for f in mesh.faces.tolist()]),
+        ("edge-edge", [(*a, *b) for a, b in itertools.combinations(mesh.edges.tolist(), 2)]),
+    ):
+        corners = np.array([c for c in pairs if len(set(c)) == 4 and moved[list(c)].any()], dtype=int).reshape(-1, 4)
+        if len(corners):
+            exact = exact_tois(kind, start[corners], end[corners])
+            found += [(kind, *c) for c, e in zip(corners.tolist(), exact, strict=True) if e.hit]
+    return found
+
+
+def _stacked(*heights: float) -> tuple[ccd.CollisionMesh, np.ndarray]:
+    bodies = [(TRIANGLE + [0.1 * k, 0.07 * k, z], FACE) for k, z in enumerate(heights)]
+    return ccd.CollisionMesh.from_arrays(bodies), np.concatenate([vertices for vertices, _ in bodies])
+
+
+@every_per
+def test_nothing_in_the_way_moves_all_the_way(per):
+    mesh, start = _stacked(0.0, 1.0)
+    end = start + [0.3, 0.2, 0.1]
+    step = ccd.line_search(mesh, start, end, per=per)
+    assert step.num_rounds == 1 and step.fraction == 1.0 and not step.is_limited
+    assert np.array_equal(step.vertices, end)
+    assert len(step.touching) == 0
+
+
+@every_per
+@pytest.mark.parametrize("safety", [0.5, 0.9, 0.999])
+def test_one_body_falls_on_another(per, safety):
+    mesh, start = _stacked(0.0, 1.0)
+    end = start.copy()
+    end[3:, 2] -= 2.0
+    step = ccd.line_search(mesh, start, end, per=per, safety=safety)
+    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert step.fraction == pytest.approx(0.5 * safety, rel=1e-9)  # the toi is a half, up to rounding
+    # what did not touch anything goes on only where bodies or vertices have fractions of their own
+    assert (step.vertex_fraction[:3] == (1.0 if per != "scene" else step.fraction)).all() or per != "scene"
+
+
+def test_a_vertex_that_is_stopped_stops_the_one_behind_it():
+    """The first moves into a wall and the second follows it; the second alone has no contact in the original motion.
+
+    Shortening each vertex by its own toi would leave the first in the way of the second.
+    """
+    mesh, start = _stacked(0.0, 1.0, 2.0)
+    end = start.copy()
+    end[3:6, 2] = -0.9  # through the wall
+    end[6:, 2] = 0.05  # ends between the wall and where the first is stopped, at a tenth above it
+    naive = ccd.mesh_ccd(mesh, start, end).vertex_toi
+    assert np.isinf(naive[6:]).all(), "the second touches nothing in the original motion"
+    shortened = start + np.minimum(0.9 * naive, 1.0)[:, None] * (end - start)
+    assert _exact_contacts(mesh, start, shortened), "so the fractions of the tois alone do not do"
+    for per in PER:
+        step = ccd.line_search(mesh, start, end, per=per)
+        assert _exact_contacts(mesh, start, step.vertices) == []
+        assert step.fraction > 0
+
+
+@every_per
+@pytest.mark.parametrize("seed", range(6))
+def test_random_soup_is_free_by_exact_arithmetic(per, seed):
+    rng = np.random.default_rng(seed)
+    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    end = start + rng.uniform(-1, 1, start.shape)
+    step = ccd.line_search(mesh, start, end, per=per)
+    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert ((step.vertex_fraction >= 0) & (step.vertex_fraction <= 1)).all()
+
+
+def test_finer_fractions_move_more():
+    mesh, start = _stacked(0.0, 1.0, 5.0, 9.0)
+    end = start.copy()
+    end[3:6, 2] -= 2.0
+    end[6:] += [1.0, 0, 0]
+    moved = {per: ccd.line_search(mesh, start, end, per=per).vertex_fraction.sum() for per in PER}
+    assert moved["scene"] < moved["body"] <= moved["vertex"]
+
+
+@every_per
+def test_touching_at_the_start_holds_those_that_touch(per):
+    """A vertex rests exactly on a face and is pushed into it; a third body is free."""
+    bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE), (TRIANGLE + 5, FACE)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    end = start.copy()
+    end[3:6, 2] -= 0.5
+    end[6:] += 1.0
+    step = ccd.line_search(mesh, start, end, per=per)
+    assert len(step.touching) > 0 and not step.is_limited
+    assert step.vertex_fraction[3] == 0.0
+    assert np.array_equal(step.vertices[3], start[3])
+    assert _exact_contacts(mesh, start, step.vertices) == []
+    if per != "scene":
+        assert (step.vertex_fraction[6:] == 1.0).all()
+
+
+def test_touching_at_the_start_and_leaving_may_leave():
+    """Contact at t = 0 counts even where the motion opens it, so such a pair is held and named."""
+    bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    end = start + np.where(np.arange(6)[:, None] >= 3, [0, 0, 1.0], 0.0)
+    step = ccd.line_search(mesh, start, end, per="vertex")
+    assert len(step.touching) > 0
+    assert (step.vertices[3] == start[3]).all()
+
+
+def test_static_bodies_stay_and_are_not_counted():
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+    ground = trimesh.creation.box(extents=(4, 4, 0.2))
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ground], static=[1])
+    start = np.concatenate([ball.vertices + [0, 0, 1], ground.vertices])
+    end = start + [0, 0, -1.0]
+    step = ccd.line_search(mesh, start, end, per="body")
+    assert np.array_equal(step.vertices[len(ball.vertices) :], start[len(ball.vertices) :])
+    assert 0.5 < step.fraction < 0.9
+    assert (step.vertex_fraction[len(ball.vertices) :] == 1.0).all()
+
+
+def test_a_search_that_takes_too_long_moves_by_one_fraction_or_not_at_all():
+    rng = np.random.default_rng(3)
+    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(8)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    end = start + rng.uniform(-2, 2, start.shape)
+    step = ccd.line_search(mesh, start, end, per="vertex", max_rounds=3)
+    assert step.is_limited and step.num_rounds <= 3
+    assert len(set(step.vertex_fraction)) == 1
+    assert _exact_contacts(mesh, start, step.vertices) == []
+
+
+def test_the_held_object_gives_the_same():
+    mesh, start = _stacked(0.0, 1.0)
+    end = start - [0, 0, 2.0] * (np.arange(6)[:, None] >= 3)
+    pipeline = ccd.CollisionPipeline(mesh)
+    ours, held = ccd.line_search(mesh, start, end, per="vertex"), pipeline.line_search(start, end, per="vertex")
+    assert np.array_equal(ours.vertices, held.vertices)
+    with pytest.raises(ValueError, match=r"t_max is 0\.5; expected 1"):
+        ccd.CollisionPipeline(mesh, t_max=0.5).line_search(start, end)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'body', 'vertex'"),
+        ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
+        ({"safety": float("nan")}, "safety is nan"),
+        ({"max_rounds": 2}, "max_rounds is 2; expected an integer of at least 3"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    mesh, start = _stacked(0.0, 1.0)
+    with pytest.raises(ValueError, match=message):
+        ccd.line_search(mesh, start, start, **options)
