@@ -23,7 +23,9 @@ from ccd_warp.benchmarks import bench, compare, figures, raw_file, report
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
+from ccd_warp.benchmarks.memory import PeakMemory
 from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method, all_methods
+from ccd_warp.benchmarks.numbers import bound
 from ccd_warp.benchmarks.peers import Peer
 from ccd_warp.benchmarks.query_sets import make_set
 
@@ -171,6 +173,57 @@ def test_a_peer_repeats_the_queries_of_its_first_pass(name):
     assert peer.answers.count == 30
     assert [len(times) for times in peer.answers.rounds] == [30] * 3
     assert queries.exact.faults(peer.answers.toi)["missed"] == 0
+
+
+def test_additive_ccd_gets_a_fraction_and_not_a_length():
+    """Its answers are those at unit size where a power of two scales query and unit; as a length they would be nan."""
+    answers = []
+    for scale in (1.0, 2.0**20):
+        points = FAMILIES["random_colliding"]("vertex-face", 20, np.random.default_rng(1))
+        queries = make_set("scaled", "vertex-face", *(scale * p for p in points), most=20, length_scale=None)
+        frames = (queries.points_t0, queries.points_t1)
+        peer = Peer("additive", queries.kind, *frames, 1e-3, queries.unit(), 0.0, cap=1.0)
+        try:
+            peer.run(10.0)
+        finally:
+            peer.close()
+        answers.append(peer.answers.toi)
+    assert np.isfinite(answers[0]).all()
+    assert answers[1] == pytest.approx(answers[0], rel=1e-9)
+
+
+def test_a_query_that_ends_the_process_has_no_answer_and_the_others_have():
+    queries = _set(count=10)
+    peer = Peer("additive", queries.kind, queries.points_t0, queries.points_t1, 1e-3, np.ones(10), 0.0, cap=1.0)
+    try:
+        peer.run(10.0)
+        peer._process.kill()
+        peer._process.join()
+        peer.run(10.0)
+    finally:
+        peer.close()
+    assert peer.answers.count == 10
+    assert peer.answers.capped == [0], "the first query after the end is taken for the one that caused it"
+    assert np.isfinite(peer.answers.toi[1:]).all()
+
+
+def test_time_below_the_scatter_of_the_overhead_is_a_bound():
+    """Tight-Inclusion at a tolerance as large as the queries says toi = 0 in less time than a Python call takes."""
+    queries = _set("cloth_like")
+    (row,) = [r for r in measure(all_methods(["cpu"]), queries, 10.0, TINY) if r["method"] == REFERENCE]
+    assert row["seconds"] >= row["resolution"] > 0
+    assert row["seconds_low"] > 0 and row["median_query_seconds"] > 0
+    assert bound(row) == ("< " if row["below_resolution"] else "")
+
+
+def test_peak_memory_sees_what_is_allocated_again_after_it_was_freed():
+    size = 64 << 20
+    np.ones(size, dtype=np.uint8).sum()
+    memory = PeakMemory()
+    if memory.bytes() is None:
+        pytest.skip("this system does not say how much memory a process takes")
+    np.ones(size, dtype=np.uint8).sum()
+    assert memory.bytes() > 0.9 * size
 
 
 # ---- A whole run -----------------------------------------------------------------------------------------------------
@@ -365,6 +418,8 @@ def test_compare_exits_with_1(tmp_path, capsys, monkeypatch):
         (["--data", "nowhere"], "data is nowhere; expected a folder"),
         (["--devices", "cuda:77"], "devices holds 'cuda:77'; expected some of cpu"),
         (["--render", "--output", "nowhere"], "bench.json cannot be read"),
+        (["--docs", "nowhere"], "docs is nowhere; expected the root of a checkout"),
+        (["--docs", str(ROOT), "--only", "start"], "docs are written from all parts"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_is_measured(arguments, message, tmp_path, capsys, monkeypatch):
@@ -374,6 +429,26 @@ def test_bad_arguments_are_named_before_anything_is_measured(arguments, message,
     assert error.startswith("ccd-warp: error: ") and error.count("\n") == 1
     assert message in error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_is_a_file_or_holds_more_is_refused(tmp_path, capsys):
+    file = tmp_path / "file"
+    file.touch()
+    assert main(["bench", "--output", str(file)]) == 2
+    assert "expected a folder to write to" in capsys.readouterr().err
+    (tmp_path / bench.RAW).touch()
+    assert main(["bench", "--output", str(tmp_path), "--only", "start"]) == 2
+    assert "figures that --only would drop" in capsys.readouterr().err
+
+
+def test_an_interruption_before_the_first_figure_leaves_what_there_was(settings, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    (tmp_path / bench.RAW).write_text("a complete run")
+    monkeypatch.setattr(bench, "tasks", interrupted)
+    assert bench.run(settings, tmp_path, quiet=True) == (None, False)
+    assert (tmp_path / bench.RAW).read_text() == "a complete run"
 
 
 def test_a_missing_extra_is_named_in_one_line(capsys, monkeypatch):
