@@ -58,6 +58,10 @@ def conditions(raw: dict) -> list[str]:
     return lines
 
 
+# Tolerances of the table on what to choose.
+_CHOICES = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
+
+
 def methods(raw: dict) -> list[str]:
     return [f"- **{m['name']}** ({m['group']}): {m['note']}" for m in raw["methods"]]
 
@@ -108,7 +112,7 @@ def peer_ratios(raw: dict) -> list[str]:
                     name,
                     time_text(ours["seconds"]),
                     bound(peer) + time_text(peer["seconds"]),
-                    time_text(peer["median_query_seconds"]),
+                    median_query_text(peer),
                     bound(peer) + ratio_text(peer["seconds"] / ours["seconds"]),
                     *(
                         f"{error_text(error_of(same, k))} / {error_text(error_of(peer, k))}"
@@ -132,6 +136,12 @@ def peer_ratios(raw: dict) -> list[str]:
     return table([*header, "missed", "late", "phantom", "peer's stopped"], rows)
 
 
+def median_query_text(row: dict) -> str:
+    """Time of a peer's median query, as a bound where the call's overhead hides it."""
+    hidden = row["median_query_seconds"] <= row["resolution"]
+    return ("< " if hidden else "") + time_text(row["median_query_seconds"])
+
+
 def by_tolerance(raw: dict) -> list[str]:
     """Time and 99th percentile of the error over the sweep."""
     chosen = [OURS, "ours float32", "plain bisection", REFERENCE, "additive CCD", "cubic, closed form"]
@@ -144,6 +154,31 @@ def by_tolerance(raw: dict) -> list[str]:
         ]
         rows.append([set_name(unit), f"{unit['tolerance']:.0e}", *cells])
     return table(["set", "tolerance", *chosen], rows)
+
+
+def ours_by_tolerance(raw: dict) -> list[str]:
+    """What tolerance and precision change in ours: time, largest error, phantoms."""
+    by_set: dict[str, dict[float, dict]] = {}
+    for unit in raw["sweep"]:
+        by_set.setdefault(set_name(unit), {})[unit["tolerance"]] = rows_of(unit)
+    tolerances = [t for t in _CHOICES if all(t in units for units in by_set.values())]
+    rows = []
+    for name, units in by_set.items():
+        for precision in ("float64", "float32"):
+            found = [units[t][f"ours {precision}"] for t in tolerances]
+            cells = (
+                " / ".join(texts)
+                for texts in (
+                    (time_text(row["seconds"]) for row in found),
+                    (error_text(error_of(row, "p99")) for row in found),
+                    (error_text(error_of(row, "max")) for row in found),
+                    (str(row["phantom"]) for row in found),
+                )
+            )
+            rows.append([name, precision, *cells])
+    at = " / ".join(f"{t:.0e}" for t in tolerances)
+    header = ["set", "precision", f"time of a query at {at}", "99 % of errors below", "largest error", "phantoms"]
+    return table(header, rows)
 
 
 def cell_text(row: dict) -> str:
