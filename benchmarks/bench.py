@@ -261,7 +261,7 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict 
                 bar.postfix = [_clock(_left(bar)), task.key.replace("|", " ")]
                 bar.refresh()
                 journal.add(task.key, task.run())
-                bar.update(task.seconds)
+                bar.update(min(task.seconds, bar.total - bar.n))  # sums of floats may pass each other
     except KeyboardInterrupt:
         complete = False
     if not journal.records:

@@ -70,7 +70,8 @@ def document(raw: dict, figures: str = "figures") -> str:
             "## Where another method is ahead",
             "",
             "Found by comparing every figure of the sweep and of the hard cases with that of ours in float64 on one "
-            "thread, errors and phantoms on the same queries; and the whole steps.",
+            "thread, errors and phantoms on the same queries; and the whole steps. `<` marks a time that the call's "
+            "overhead hides: it may be less than ours or not.",
             "",
             *ahead(raw),
             "",
@@ -80,7 +81,8 @@ def document(raw: dict, figures: str = "figures") -> str:
             "",
             "Tolerance and precision of ours. Where the clips converge, which is almost everywhere, a small tolerance "
             "costs nothing and a large one gains nothing; it matters for needles and motion in a plane, which are "
-            "among the hard cases. float32 halves neither time nor memory on a CPU: its answers are as safe and less sharp.",
+            "among the hard cases. float32 halves neither time nor memory on a CPU: its answers are as safe and less "
+            "sharp.",
             "",
             *sections.ours_by_tolerance(raw),
             "",
