@@ -81,7 +81,8 @@ def search_step(
         if num_rounds == 1:
             common = safety * float(bound.min())
         bound = _shared(bound, mesh, per)
-        fraction = np.where(np.isfinite(bound), fraction * (safety * bound), fraction)
+        touched = np.isfinite(bound)
+        fraction[touched] *= safety * bound[touched]
         if num_rounds >= max_rounds - 2:
             # one fraction for all, which the first round has found free; and then none, which ends the search
             is_limited = True

@@ -27,7 +27,7 @@ from ccd_warp._viz_window import check_display, drawing_without_display, import_
 if TYPE_CHECKING:
     from ccd_warp._viz_panel import Panel
 
-__all__ = ["contact_points", "render_step", "show_step"]
+__all__ = ["contact_points", "drawing_without_display", "render_step", "show_step"]
 
 Colour = Literal["vertex_toi", "body"]
 

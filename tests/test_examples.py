@@ -29,6 +29,7 @@ def test_no_example_is_left_out():
     assert {path.name for path in EXAMPLES.glob("*.py")} == {
         "bullet_2d.py",
         "bullet_through_wall.py",
+        "cloth_drop.py",
         "mesh_against_mesh.py",
     }
 
