@@ -118,10 +118,10 @@ def published_sets(folder: Path, most: int, *, progress: bool = False) -> list[Q
     return sets
 
 
-def generated_sets(count: int, hard_each: int) -> list[QuerySet]:
-    """Sets of two families of unit size, and one of all hard cases, whose unit is each query's own size."""
+def generated_sets(count: int, hard_each: int, names: tuple[str, ...] = GENERATED) -> list[QuerySet]:
+    """Sets of families of unit size, and one of all hard cases, whose unit is each query's own size."""
     sets = []
-    for name in GENERATED:
+    for name in names:
         for kind in KINDS:
             points = FAMILIES[name](kind, count, np.random.default_rng(6))
             sets.append(make_set(name, kind, *points, most=count))

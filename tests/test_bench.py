@@ -274,7 +274,7 @@ def test_a_run_is_kept_when_it_is_interrupted_and_resumed(settings, few_families
     raw, complete = bench.run(settings, tmp_path, quiet=True)
     assert complete and raw["complete"]
     assert raw["sweep"][: len(first)] == first, "what was measured is not measured again"
-    assert len(raw["sweep"]) == 6 * 2 and len(raw["cases"]) == 3 * 2
+    assert len(raw["sweep"]) == 4 * 2 and len(raw["cases"]) == 3 * 2
     assert len(calls) == len(raw["sweep"]) + len(raw["cases"])
     assert not (tmp_path / bench.JOURNAL).exists()
 
