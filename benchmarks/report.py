@@ -92,8 +92,8 @@ def document(raw: dict, figures: str = "figures") -> str:
             "## Hard cases",
             "",
             f"Tolerance {DEFAULT_TOLERANCE:g}. The families, with what fails on each, are the catalogue "
-            "`benchmarks/hard_cases.py`. The univariate methods are late by rounding for about half of all contacts; "
-            "what counts is what they miss.",
+            "`benchmarks/hard_cases.py`. The univariate methods round to either side of the contact, so that "
+            "many of their answers are late by an ulp; what counts is what they miss.",
             "",
             *picture("cases", "Missed, late and phantom answers by family and method"),
             *sections.fault_totals(raw),

@@ -142,7 +142,7 @@ def test_a_method_without_separation_is_left_out_where_one_is_asked_for():
 
 
 def test_a_query_that_hangs_is_stopped_and_the_next_one_is_answered():
-    """Parallel faces that slide through each other in one plane: Tight-Inclusion subdivides for minutes."""
+    """Parallel edges that pass through each other in one plane: Tight-Inclusion subdivides for minutes."""
     p0, p1 = FAMILIES["random_colliding"]("edge-edge", 6, np.random.default_rng(0))
     line = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0]])
     p0[2] = line + np.array([[0, 0.3, 0], [0, 0.3, 0], [0, 0, 0], [0, 0, 0]])
