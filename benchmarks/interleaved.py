@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from ccd_warp.benchmarks.accuracy import judged
@@ -44,40 +44,37 @@ class _Batch:
     tolerance: float
     count: int
     tile: int
-    answer: Answer
-    peak_bytes: int | None
-    rounds: list[float]
+    answer: Answer = field(default_factory=lambda: Answer(np.empty(0)))
+    peak_bytes: int | None = None
+    rounds: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        points = (self.queries.points_t0[: self.count], self.queries.points_t1[: self.count])
+        self.frames = [np.resize(p, (self.tile, *p.shape[1:])) for p in points]
 
     @classmethod
     def make(cls, method: Method, queries: QuerySet, tolerance: float, effort: Effort) -> _Batch:
         """Find out how many queries fit the time, and answer those."""
         count = min(4, len(queries))
         while True:
-            batch = cls(method, queries, tolerance, count, count, Answer(np.empty(0)), None, [])
-            arrays = batch.arrays()
-            seconds = batch.once(*arrays)  # loads kernels and fills caches, too
-            seconds = min(seconds, batch.once(*arrays))
+            batch = cls(method, queries, tolerance, count, count)
+            seconds = min(batch.once(), batch.once())  # the first loads kernels and fills caches, too
             if count == len(queries) or 2 * seconds > effort.seconds:
                 break
             count = min(4 * count, len(queries))
         # a call has a fixed cost, so that this is an upper bound of the time of a query
-        batch.tile = max(count, min(effort.batch, int(count * effort.seconds / max(seconds, 1e-9))))
-        arrays = batch.arrays()
+        tile = max(count, min(effort.batch, int(count * effort.seconds / max(seconds, 1e-9))))
+        batch = cls(method, queries, tolerance, count, tile)
         memory = PeakMemory()
-        batch.once(*arrays)
+        batch.once()
         batch.peak_bytes = memory.bytes()
         return batch
 
-    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Both frames of the timed call."""
-        points = (self.queries.points_t0[: self.count], self.queries.points_t1[: self.count])
-        return tuple(np.ascontiguousarray(np.resize(p, (self.tile, *p.shape[1:]))) for p in points)
-
-    def once(self, points_t0: np.ndarray, points_t1: np.ndarray) -> float:
+    def once(self) -> float:
         """Seconds of one call."""
         q = self.queries
         begin = time.perf_counter()
-        answer = self.method.solve(q.kind, points_t0, points_t1, self.tolerance, q.separation, q.length_scale)
+        answer = self.method.solve(q.kind, *self.frames, self.tolerance, q.separation, q.length_scale)
         seconds = time.perf_counter() - begin
         limited = None if answer.limited is None else answer.limited[: self.count]
         self.answer = Answer(answer.toi[: self.count], limited)
@@ -141,7 +138,6 @@ def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: 
     """One row a method; a method that does not know the set's separation is left out."""
     methods = [m for m in methods if m.has_separation or not queries.separation]
     batches = [_Batch.make(m, queries, tolerance, effort) for m in methods if m.solve is not None]
-    arrays = {id(batch): batch.arrays() for batch in batches}
     peers = {}
     unit = queries.unit()
     try:
@@ -152,7 +148,7 @@ def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: 
                 peers[m.name] = Peer(m.peer, queries.kind, *frames, tolerance, unit, separation, effort.cap)
         for _ in range(effort.rounds):
             for batch in batches:
-                batch.rounds.append(batch.once(*arrays[id(batch)]))
+                batch.rounds.append(batch.once())
             for peer in peers.values():
                 peer.run(effort.peer_seconds)
     finally:

@@ -11,10 +11,8 @@ PEERS = (REFERENCE, "additive CCD")
 DEFAULT_TOLERANCE = 1e-6
 
 
-def time_text(seconds: float | None) -> str:
+def time_text(seconds: float) -> str:
     """Seconds of a query or a call, three digits, in the unit that suits them."""
-    if seconds is None:
-        return "–"
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}" if seconds < 1000 * size else f"{seconds / size:.0f} {unit}"

@@ -159,8 +159,8 @@ class Peer:
             self._context.set_forkserver_preload(["ccd_warp.benchmarks.peers", "ipctk"])
         n = len(points_t0)
         self._shared = tuple(
-            self._context.RawArray(kind, max(1, size))
-            for kind, size in ((ctypes.c_double, n), (ctypes.c_double, n), (ctypes.c_longlong, 2))
+            self._context.RawArray(number, max(1, size))
+            for number, size in ((ctypes.c_double, n), (ctypes.c_double, n), (ctypes.c_longlong, 2))
         )
         self._toi, self._seconds, self._state = (
             np.frombuffer(array, dtype=dtype) for array, dtype in zip(self._shared, "ddq", strict=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, MeshResult
-from ccd_warp._status import PairKind
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -97,24 +97,6 @@ def search_step(
         num_rounds=num_rounds,
         is_limited=is_limited,
     )
-
-
-def contact_vertices(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
-    """The vertices of each contact, where there are fewer than four one repeats, shape [m, 4]."""
-    first, second = contacts.primitives.T
-    corners = np.empty((len(contacts), 4), dtype=np.int32)
-    for kind in PairKind:
-        chosen = contacts.kind == kind
-        a, b = first[chosen], second[chosen]
-        if kind == PairKind.VERTEX_FACE:
-            corners[chosen] = np.column_stack([a, mesh.faces[b]])
-        elif kind == PairKind.EDGE_EDGE:
-            corners[chosen] = np.column_stack([mesh.edges[a], mesh.edges[b]])
-        elif kind == PairKind.POINT_SEGMENT:
-            corners[chosen] = np.column_stack([a, a, mesh.edges[b]])
-        else:
-            corners[chosen] = np.column_stack([a, a, b, b])
-    return corners
 
 
 def _shared(bound: NDArray[np.float64], mesh: CollisionMesh, per: str) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._files import Body, InputError
 
 RESULT_SUFFIXES = (".npz", ".json", ".csv")
@@ -55,18 +56,6 @@ def write_result(path: Path, bodies: list[Body], mesh, result) -> list[Path]:
         raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
 
-def contact_vertices(mesh, contacts) -> np.ndarray:
-    """The four vertices of each contact: v, f0, f1, f2, or ea0, ea1, eb0, eb1; shape [m, 4]."""
-    primitives = np.asarray(contacts.primitives, dtype=np.int64).reshape(-1, 2)
-    faces, edges = np.asarray(mesh.faces), np.asarray(mesh.edges)
-    out = np.empty((len(primitives), 4), dtype=np.int64)
-    is_edges = np.asarray(contacts.kind) == 1
-    vertex_face, edge_edge = primitives[~is_edges], primitives[is_edges]
-    out[~is_edges] = np.column_stack([vertex_face[:, 0], faces[vertex_face[:, 1]]])
-    out[is_edges] = np.hstack([edges[edge_edge[:, 0]], edges[edge_edge[:, 1]]])
-    return out
-
-
 def _write_npz(path: Path, bodies: list[Body], mesh, result) -> None:
     contacts = result.contacts
     arrays: dict[str, Any] = {
@@ -80,7 +69,7 @@ def _write_npz(path: Path, bodies: list[Body], mesh, result) -> None:
         "edges": np.asarray(mesh.edges),
         "contact_kind": np.asarray(contacts.kind),
         "contact_primitives": np.asarray(contacts.primitives),
-        "contact_vertices": contact_vertices(mesh, contacts),
+        "contact_vertices": contact_vertices(mesh, contacts).astype(np.int64),
         "contact_toi": np.asarray(contacts.toi),
         "contact_parameters": np.asarray(contacts.parameters),
         "contact_normal": np.asarray(contacts.normal),

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._files import Body
-from ccd_warp._output import contact_vertices
 
 
 def format_toi(toi: float) -> str:

@@ -1,10 +1,9 @@
 """Where the contacts of a step are."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_corners
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts
 from ccd_warp._status import PairKind
@@ -49,29 +48,3 @@ def contact_points(
         ]
         points[of_kind] = 0.5 * sides[0] + 0.5 * sides[1]
     return points
-
-
-def contact_corners(
-    mesh: CollisionMesh, kind: PairKind, primitives: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Vertices of both primitives of each pair of a kind, int32, shapes [m, 1 to 3].
-
-    Raises:
-        ValueError: If the mesh does not have such primitives.
-    """
-    vertices = np.arange(mesh.num_vertices, dtype=np.int32)[:, None]
-    tables: dict[PairKind, tuple[tuple[str, Any], tuple[str, Any]]] = {
-        PairKind.VERTEX_FACE: (("vertices", vertices), ("faces", mesh.faces)),
-        PairKind.EDGE_EDGE: (("edges", mesh.edges), ("edges", mesh.edges)),
-        PairKind.POINT_SEGMENT: (("vertices", vertices), ("edges", mesh.edges)),
-        PairKind.POINT_POINT: (("vertices", vertices), ("vertices", vertices)),
-    }
-    sides = []
-    for (name, table), ids in zip(tables[kind], primitives.T, strict=True):
-        if not ((ids >= 0) & (ids < len(table))).all():
-            raise ValueError(
-                f"contacts.primitives holds {ids[(ids < 0) | (ids >= len(table))][0]}; "
-                f"expected indices of the mesh's {len(table)} {name}"
-            )
-        sides.append(table[ids])
-    return sides[0], sides[1]

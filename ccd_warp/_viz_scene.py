@@ -6,10 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_corners
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp._viz_contacts import contact_corners, contact_points
+from ccd_warp._viz_contacts import contact_points
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")

@@ -1,0 +1,49 @@
+"""Which vertices a contact is of."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import Contacts
+from ccd_warp._status import PairKind
+
+# Columns that make four of the vertices of both primitives, by how many those are.
+_FOUR = {4: [0, 1, 2, 3], 3: [0, 0, 1, 2], 2: [0, 0, 1, 1]}
+
+
+def contact_vertices(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
+    """The vertices of each contact: v, f0, f1, f2, or ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; shape [m, 4]."""
+    vertices = np.empty((len(contacts), 4), dtype=np.int32)
+    for kind in np.unique(contacts.kind):
+        of_kind = contacts.kind == kind
+        both = np.hstack(contact_corners(mesh, PairKind(int(kind)), contacts.primitives[of_kind]))
+        vertices[of_kind] = both[:, _FOUR[both.shape[1]]]
+    return vertices
+
+
+def contact_corners(
+    mesh: CollisionMesh, kind: PairKind, primitives: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Vertices of both primitives of each pair of a kind, int32, shapes [m, 1 to 3].
+
+    Raises:
+        ValueError: If the mesh does not have such primitives.
+    """
+    vertices = np.arange(mesh.num_vertices, dtype=np.int32)[:, None]
+    tables: dict[PairKind, tuple[tuple[str, Any], tuple[str, Any]]] = {
+        PairKind.VERTEX_FACE: (("vertices", vertices), ("faces", mesh.faces)),
+        PairKind.EDGE_EDGE: (("edges", mesh.edges), ("edges", mesh.edges)),
+        PairKind.POINT_SEGMENT: (("vertices", vertices), ("edges", mesh.edges)),
+        PairKind.POINT_POINT: (("vertices", vertices), ("vertices", vertices)),
+    }
+    sides = []
+    for (name, table), ids in zip(tables[kind], primitives.T, strict=True):
+        if not ((ids >= 0) & (ids < len(table))).all():
+            raise ValueError(
+                f"contacts.primitives holds {ids[(ids < 0) | (ids >= len(table))][0]}; "
+                f"expected indices of the mesh's {len(table)} {name}"
+            )
+        sides.append(table[ids])
+    return sides[0], sides[1]
