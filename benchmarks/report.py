@@ -79,12 +79,7 @@ def document(raw: dict, figures: str = "figures") -> str:
         lines += [
             "## What to choose",
             "",
-            "Tolerance and precision of ours. Where the clips converge, which is almost everywhere, a small tolerance "
-            "costs nothing and a large one gains nothing; it matters for needles and motion in a plane, which are "
-            "among the hard cases. float32 halves neither time nor memory on a CPU: its answers are as safe and less "
-            "sharp.",
-            "",
-            *sections.ours_by_tolerance(raw),
+            "What tolerance, precision and minimum separation of ours to choose is [a page of its own](choosing.md).",
             "",
         ]
     if raw["cases"]:
@@ -171,12 +166,16 @@ def readme_steps(raw: dict) -> list[str]:
     return table(sections.STEP_HEADER, ([sections.scene_name(row), *sections.step_cells(row)] for row in raw["steps"]))
 
 
-README_TABLES = {"queries": readme_queries, "whole steps": readme_steps}
+# Tables between marks, by the page that they are on.
+TABLES = {
+    "README.md": {"queries": readme_queries, "whole steps": readme_steps},
+    "docs/choosing.md": {"by tolerance": sections.ours_by_tolerance},
+}
 
 
-def readme(text: str, raw: dict) -> str:
-    """The README with its tables between their marks replaced."""
-    for name, make in README_TABLES.items():
+def with_tables(page: str, text: str, raw: dict) -> str:
+    """A page with its tables between their marks replaced."""
+    for name, make in TABLES[page].items():
         begin, end = _marks(name)
         before, rest = text.split(f"{begin}\n")
         text = f"{before}{begin}\n" + "\n".join(make(raw)) + f"\n{end}" + rest.split(end)[1]
@@ -192,11 +191,11 @@ def check_docs(root: Path) -> None:
     front = root / "README.md"
     if not front.is_file() or not (root / "docs").is_dir():
         raise ValueError(f"docs is {root}; expected the root of a checkout, with README.md and docs/")
-    text = front.read_text(encoding="utf-8")
-    for name in README_TABLES:
-        for mark in _marks(name):
+    for page, tables in TABLES.items():
+        text = (root / page).read_text(encoding="utf-8") if (root / page).is_file() else ""
+        for mark in (mark for name in tables for mark in _marks(name)):
             if mark not in text:
-                raise ValueError(f"docs is {root}, whose README.md lacks the mark {mark}")
+                raise ValueError(f"docs is {root}, whose {page} lacks the mark {mark}")
 
 
 def _marks(name: str) -> tuple[str, str]:
@@ -204,12 +203,12 @@ def _marks(name: str) -> tuple[str, str]:
 
 
 def write_docs(root: Path, raw: dict) -> list[Path]:
-    """Write docs/benchmarks.md and the README's tables of a checkout that `check_docs` has found to be one."""
-    page, front = root / "docs" / "benchmarks.md", root / "README.md"
-    text = readme(front.read_text(encoding="utf-8"), raw)
-    page.write_text(document(raw), encoding="utf-8")
-    front.write_text(text, encoding="utf-8")
-    return [page, front]
+    """Write docs/benchmarks.md and the tables of other pages of a checkout that `check_docs` has found to be one."""
+    texts = {root / page: with_tables(page, (root / page).read_text(encoding="utf-8"), raw) for page in TABLES}
+    texts[root / "docs" / "benchmarks.md"] = document(raw)
+    for path, text in texts.items():
+        path.write_text(text, encoding="utf-8")
+    return list(texts)
 
 
 def summary(raw: dict) -> list[str]:

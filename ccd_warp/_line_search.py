@@ -13,7 +13,7 @@ from ccd_warp._results import Contacts, MeshResult
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
-_PER = ("scene", "body", "vertex")
+_PER = ("scene", "world", "body", "vertex")
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class LineSearchResult:
     is_limited: bool
 
 
-def check_line_search(per: str, safety: float, max_rounds: int) -> None:
+def check_line_search(per: str, safety: float) -> None:
     """Check the options of a line search.
 
     Raises:
@@ -48,8 +48,16 @@ def check_line_search(per: str, safety: float, max_rounds: int) -> None:
         raise ValueError(f"per is {per!r}; expected one of {', '.join(map(repr, _PER))}")
     if not (isinstance(safety, (int, float)) and math.isfinite(safety) and 0 < safety < 1):
         raise ValueError(f"safety is {safety!r}; expected a number between 0 and 1")
-    if isinstance(max_rounds, bool) or not isinstance(max_rounds, int) or max_rounds < 3:
-        raise ValueError(f"max_rounds is {max_rounds!r}; expected an integer of at least 3")
+
+
+def check_step_is_whole(t_max: float) -> None:
+    """Check that a line search looks at all of the step.
+
+    Raises:
+        ValueError: If not.
+    """
+    if t_max != 1.0:
+        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search looks at the whole step")
 
 
 def search_step(
@@ -63,7 +71,9 @@ def search_step(
     max_rounds: int,
 ) -> LineSearchResult:
     """Shorten displacements until ``solve`` finds no contact of a vertex that moves."""
-    check_line_search(per, safety, max_rounds)
+    check_line_search(per, safety)
+    if isinstance(max_rounds, bool) or not isinstance(max_rounds, int) or max_rounds < 3:
+        raise ValueError(f"max_rounds is {max_rounds!r}; expected an integer of at least 3")
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
     fraction = np.ones(mesh.num_vertices)
@@ -103,11 +113,12 @@ def _shared(bound: NDArray[np.float64], mesh: CollisionMesh, per: str) -> NDArra
     """The least bound of all vertices that move together."""
     if per == "scene":
         return np.full_like(bound, bound.min(initial=np.inf))
-    if per == "body":
-        least = np.full(mesh.num_bodies, np.inf)
-        np.minimum.at(least, mesh.vertex_body, bound)
-        return least[mesh.vertex_body]
-    return bound
+    if per == "vertex":
+        return bound
+    group, count = (mesh.vertex_body, mesh.num_bodies) if per == "body" else (mesh.vertex_world, mesh.num_worlds)
+    least = np.full(count, np.inf)
+    np.minimum.at(least, group, bound)
+    return least[group]
 
 
 def _moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,10 +1,15 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike, NDArray
+
+# Device types of DLPack: the CPU, and host memory that CUDA has pinned or manages.
+_HOST_MEMORY = (1, 3, 13)
 
 
 class CollisionMesh:
@@ -36,6 +41,7 @@ class CollisionMesh:
         body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B], or None: all.
         exclusion_rings: Pairs of primitives this many edges apart or less, less one, are left out: 1, those that share
             a vertex; 2, also those with vertices that an edge joins; and so on.
+        vertex_world: World of each vertex: scenes that know nothing of each other, int32, shape [V].
     """
 
     vertices: NDArray[np.float64]
@@ -52,6 +58,7 @@ class CollisionMesh:
     moving_vertices: NDArray[np.int32]
     body_pairs: NDArray[np.bool_] | None
     exclusion_rings: int
+    vertex_world: NDArray[np.int32]
 
     def __init__(
         self,
@@ -64,6 +71,7 @@ class CollisionMesh:
         with_loose_points: NDArray[np.bool_],
         body_pairs: NDArray[np.bool_] | None,
         exclusion_rings: int,
+        vertex_world: NDArray[np.int32],
     ) -> None:
         """Join already validated arrays; use :meth:`from_trimesh` or :meth:`from_arrays` instead."""
         num_bodies = len(static)
@@ -82,6 +90,7 @@ class CollisionMesh:
             "static": static,
             "self_collision": self_collision,
             "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
+            "vertex_world": vertex_world,
         }
         for name, value in values.items():
             value.flags.writeable = False
@@ -104,6 +113,7 @@ class CollisionMesh:
         parts += [f"{self.num_faces} faces"]
         parts += [f"{len(self.loose_edges)} loose edges"] if len(self.loose_edges) else []
         parts += [f"{len(self.loose_points)} loose points"] if len(self.loose_points) else []
+        parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
         return f"CollisionMesh({', '.join(parts)})"
 
     @classmethod
@@ -116,6 +126,7 @@ class CollisionMesh:
         *,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
+        vertex_world: ArrayLike | None = None,
     ) -> "CollisionMesh":
         """Join trimesh objects.
 
@@ -130,6 +141,8 @@ class CollisionMesh:
                 (``self_collision`` has it). By default all may.
             exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
                 edges join, too.
+            vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
+                worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
 
         Returns:
             The joined mesh.
@@ -142,7 +155,13 @@ class CollisionMesh:
         is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
         loose = (given | np.array(is_cloud, dtype=bool)).tolist()
         return cls.from_arrays(
-            arrays, static, self_collision, loose, body_pairs=body_pairs, exclusion_rings=exclusion_rings
+            arrays,
+            static,
+            self_collision,
+            loose,
+            body_pairs=body_pairs,
+            exclusion_rings=exclusion_rings,
+            vertex_world=vertex_world,
         )
 
     @classmethod
@@ -155,6 +174,7 @@ class CollisionMesh:
         *,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
+        vertex_world: ArrayLike | None = None,
     ) -> "CollisionMesh":
         """Join bodies given by arrays.
 
@@ -169,6 +189,8 @@ class CollisionMesh:
                 (``self_collision`` has it). By default all may.
             exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
                 edges join, too.
+            vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
+                worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
 
         Returns:
             The joined mesh.
@@ -197,22 +219,30 @@ class CollisionMesh:
                 f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} loose edges; "
                 f"expected counts whose edges int32 can index"
             )
+        faces = np.concatenate(all_faces).astype(np.int32)
+        edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)
         return cls(
             np.concatenate(all_vertices),
-            np.concatenate(all_faces).astype(np.int32),
+            faces,
             np.array(offsets, dtype=np.int32),
             _validated_static(static, len(bodies)),
             _validated_flags(self_collision, len(bodies), "self_collision"),
-            np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32),
+            edges,
             _validated_flags(loose_points, len(bodies), "loose_points"),
             _validated_body_pairs(body_pairs, len(bodies)),
             _validated_rings(exclusion_rings),
+            _validated_worlds(vertex_world, offsets[-1], {"face": faces, "loose edge": edges}),
         )
 
     @property
     def num_bodies(self) -> int:
         """Number of bodies."""
         return len(self.static)
+
+    @cached_property
+    def num_worlds(self) -> int:
+        """Number of worlds, at least one; some may be empty."""
+        return int(self.vertex_world.max(initial=0)) + 1
 
     @property
     def num_vertices(self) -> int:
@@ -273,7 +303,7 @@ class CollisionMesh:
         start = self.frame(vertices_t0, "vertices_t0")
         if not self.static.any():
             return start, _validated_positions(vertices_t1, "vertices_t1", self.num_vertices, "like vertices_t0")
-        end = _as_positions(vertices_t1, "vertices_t1")
+        end = _as_positions(_on_host(vertices_t1, "vertices_t1"), "vertices_t1")
         moving = self.moving_vertices
         ranges = self.static_vertex_ranges
         if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):
@@ -368,6 +398,17 @@ def _as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
+def _on_host(values: Any, name: str) -> Any:
+    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU."""
+    place = getattr(values, "__dlpack_device__", None)
+    if callable(place) and not isinstance(values, np.ndarray) and place()[0] not in _HOST_MEMORY:
+        raise ValueError(
+            f"{name} is a {type(values).__name__} on a GPU; expected an array on the host, "
+            f"or CollisionPipeline.launch, which takes arrays on its device"
+        )
+    return values.numpy() if isinstance(values, wp.array) else values
+
+
 def _check_finite(array: NDArray[np.float64], name: str) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
@@ -381,6 +422,7 @@ def _check_finite(array: NDArray[np.float64], name: str) -> None:
 def _validated_positions(
     values: ArrayLike, name: str, count: int | None = None, reason: str = ""
 ) -> NDArray[np.float64]:
+    values = _on_host(values, name)
     if count is not None and np.shape(values) != (count, 3):
         raise ValueError(f"{name} has shape {np.shape(values)}; expected {(count, 3)} {reason}")
     array = _as_positions(values, name)
@@ -445,3 +487,25 @@ def _validated_rings(value: int) -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 1:
         raise ValueError(f"exclusion_rings is {value!r}; expected a positive integer")
     return int(value)
+
+
+def _validated_worlds(
+    values: ArrayLike | None, num_vertices: int, primitives: dict[str, NDArray[np.int32]]
+) -> NDArray[np.int32]:
+    if values is None:
+        return np.zeros(num_vertices, dtype=np.int32)
+    array = np.asarray(values)
+    if array.shape != (num_vertices,) or array.dtype.kind not in "iu":
+        raise ValueError(
+            f"vertex_world has dtype {array.dtype} and shape {array.shape}; expected integers and {(num_vertices,)}"
+        )
+    for world in (array.min(initial=0), array.max(initial=0)):
+        if not 0 <= world < max(num_vertices, 1):
+            raise ValueError(f"vertex_world holds {world}; expected worlds in [0, {num_vertices})")
+    for name, corners in primitives.items():
+        worlds = array[corners]
+        is_torn = (worlds != worlds[:, :1]).any(axis=1)
+        if is_torn.any():
+            at = int(np.argmax(is_torn))
+            raise ValueError(f"vertex_world gives {name} {at} worlds {worlds[at].tolist()}; expected one")
+    return array.astype(np.int32)

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ccd_warp._interop import as_warp, is_device_array
 from ccd_warp._launch import Execution
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._status import PairKind
@@ -16,7 +17,10 @@ from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 @dataclass(frozen=True)
 class PairResult:
-    """Result of a batch of pairs: NumPy arrays for NumPy input, Warp arrays on the same device for Warp input.
+    """Result of a batch of pairs: NumPy arrays for NumPy input.
+
+    Warp arrays on the same device for arrays of Warp, or of a library that speaks DLPack (PyTorch, JAX, CuPy): those
+    are read where they are, and what comes back goes the same way, as in ``torch.from_dlpack(result.toi)``.
 
     Attributes:
         toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
@@ -67,7 +71,7 @@ def vertex_face_ccd(
 
     Args:
         points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
-            shape [n, 4].
+            shape [n, 4]. Arrays of Warp or with DLPack are read where they are: float64, contiguous.
         points_t1: End positions, likewise.
         tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
             ``length_scale``, above 0.
@@ -333,12 +337,13 @@ _POINTS = {
 
 
 def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options) -> PairResult:
-    from_warp = isinstance(points_t0, wp.array)
-    if isinstance(points_t1, wp.array) != from_warp:
+    on_device = is_device_array(points_t0)
+    if is_device_array(points_t1) != on_device:
         raise ValueError(
             f"points_t1 is a {type(points_t1).__name__}; expected a {type(points_t0).__name__} like points_t0"
         )
-    if from_warp:
+    if on_device:
+        points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
         device = resolve_device(options.device, points_t0.device)
         x_t0 = _as_points(kind, points_t0, "points_t0")
         x_t1 = _as_points(kind, points_t1, "points_t1")
@@ -362,7 +367,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
         inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale)],
         outputs=out.as_list(),
     )
-    if from_warp:
+    if on_device:
         return PairResult(*out.as_list())
     return PairResult(*(array.numpy() for array in out.as_list()))
 

@@ -44,7 +44,7 @@ class Options:
             expected = "a number between 0 and 1, or None"
             _check_real("start_gap_fraction", self.start_gap_fraction, expected, lambda x: 0 < x < 1)
         _check_real("t_max", self.t_max, "a number in [0, 1]", lambda x: 0 <= x <= 1)
-        _check_count("max_iterations", self.max_iterations, 2**31 - 1)
+        check_count("max_iterations", self.max_iterations, 2**31 - 1)
         if self.length_scale is not None:
             _check_real("length_scale", self.length_scale, "a finite length above 0, or None", lambda x: x > 0)
         if self.precision not in _PRECISIONS:
@@ -52,10 +52,10 @@ class Options:
         if self.method not in _METHODS:
             raise ValueError(f"method is {self.method!r}; expected 'clipping' or 'bisection'")
         if self.memory_limit is not None:
-            _check_count("memory_limit", self.memory_limit, 2**63 - 1)
+            check_count("memory_limit", self.memory_limit, 2**63 - 1)
         _ = self.kinds
         if self.num_threads is not None:
-            _check_count("num_threads", self.num_threads, 2**31 - 1)
+            check_count("num_threads", self.num_threads, 2**31 - 1)
 
     @property
     def kinds(self) -> tuple[PairKind, ...]:
@@ -73,6 +73,10 @@ class Options:
     def real(self) -> Any:
         """Warp scalar type of the iteration."""
         return _PRECISIONS[self.precision]
+
+    def separation(self, length_scale: float) -> float:
+        """The minimum separation, a length."""
+        return min(self.minimum_separation * length_scale, float(np.finfo(np.float64).max))
 
     def rounded_up(self, t: float) -> float:
         """A time in the precision of the iteration, rounded up."""
@@ -122,7 +126,13 @@ def _check_real(name: str, value: Any, expected: str, is_valid: Any) -> None:
         raise ValueError(f"{name} is {value!r}; expected {expected}")
 
 
-def _check_count(name: str, value: Any, largest: int) -> None:
+def check_count(name: str, value: Any, largest: int) -> None:
+    """Check a positive integer.
+
+    Raises:
+        ValueError: If it is none, or too large.
+    """
     is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not is_count or not 1 <= value <= largest:
-        raise ValueError(f"{name} is {value!r}; expected a positive integer")
+        limit = f" up to {largest}" if is_count and value > largest else ""
+        raise ValueError(f"{name} is {value!r}; expected a positive integer{limit}")

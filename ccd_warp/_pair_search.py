@@ -4,7 +4,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -12,8 +12,9 @@ from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution, load
 from ccd_warp._status import PairKind
 from ccd_warp._step_boxes import StepBoxes, Tree
-from ccd_warp._topology import PRIMITIVES, WIDTH
+from ccd_warp._topology import PRIMITIVES, WIDTH, Topology
 from ccd_warp.kernels import pair_search as kernels
+from ccd_warp.kernels.minima import Minima
 from ccd_warp.kernels.pair_search import make_pair_search
 
 _CANDIDATES = int(kernels.CANDIDATES)
@@ -23,6 +24,21 @@ _NUM_COUNTS = int(kernels.NUM_COUNTS)
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
+
+
+class Trees(Protocol):
+    """Where the trees of a step come from."""
+
+    topology: Topology
+
+    def build(self, wanted: list[tuple[str, bool]]) -> None:
+        """Make trees: kinds of primitives, and whether they rest."""
+
+    def tree(self, kind: str, is_static: bool) -> Tree | None:
+        """One of them."""
+
+    def may_meet(self, a: Tree, b: Tree) -> bool:
+        """False where two trees certainly do not."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +54,18 @@ class Join:
     def within(self) -> bool:
         """Whether the pairs are those of one set."""
         return self.query is self.target
+
+    def rules(self, t_end: float, inflation: float, separation: float) -> Any:
+        """The join as the kernel takes it."""
+        rules = kernels.Join()
+        rules.kind = int(self.kind)
+        rules.within = int(self.within)
+        rules.symmetric = int(len(set(PRIMITIVES[self.kind])) == 1)
+        rules.swapped = int(self.swapped)
+        rules.num_query_corners = self.query.primitives.num_corners
+        rules.num_target_corners = self.target.primitives.num_corners
+        rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
+        return rules
 
 
 @dataclass(frozen=True)
@@ -88,7 +116,7 @@ class _Region:
         return sum(f.count for f in self.found)
 
 
-def joins_of(boxes: StepBoxes, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
+def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
     """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
     wanted = []
     for kind in kinds:
@@ -140,7 +168,7 @@ class PairSearch:
         self.num_batches = self.room = 0
         self._made_progress = True
         self._boxes = boxes
-        self._kernel = make_pair_search(with_cull).search_pairs
+        self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
         self._with_cull = with_cull
         self._t_end, self._separation = t_end, separation
         self._largest_room = largest_room
@@ -192,23 +220,14 @@ class PairSearch:
 
     def _record(self, join: Join) -> wp.Launch:
         """The launch of a join, whose items and room are set by :meth:`_launch`: packing the trees once is cheaper."""
-        rules = kernels.Join()
-        rules.kind = int(join.kind)
-        rules.within = int(join.within)
-        rules.symmetric = int(len(set(PRIMITIVES[join.kind])) == 1)
-        rules.swapped = int(join.swapped)
-        rules.num_query_corners = join.query.primitives.num_corners
-        rules.num_target_corners = join.target.primitives.num_corners
-        rules.t_end = self._t_end
-        rules.inflation = self._boxes.inflation
-        rules.separation = self._separation
         boxes = self._boxes
+        rules = join.rules(self._t_end, boxes.inflation, self._separation)
         trees = [join.query.arrays, join.target.arrays]
         return wp.launch(
             self._kernel,
             dim=1,
             inputs=[0, 1, 1, 0, 0, 0, *trees, rules, boxes.topology.rules, boxes.x_t0, boxes.x_t1],
-            outputs=[self._counts, self.buffers.get("keys", 0, wp.int64)],
+            outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
             record_cmd=True,
         )

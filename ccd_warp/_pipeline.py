@@ -1,311 +1,41 @@
-"""The main job: two frames of a mesh in, earliest times of impact out; one-shot calls, and an object to hold."""
+"""The object to hold in a time loop: a mesh, options, and all that does not change from step to step."""
 
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
-from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, search_step
+from ccd_warp._device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep, LineSearch
+from ccd_warp._line_search import (
+    DEFAULT_MAX_ROUNDS,
+    DEFAULT_SAFETY,
+    LineSearchResult,
+    check_line_search,
+    check_step_is_whole,
+    search_step,
+)
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
-from ccd_warp._results import MeshResult
+from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, check_count, resolve_device
+from ccd_warp._results import LaunchResult, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 from ccd_warp._workspace import Workspace
 
-
-@contextmanager
-def borrowed_workspace(mesh: CollisionMesh, options: Options) -> Iterator[Workspace]:
-    """A workspace of the mesh that no other thread uses; it stays with the mesh for the next call."""
-    device = resolve_device(options.device)
-    idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
-    try:
-        workspace = idle.pop()
-    except IndexError:
-        workspace = Workspace(mesh, device)
-    try:
-        yield workspace
-    finally:
-        idle.append(workspace)
-
-
-def find_candidates(
-    mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
-    inflation: float = 0.0,
-    *,
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
-) -> Candidates:
-    """Find the pairs of primitives whose swept axis-aligned boxes overlap.
-
-    The box of a primitive encloses its vertices at both ends of the step, grows by ``inflation`` on every side, rounded
-    outward, and is closed: boxes that only touch overlap. Left out are pairs that share a vertex, pairs of two static
-    bodies, pairs within a body whose self-collision is off, and what ``body_pairs`` and ``exclusion_rings`` of the mesh
-    leave out.
-
-    Four kinds of pair are enough: vertices with faces, edges with edges, loose points with loose edges, and loose
-    points with each other. What collides are faces, loose edges and loose points: convex sets, two of which, A and B,
-    are as far apart in any norm as the origin is from the polytope A - B, which is at its boundary while they do not
-    touch. For two faces, or a face and a loose edge, that boundary consists of differences (vertex) - (face) and
-    (edge) - (edge), and where A - B is flat these cover all of it. Two loose edges are an edge-edge pair as they stand,
-    a loose point and a face a vertex-face pair. So a loose point and an edge of a face need no pair: the edge is part
-    of the face and no nearer. Nor do a vertex of an edge and a loose edge: the vertex is part of its own edge. Loose
-    points with loose edges, and with each other, are all that is left, and are looked for only where they exist.
-    Because pairs that share a vertex are left out, a cable that folds back on itself at a joint is not noticed by the
-    two segments of that joint, as two faces with a common edge meet only through their other vertices.
-
-    Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
-        vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
-            only, shape [V_moving, 3].
-        inflation: Growth of every box on every side, a length in the unit of the mesh, finite and not negative.
-        pair_kinds: Kinds of pairs to look for (:class:`ccd_warp.PairKind` or their names); by default all.
-        device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
-
-    Returns:
-        The pairs, sorted.
-
-    Raises:
-        ValueError: If the frames do not match the mesh, a value that is read is not finite, ``inflation`` is negative
-            or not finite, or ``num_threads`` is less than one.
-
-    References:
-        Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (boxes along a
-        space-filling curve); Ericson 2005, "Real-time collision detection", section 6 (bounding volume hierarchies).
-
-    Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair. The boxes of two primitives
-    that come within ``inflation`` of each other (L∞) during the step overlap.
-    """
-    inflation = validated_inflation(inflation)
-    options = Options(pair_kinds=pair_kinds, device=device, num_threads=num_threads)
-    with borrowed_workspace(mesh, options) as workspace:
-        return sorted_candidates(Step(workspace, vertices_t0, vertices_t1, options), inflation)
-
-
-def mesh_ccd(
-    mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    memory_limit: int | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
-) -> MeshResult:
-    """Earliest times of impact of a step: of the scene, per vertex, per body, and of every contact.
-
-    Args:
-        mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
-        vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
-            only, shape [V_moving, 3].
-        tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
-            ``length_scale``, above 0.
-        minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
-        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
-            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
-            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
-        t_max: End of the step that is checked, in [0, 1].
-        max_iterations: Limit of the work on a pair; at the limit its toi is early, never late.
-        length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
-            motion.
-        precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
-        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
-        pair_kinds: Kinds of pairs to look at (:class:`ccd_warp.PairKind` or their names, as ``"vertex_face"``); by
-            default all that the mesh can form.
-        memory_limit: Bytes that the step may take beside its input, its contacts included. Where the pairs do not fit
-            they come in batches; no result depends on it. By default what the boxes need, and 1 GiB for the pairs.
-        device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
-
-    Returns:
-        The result, NumPy arrays.
-
-    Raises:
-        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
-            ``memory_limit`` is too small, with the least that works.
-
-    References:
-        Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
-
-    Guarantee: if the exact trajectories of a pair that passes the mesh's filter (vertex-face, edge-edge, and where the
-    mesh has loose primitives point-segment and point-point) first touch (or come within the minimum separation) at
-    τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
-    possible only where the L∞ gap falls below separation + δ + ε, or where a limit was reached, which the status says.
-    """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        pair_kinds=pair_kinds,
-        memory_limit=memory_limit,
-        device=device,
-        num_threads=num_threads,
-    )
-    with borrowed_workspace(mesh, options) as workspace:
-        return Step(workspace, vertices_t0, vertices_t1, options).contacts()
-
-
-def collision_free_step(
-    mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    memory_limit: int | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
-) -> float:
-    """Largest step fraction that is certain to be free of collisions.
-
-    Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`, as all that follow.
-        vertices_t1: End positions.
-        tolerance: Largest gap that counts as contact.
-        minimum_separation: Distance at which a pair counts as touching.
-        start_gap_fraction: Largest separation of a pair as a fraction of its start gap; makes a line search's step
-            positive where the minimum separation alone would make it 0.
-        t_max: End of the step that is checked.
-        max_iterations: Limit of the work on a pair.
-        length_scale: Length that the two multiples refer to.
-        precision: ``"float64"`` or ``"float32"``.
-        method: ``"clipping"`` or ``"bisection"``.
-        pair_kinds: Kinds of pairs to look at.
-        memory_limit: Bytes that the step may take beside its input.
-        device: Warp device.
-        num_threads: Threads on the CPU.
-
-    Returns:
-        A fraction of the step in [0, t_max], dimensionless: t_max if there is certainly no collision, 0 if bodies touch
-        at the start.
-
-    Raises:
-        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
-            ``memory_limit`` is too small, with the least that works.
-
-    References:
-        Wang et al. 2021, section 4.
-
-    Guarantee: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` looks at, touches (or comes
-    within the minimum separation) before the returned fraction.
-    """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        pair_kinds=pair_kinds,
-        memory_limit=memory_limit,
-        device=device,
-        num_threads=num_threads,
-    )
-    with borrowed_workspace(mesh, options) as workspace:
-        return Step(workspace, vertices_t0, vertices_t1, options).bound()
-
-
-def line_search(
-    mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
-    *,
-    per: str = "scene",
-    safety: float = DEFAULT_SAFETY,
-    max_rounds: int = DEFAULT_MAX_ROUNDS,
-    **options: Any,
-) -> LineSearchResult:
-    """Shorten a step until it is certain to be free of collisions: as a whole, by bodies, or vertex by vertex.
-
-    A round takes the toi of every pair that still touches, shortens the displacements of its scene, bodies or vertices
-    to ``safety`` times it, and looks again, at the shortened step. Shortening each vertex by its own toi alone would
-    not do: a vertex that is stopped leaves one that would have passed behind it to run into it.
-
-    Pairs that touch at the start, or are within the minimum separation there, have toi 0, and what shares their
-    fraction does not move; they come back as ``touching``. With ``start_gap_fraction`` those that are only close may
-    move.
-
-    Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`.
-        vertices_t1: End positions wished for.
-        per: ``"scene"``: all vertices move by one fraction of their displacements; ``"body"``: each body by one;
-            ``"vertex"``: each vertex by its own.
-        safety: Share of its toi that what touches may move, in (0, 1).
-        max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices move by one fraction,
-            or not at all, and ``is_limited`` says so.
-        **options: Options of :func:`mesh_ccd`, all but ``t_max``.
-
-    Returns:
-        The end positions that can be taken, and the fractions that led there.
-
-    Raises:
-        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
-
-    References:
-        Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
-
-    Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
-    that passes the mesh's filter touches (or comes within the minimum separation), except pairs of ``touching``, whose
-    vertices do not move. Proof: the last round ran :func:`mesh_ccd` on these very positions, as they are rounded, and
-    every pair with a vertex that moves had toi ``inf`` there, which is certain.
-    """
-    check_step_is_whole(options.get("t_max", 1.0))
-
-    def solve(start: ArrayLike, end: ArrayLike) -> MeshResult:
-        return mesh_ccd(mesh, start, end, **options)
-
-    return search_step(mesh, vertices_t0, vertices_t1, solve, per=per, safety=safety, max_rounds=max_rounds)
-
-
-def check_step_is_whole(t_max: float) -> None:
-    """Check that a line search looks at all of the step.
-
-    Raises:
-        ValueError: If not.
-    """
-    if t_max != 1.0:
-        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search looks at the whole step")
+DEFAULT_NUM_ROUNDS = 3
+_MOST_ROUNDS = 100
 
 
 class CollisionPipeline:
     """The calls on one mesh with one set of options, for a time loop.
 
     It holds the topology, the trees of what rests and all buffers: a step of a size that was seen before allocates
-    nothing but its result. The one-shot calls do the same with a workspace that they leave with the mesh, so this is
-    for those who want to own it, release it, or read what it does.
+    nothing but its result. :meth:`launch` works on arrays on the device alone, and can be captured in a graph; the
+    other methods take and return NumPy arrays. The one-shot functions are these methods on a pipeline for one call,
+    whose buffers stay with the mesh.
 
     Attributes:
         mesh: The bodies.
@@ -329,16 +59,15 @@ class CollisionPipeline:
         memory_limit: int | None = None,
         device: Any = None,
         num_threads: int | None = None,
+        max_pairs: int | None = None,
+        max_contacts: int | None = None,
     ) -> None:
-        """Hold a mesh and options, which are those of :func:`ccd_warp.mesh_ccd`.
+        """Hold a mesh and options, which are those of :func:`ccd_warp.mesh_ccd`, and the capacities of :meth:`reserve`.
 
         Raises:
             ValueError: If an option is out of its range.
         """
-        self.mesh = mesh
-        self.counts: dict[str, int] = {}
-        self.timings: dict[str, float] = {}
-        self._options = Options(
+        options = Options(
             tolerance=tolerance,
             minimum_separation=minimum_separation,
             start_gap_fraction=start_gap_fraction,
@@ -352,8 +81,36 @@ class CollisionPipeline:
             device=device,
             num_threads=num_threads,
         )
-        self._workspace = Workspace(mesh, resolve_device(device))
+        self._hold(options, Workspace(mesh, resolve_device(device)))
+        self._set_capacities(max_pairs, max_contacts)
+
+    def _hold(self, options: Options, workspace: Workspace) -> None:
+        self.mesh = workspace.topology.mesh
+        self.counts: dict[str, int] = {}
+        self.timings: dict[str, float] = {}
+        self._options = options
+        self._workspace = workspace
         self._lock = threading.Lock()
+        self._capacities = Capacities.default(self.mesh)
+        self._layout = self.mesh.vertices
+        self._device_step: DeviceStep | None = None
+
+    @classmethod
+    @contextmanager
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
+        """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
+        device = resolve_device(options.device)
+        idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
+        try:
+            workspace = idle.pop()
+        except IndexError:
+            workspace = Workspace(mesh, device)
+        pipeline = cls.__new__(cls)
+        pipeline._hold(options, workspace)
+        try:
+            yield pipeline
+        finally:
+            idle.append(workspace)
 
     @contextmanager
     def _step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> Iterator[Step]:
@@ -364,6 +121,146 @@ class CollisionPipeline:
                 step.finish_timings()
             self.timings = step.timings
             self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
+
+    def _set_capacities(self, max_pairs: int | None, max_contacts: int | None) -> None:
+        if max_pairs is not None:
+            check_count("max_pairs", max_pairs, MOST_PAIRS)
+            self._capacities = replace(self._capacities, max_pairs=int(max_pairs))
+        if max_contacts is not None:
+            check_count("max_contacts", max_contacts, MOST_CONTACTS)
+            self._capacities = replace(self._capacities, max_contacts=int(max_contacts))
+
+    def reserve(
+        self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
+    ) -> LaunchResult:
+        """Allocate all that :meth:`launch` needs: before the loop, and again where a flag told of too little room.
+
+        The result of before is no longer written to. A graph that was captured before still writes there, and needs it
+        kept: capture anew.
+
+        Args:
+            max_pairs: Pairs of each kind that there is room for after the cull, 8 bytes each; by default as before, at
+                first two a primitive.
+            max_contacts: Contacts that there is room for, 80 bytes each; by default as before, at first one a
+                primitive.
+            vertices: Positions that are typical of the loop, shape [V, 3]: boxes are laid out for them, and static
+                bodies rest there until a launch says otherwise. By default as before, at first those of the mesh.
+                Another layout costs time, never a collision.
+
+        Returns:
+            Where the launches to come write.
+
+        Raises:
+            ValueError: If a capacity is out of its range, the positions do not match, or are all one and no
+                ``length_scale`` is given.
+        """
+        with self._lock:
+            self._set_capacities(max_pairs, max_contacts)
+            if vertices is not None:
+                self._layout = self.mesh.frame(vertices, "vertices")
+            self._device_step = DeviceStep(self._workspace.topology, self._options, self._capacities, self._layout)
+            return self._device_step.result
+
+    def launch(self, x_t0: Any, x_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
+        """Look at a step on the device, without waiting for it.
+
+        For a time loop on the device: kernels of known sizes, recorded at the first call, read the positions and write
+        the result's arrays. Nothing is allocated, copied to or from the host, or waited for, so a call can be captured
+        in a graph (``wp.ScopedCapture``, on CUDA and on the CPU) and replayed with whatever the same arrays hold by
+        then; on CUDA after a first call outside. Float64 positions of a mesh without static bodies are read where they
+        are; others are converted, by the kernel that checks them.
+
+        ``length_scale`` is, unless it was given, the longest side of the box around the positions of :meth:`reserve`,
+        so that it is the same in every step. ``memory_limit`` does not count here; the capacities are the limits.
+
+        Args:
+            x_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library that
+                speaks DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or rows of
+                the moving vertices alone, when static bodies stay where they were.
+            x_t1: End positions of the same type. Rows of static bodies are not read.
+            displacements: In their place, what is added to the start positions, in float64. A solver that adds them in
+                float32 must pass the positions that it gets, as its rounding is part of the motion.
+
+        Returns:
+            The arrays that the launch writes to, the same ones until the next :meth:`reserve`.
+
+        Raises:
+            ValueError: If an array is not as described, or not exactly one of ``x_t1`` and ``displacements`` is given.
+            RuntimeError: If a graph of CUDA is being captured, and no call with arrays of these types came before.
+
+        References:
+            As of :func:`ccd_warp.mesh_ccd`.
+
+        Guarantee: as of :func:`ccd_warp.mesh_ccd`, for the scene, each world, body and vertex, whatever the flags.
+        Where there is no room for a pair its toi counts as 0, and where a coordinate is not finite that of its world.
+        """
+        if (x_t1 is None) == (displacements is None):
+            given = "both" if x_t1 is not None else "neither"
+            raise ValueError(f"{given} of x_t1 and displacements is given; expected one of them")
+        with self._held_step() as step:
+            if displacements is None:
+                step.launch(x_t0, x_t1)
+            else:
+                step.launch(x_t0, displacements, name_t1="displacements", is_displacement=True)
+            return step.result
+
+    def launch_line_search(
+        self,
+        x_t0: Any,
+        x_t1: Any,
+        *,
+        per: str = "scene",
+        safety: float = DEFAULT_SAFETY,
+        num_rounds: int = DEFAULT_NUM_ROUNDS,
+    ) -> LaunchResult:
+        """Shorten a step on the device until it is certain to be free of collisions, as :meth:`launch` looks at it.
+
+        A round looks at the step and moves every vertex that is part of a contact, or all that move with it, no
+        farther than ``safety`` times its toi. Where bodies or vertices of their own fractions still touch after
+        ``num_rounds``, a round with one fraction for their world follows. A last look, and worlds that touch even then
+        stay where they are. The number of launches is always the same, so that a graph can hold them.
+
+        Pairs that rest are no matter here: two vertices that both stay may touch.
+
+        Args:
+            x_t0: Start positions, as in :meth:`launch`.
+            x_t1: End positions wished for, of the same type, which become those that can be taken. Rows of static
+                bodies are neither read nor written.
+            per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
+            safety: Share of its toi that what touches may move, in (0, 1).
+            num_rounds: Rounds in which bodies or vertices have fractions of their own, at least one.
+
+        Returns:
+            The result of the last look: of a world that moves, toi is inf; of one that had to stay, it is finite.
+
+        Raises:
+            ValueError: As :meth:`launch`, or if an option is out of its range.
+            RuntimeError: As :meth:`launch`.
+
+        References:
+            Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
+
+        Guarantee: while every vertex moves on a straight line from ``x_t0`` to ``x_t1``, no pair with a vertex that
+        moves touches (or comes within the minimum separation), whatever the flags. Proof: the last look was at these
+        very positions, as they are rounded, and where its toi was not inf the vertices do not move.
+        """
+        check_line_search(per, safety)
+        check_count("num_rounds", num_rounds, _MOST_ROUNDS)
+        check_step_is_whole(self._options.t_max)
+        with self._held_step() as step:
+            step.launch(x_t0, x_t1, line_search=LineSearch(per, float(safety), int(num_rounds)))
+            return step.result
+
+    @contextmanager
+    def _held_step(self) -> Iterator[DeviceStep]:
+        """What :meth:`reserve` made, or makes now."""
+        if self._device_step is None:
+            if self._workspace.topology.device.is_capturing:
+                raise RuntimeError("nothing is reserved; call reserve() before the capture")
+            self.reserve()
+        with self._lock:
+            assert self._device_step is not None
+            yield self._device_step
 
     @property
     def num_allocations(self) -> int:
@@ -440,7 +337,7 @@ class CollisionPipeline:
         Args:
             vertices_t0: Start positions, shape [V, 3].
             vertices_t1: End positions wished for, as there.
-            per: ``"scene"``, ``"body"`` or ``"vertex"``.
+            per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
             safety: Share of its toi that what touches may move.
             max_rounds: Most calls of :meth:`mesh_ccd`.
 

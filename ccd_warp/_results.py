@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 
@@ -54,6 +55,7 @@ class MeshResult:
         vertex_contact: Index of the contact that the toi of a vertex is of, the first where several share it, -1 where
             there is none, int32, shape [V].
         body_contact: The same for each body, int32, shape [B].
+        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; of a mesh without worlds one.
     """
 
     toi: float
@@ -64,8 +66,69 @@ class MeshResult:
     timings: dict[str, float]
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]
+    world_toi: NDArray[np.float64]
 
     @property
     def hit(self) -> bool:
         """Whether any pair has a finite toi."""
         return bool(np.isfinite(self.toi))
+
+
+@dataclass(frozen=True)
+class DeviceContacts:
+    """Room for contacts on a device, filled from the front, in any order; the fields are those of :class:`Contacts`.
+
+    Attributes:
+        count: Contacts that were found; beyond the room they are counted alone; int32, shape [1].
+        kind: int32, shape [max_contacts], as all that follow.
+        primitives: vec2i.
+        toi: float64.
+        parameters: vec2d.
+        normal: vec3d.
+        status: int32.
+        gap: float64.
+        width: float64.
+    """
+
+    count: wp.array
+    kind: wp.array
+    primitives: wp.array
+    toi: wp.array
+    parameters: wp.array
+    normal: wp.array
+    status: wp.array
+    gap: wp.array
+    width: wp.array
+
+    def to_host(self) -> Contacts:
+        """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device."""
+        count = min(int(self.count.numpy()[0]), len(self.kind))
+        host = {name: array.numpy()[:count] for name, array in vars(self).items() if name != "count"}
+        order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
+        return Contacts(**{name: values[order] for name, values in host.items()})
+
+
+@dataclass(frozen=True)
+class LaunchResult:
+    """Where :meth:`ccd_warp.CollisionPipeline.launch` writes: Warp arrays, the same ones each time.
+
+    Attributes:
+        toi: Earliest time of impact of the scene in [0, t_max]; inf: certainly none; float64, shape [1].
+        world_toi: The same for each world, float64, shape [W]; without worlds the array ``toi`` itself.
+        body_toi: The same for each body, float64, shape [B].
+        vertex_toi: The same for each vertex, float64, shape [V].
+        contacts: Every pair with a finite toi, as far as there is room.
+        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
+        world_flags: The same for each world, int32, shape [W]; without worlds the array ``flags`` itself.
+        num_pairs: Pairs of each :class:`ccd_warp.PairKind` that the cull left open, whether there was room for them or
+            not, int64, shape [4].
+    """
+
+    toi: wp.array
+    world_toi: wp.array
+    body_toi: wp.array
+    vertex_toi: wp.array
+    contacts: DeviceContacts
+    flags: wp.array
+    world_flags: wp.array
+    num_pairs: wp.array

@@ -1,8 +1,8 @@
 """Closed sets of the results: pair kinds and statuses."""
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
-from ccd_warp.kernels import patch, subdivide
+from ccd_warp.kernels import minima, patch, subdivide
 
 
 class PairKind(IntEnum):
@@ -34,3 +34,16 @@ class CCDStatus(IntEnum):
 
     INVALID = int(subdivide.STATUS_INVALID)
     """A coordinate is not finite (Warp arrays only; NumPy input raises a ValueError); toi is 0."""
+
+
+class LaunchFlag(IntFlag):
+    """What became of a launch on the device. Every toi is conservative, whatever the flags; 0 where all is well."""
+
+    PAIRS_OVERFLOW = int(minima.PAIRS_OVERFLOW)
+    """More pairs than ``max_pairs`` of a kind: those without room count with toi 0, and are not among the contacts."""
+
+    CONTACTS_OVERFLOW = int(minima.CONTACTS_OVERFLOW)
+    """More contacts than ``max_contacts``: those without room are missing from the list alone."""
+
+    INVALID_INPUT = int(minima.INVALID_INPUT)
+    """A coordinate is not finite: every toi of its world is 0."""

@@ -108,40 +108,25 @@ class Step:
         """The minimum separation, a length."""
         if self.options.minimum_separation == 0.0:
             return 0.0
-        return min(self.options.minimum_separation * self.length_scale, _LARGEST)
+        return self.options.separation(self.length_scale)
 
     @property
     def inflation(self) -> float:
-        """Half the minimum separation, rounded up."""
-        if self.separation <= 0.0:
-            return 0.0
-        return min(math.nextafter(0.5 * self.separation, math.inf), _LARGEST)
-
-    def kinds(self) -> tuple[PairKind, ...]:
-        """Kinds of pairs that the primitives of the mesh can form and the options ask for."""
-        mesh = self.mesh
-        possible = {
-            PairKind.VERTEX_FACE: mesh.num_faces > 0,
-            PairKind.EDGE_EDGE: mesh.num_edges > 0,
-            PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
-            PairKind.POINT_POINT: len(mesh.loose_points) > 0,
-        }
-        return tuple(kind for kind in self.options.kinds if possible[kind])
+        """Growth of the boxes for the separation."""
+        return half_up(self.separation)
 
     def begin_boxes(self, inflation: float, t_end: float, num_frames: int) -> None:
         """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
         mesh = self.mesh
         active = None
-        moving_alone = not mesh.self_collision[~mesh.static].any()
-        skip_moving = moving_alone and int((~mesh.static).sum()) == 1
         self.counts["active bodies"] = mesh.num_bodies
-        if mesh.num_bodies > 1 and not mesh.self_collision[~mesh.static].all():
+        if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
             near = bodies_near(self.workspace, self.host, inflation, self.execution)
             self.counts["active bodies"] = int((near | mesh.static).sum())
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))
         self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, num_frames, active)
-        self.joins = joins_of(self.boxes, self.kinds(), skip_moving)
+        self.joins = joins_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
 
     def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
         """A search with the room that the memory limit leaves."""
@@ -334,6 +319,8 @@ class Step:
         }
         self.finish_timings()
         scene = float(contacts.toi.min()) if len(contacts) else math.inf
+        world_toi = np.full(mesh.num_worlds, np.inf)
+        np.minimum.at(world_toi, mesh.vertex_world, gathered.vertex_toi)
         return MeshResult(
             scene,
             gathered.vertex_toi,
@@ -343,7 +330,32 @@ class Step:
             self.timings,
             gathered.vertex_contact,
             gathered.body_contact,
+            world_toi,
         )
+
+
+def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
+    """Kinds of pairs that the primitives of a mesh can form and the options ask for."""
+    possible = {
+        PairKind.VERTEX_FACE: mesh.num_faces > 0,
+        PairKind.EDGE_EDGE: mesh.num_edges > 0,
+        PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
+        PairKind.POINT_POINT: len(mesh.loose_points) > 0,
+    }
+    return tuple(kind for kind in options.kinds if possible[kind])
+
+
+def moves_alone(mesh: CollisionMesh) -> bool:
+    """Whether one body moves, and does not collide with itself."""
+    moving = mesh.self_collision[~mesh.static]
+    return len(moving) == 1 and not moving.any()
+
+
+def half_up(separation: float) -> float:
+    """Half a length, rounded up, for the boxes of both primitives of a pair."""
+    if separation <= 0.0:
+        return 0.0
+    return min(math.nextafter(0.5 * separation, math.inf), _LARGEST)
 
 
 def kind_name(kind: PairKind) -> str:

@@ -1,6 +1,6 @@
 """The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
-from ccd_warp._launch import Execution, load
+from ccd_warp._launch import Execution, Recording
 from ccd_warp._topology import BLOCK_CORNERS, RECORD, WIDTH, PrimitiveSet, Topology, choose_frame, sorted_keys
 from ccd_warp.kernels import box_tree as kernels
 
@@ -73,6 +73,35 @@ def level_sizes(count: int) -> tuple[int, ...]:
     return tuple(sizes)
 
 
+def new_tree(primitives: PrimitiveSet, num_frames: int, allocate: Callable[[int], wp.array]) -> Tree:
+    """A tree without an order or boxes yet; ``allocate`` gives it so many numbers."""
+    levels = level_sizes(primitives.count)
+    first = np.concatenate([[0], np.cumsum(levels)])
+    size = int(first[-1]) * BLOCK_FLOATS * num_frames
+    if size >= 2**31:
+        raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 150 million")
+    arrays = kernels.BoxTree()
+    arrays.num_boxes = primitives.count
+    arrays.num_levels = len(levels)
+    arrays.num_frames = num_frames
+    arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
+    arrays.nodes = allocate(size)
+    return Tree(primitives, arrays, levels)
+
+
+def fill_tree(tree: Tree, records: wp.array, execution: Execution | Recording) -> None:
+    """The boxes of every level, from the records."""
+    inputs = [records, tree.primitives.num_corners]
+    execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
+    level, last = 2, len(tree.levels)
+    while level < last and (execution.is_cuda or tree.levels[level - 1] > _FEW_BOXES):
+        count = tree.levels[level - 1]
+        execution.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[tree.arrays])
+        level += 1
+    if level < last:
+        execution.launch(kernels.unite_levels, 1, inputs=[level, tree.levels[level - 1]], outputs=[tree.arrays])
+
+
 class StepBoxes:
     """Swept boxes of a mesh: held between steps, filled anew by each.
 
@@ -129,9 +158,10 @@ class StepBoxes:
         self.t_end = t_end
         self._fill_records(self.topology.moving_vertices, self.active, t_end)
         trees = list(self._trees.values())
-        self._at_once([lambda t=t: self._fill(t) for t in trees], [t.primitives for t in trees])  # type: ignore[misc]
+        fills = [lambda t=t: fill_tree(t, self.records, self.execution) for t in trees]  # type: ignore[misc]
+        self._at_once(fills, [t.primitives for t in trees])
 
-    def _at_once(self, tasks: list[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
+    def _at_once(self, tasks: Sequence[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
         """Run one task a set on threads, unless there is less to do than waking them takes."""
         if sum(primitives.count for primitives in sets) < _WORTH_THREADS:
             return [task() for task in tasks]
@@ -167,8 +197,7 @@ class StepBoxes:
             len(vertices),
             inputs=[
                 vertices,
-                self.topology.vertex_body,
-                active,
+                *self.topology.of_vertices(active),
                 self.x_t0,
                 self.x_t1,
                 t_end,
@@ -181,27 +210,19 @@ class StepBoxes:
         self.records = records
 
     def _build(self, primitives: PrimitiveSet) -> Tree:
-        levels = level_sizes(primitives.count)
-        first = np.concatenate([[0], np.cumsum(levels)])
-        size = int(first[-1]) * BLOCK_FLOATS * self.num_frames
-        if size >= 2**31:
-            raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 150 million")
-        arrays = kernels.BoxTree()
-        arrays.num_boxes = primitives.count
-        arrays.num_levels = len(levels)
-        arrays.num_frames = self.num_frames
-        arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
-        arrays.nodes = self.buffers.get(f"{primitives.name} boxes", size, wp.float32)
-        tree = Tree(primitives, arrays, levels)
+        tree = new_tree(
+            primitives, self.num_frames, lambda n: self.buffers.get(f"{primitives.name} boxes", n, wp.float32)
+        )
+        arrays = tree.arrays
         # On CUDA sorting is cheap, and whether it is needed would have to be read back.
         in_order = not self.execution.is_cuda
         if in_order:
             arrays.primitive, arrays.corners = self.topology.rest_order(primitives, self.execution)
-            self._fill(tree)
+            fill_tree(tree, self.records, self.execution)
             in_order = self._is_in_order(tree)
         if not in_order:
             self._sort(primitives, arrays)
-            self._fill(tree)
+            fill_tree(tree, self.records, self.execution)
         return tree
 
     def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
@@ -218,20 +239,6 @@ class StepBoxes:
             outputs=[arrays.primitive, arrays.corners],
             grain=64,
         )
-
-    def _fill(self, tree: Tree) -> None:
-        """The boxes of every level, from the records."""
-        inputs = [self.records, tree.primitives.num_corners]
-        self.execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
-        level, last = 2, len(tree.levels)
-        while level < last and (self.execution.is_cuda or tree.levels[level - 1] > _FEW_BOXES):
-            count = tree.levels[level - 1]
-            self.execution.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[tree.arrays])
-            level += 1
-        if level < last:
-            inputs = [level, tree.levels[level - 1]]
-            load(kernels.unite_levels, self.execution.device)
-            wp.launch(kernels.unite_levels, 1, inputs, [tree.arrays], device=self.execution.device)
 
     def _is_in_order(self, tree: Tree) -> bool:
         """Whether most of the blocks are no longer than neighbours are together."""

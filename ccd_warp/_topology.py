@@ -44,12 +44,14 @@ class PrimitiveSet:
 
     Attributes:
         name: Name of its buffers.
+        is_static: Whether they rest.
         num_corners: Vertices of a primitive.
         ids: Indices among all primitives of the kind, int32, shape [n].
         corners: Vertices, wp.vec3i, where there are fewer than three one repeats, shape [n].
     """
 
     name: str
+    is_static: bool
     num_corners: int
     ids: wp.array
     corners: wp.array
@@ -77,6 +79,9 @@ class Topology:
         self.mesh = mesh
         self.device = device
         self.vertex_body = self._array(mesh.vertex_body)
+        has_worlds = mesh.num_worlds > 1
+        self.vertex_world = self._array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
+        self.world_shift = self._array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self._array(np.flatnonzero(~vertex_static).astype(np.int32))
         self.static_vertices = self._array(np.flatnonzero(vertex_static).astype(np.int32))
@@ -91,6 +96,10 @@ class Topology:
         if key not in cache:
             cache.setdefault(key, Topology(mesh, device))  # one of two threads that come here at once is kept
         return cache[key]
+
+    def of_vertices(self, active: wp.array) -> list[wp.array]:
+        """What `fill_records` asks about each vertex, beside where it is."""
+        return [self.vertex_body, active, self.vertex_world, self.world_shift]
 
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -122,10 +131,11 @@ class Topology:
         name = f"{'static' if is_static else 'moving'} {kind}"
         if among is None and (mesh.static == is_static).all():
             ids = np.arange(len(body), dtype=np.int32)
-            return PrimitiveSet(name, num_corners, self._array(ids), self.corners[array])
+            return PrimitiveSet(name, is_static, num_corners, self._array(ids), self.corners[array])
         chosen = np.arange(len(body), dtype=np.int32) if among is None else among
         ids = chosen[mesh.static[body[chosen]] == is_static].astype(np.int32)
-        return PrimitiveSet(name, num_corners, self._array(ids), self._array(self._corners_host(array)[ids], wp.vec3i))
+        corners = self._array(self._corners_host(array)[ids], wp.vec3i)
+        return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
 
     @cached_property
     def rules(self) -> Any:
@@ -139,6 +149,8 @@ class Topology:
         rules.self_collision = self._array(mesh.self_collision.astype(np.int32))
         pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
         rules.body_pairs = self._array(pairs, wp.uint8)
+        rules.by_world = int(mesh.num_worlds > 1)
+        rules.vertex_world = self.vertex_world
         rules.by_ring = int(mesh.exclusion_rings > 1)
         rules.ring_begin, rules.ring = none, none
         if rules.by_ring:
@@ -152,43 +164,51 @@ class Topology:
         stay small, which every step checks.
         """
         if primitives.name not in self._orders:
-            mesh = self.mesh
-            rest: wp.array = wp.array(mesh.vertices, dtype=wp.vec3d, device=self.device)
-            frame = choose_frame(mesh, mesh.vertices, mesh.vertices, 1)
-            records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
-            every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
-            active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
-            execution.launch(
-                kernels.fill_records,
-                mesh.num_vertices,
-                inputs=[every, self.vertex_body, active, rest, rest, 1.0, 0.0, frame, 1],
-                outputs=[records],
-            )
-            order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
-            centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
-            inputs = [primitives.corners, self.vertex_body, records]
-            execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
-            size = WIDTH << (primitives.num_blocks - 1).bit_length()
-            while size > WIDTH:
-                segments = -(-primitives.count // size)
-                execution.launch(rest_order.split_segments, segments, [centres, size], [order], grain=1)
-                size //= 2
-            primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
-            block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
-            execution.launch(
-                kernels.apply_order,
-                primitives.num_blocks,
-                inputs=[order, -1, primitives.ids, primitives.corners],
-                outputs=[primitive, block_corners],
-                grain=64,
-            )
-            self._orders.setdefault(primitives.name, (primitive, block_corners))
+            order = self.order_at(self.mesh.vertices, primitives, execution)
+            self._orders.setdefault(primitives.name, order)
         return self._orders[primitives.name]
+
+    def order_at(
+        self, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
+    ) -> tuple[wp.array, wp.array]:
+        """The same for the mesh at other positions, made anew."""
+        mesh = self.mesh
+        rest: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
+        frame = choose_frame(mesh, vertices, vertices, 1)
+        records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
+        every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
+        active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
+        execution.launch(
+            kernels.fill_records,
+            mesh.num_vertices,
+            inputs=[every, *self.of_vertices(active), rest, rest, 1.0, 0.0, frame, 1],
+            outputs=[records],
+        )
+        order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
+        centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
+        inputs = [primitives.corners, self.vertex_body, records]
+        execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
+        size = WIDTH << (primitives.num_blocks - 1).bit_length()
+        while size > WIDTH:
+            segments = -(-primitives.count // size)
+            execution.launch(rest_order.split_segments, segments, [centres, size], [order], grain=1)
+            size //= 2
+        primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
+        block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
+        execution.launch(
+            kernels.apply_order,
+            primitives.num_blocks,
+            inputs=[order, -1, primitives.ids, primitives.corners],
+            outputs=[primitive, block_corners],
+            grain=64,
+        )
+        return primitive, block_corners
 
     @property
     def num_bytes(self) -> int:
         """Bytes on the device that are the mesh's own, not a step's."""
-        arrays = [self.vertex_body, self.moving_vertices, self.static_vertices, *self.corners.values()]
+        arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
+        arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
         arrays += [array for order in self._orders.values() for array in order]
         rules = self.rules
@@ -253,9 +273,23 @@ def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[n
         lattice = 2.0 ** (exponent - 2)
         origin = np.round(centre[NUM_SAMPLES // 2] / lattice) * lattice
         frame.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
+        exponent += lattice_bits(mesh.num_worlds)
         frame.scale = 2.0**-exponent
         frame.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return frame
+
+
+def lattice_bits(num_worlds: int) -> int:
+    """A lattice of so many powers of two on each axis has a cell for each world."""
+    return -(-(num_worlds - 1).bit_length() // 3)
+
+
+def world_lattice(num_worlds: int) -> NDArray[np.float32]:
+    """Where each world goes in the image: to a cell of its own in [-1/2, 1/2]; shape [W, 3]."""
+    bits = lattice_bits(num_worlds)
+    world = np.arange(num_worlds)
+    cell = np.stack([world >> (k * bits) & ((1 << bits) - 1) for k in range(3)], axis=1)
+    return ((cell + 0.5) * 2.0**-bits - 0.5).astype(np.float32)
 
 
 def vertex_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -35,6 +35,7 @@ class Workspace:
                 every,
                 mesh.body_pairs,
                 1,
+                np.zeros(mesh.num_bodies, dtype=np.int32),
             )
             self._body_hull = Workspace(hull, self.topology.device)
         return self._body_hull

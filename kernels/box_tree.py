@@ -19,6 +19,10 @@ a < b: a pair whose images overlap strictly on every side overlaps for certain. 
 exact float64 test of the two boxes decide. And since f(min(a, b)) = min(f(a), f(b)), the image of a primitive's box is
 the union of the images of its vertices' boxes, which are made once a step: the **records**.
 
+**Worlds.** Scenes that know nothing of each other may lie in one place. Each is moved, in the image, to a cell of its
+own of a lattice: one more rounded sum that is monotone within a world, so nothing is missed there, and the filter of
+the mesh leaves out what still meets across.
+
 **Sizes.** One giant box would make every ancestor giant. Boxes are classed by extent in factors of eight above the
 typical one, and the class is the most significant part of the key, so that the large ones keep to themselves.
 
@@ -29,7 +33,7 @@ Wald et al. 2008, "Getting rid of packets" (one ray against a wide node).
 import warp as wp
 
 from .boxes import end_box, inflated, point_box, united
-from .lanes import united_records, write_leaves, write_union
+from .lanes import united_records, vec8f, write_leaves, write_union
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -84,6 +88,38 @@ def image(x: wp.vec3d, frame: Frame) -> wp.vec3f:
     return wp.vec3f(wp.float32(y[0]), wp.float32(y[1]), wp.float32(y[2]))
 
 
+@wp.func
+def vertex_record(
+    v: int,
+    vertex_world: wp.array[wp.int32],
+    world_shift: wp.array[wp.vec3f],
+    x_t0: wp.vec3d,
+    x_t1: wp.vec3d,
+    t_end: wp.float64,
+    inflation: wp.float64,
+    frame: Frame,
+    num_frames: int,
+    n: int,
+) -> vec8f:
+    """The record of a vertex for frame n; empty where a coordinate is no number."""
+    box = point_box(x_t0)
+    if num_frames == 1:
+        box = united(box, end_box(x_t0, x_t1, t_end))
+    elif n == 1:
+        box = end_box(x_t0, x_t1, t_end)
+    box = inflated(box, inflation)
+    shift = wp.vec3f()
+    if world_shift.shape[0] > 0:
+        shift = world_shift[vertex_world[v]]
+    lower = image(box.lower, frame) + shift
+    upper = image(box.upper, frame) + shift
+    if not (lower[0] <= upper[0] and lower[1] <= upper[1] and lower[2] <= upper[2]):
+        lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
+        upper = -lower
+    zero = wp.float32(0.0)
+    return vec8f(lower[0], lower[1], lower[2], zero, -upper[0], -upper[1], -upper[2], zero)
+
+
 @wp.kernel
 def fill_records(
     begin: int,
@@ -91,6 +127,8 @@ def fill_records(
     vertices: wp.array[wp.int32],
     vertex_body: wp.array[wp.int32],
     body_active: wp.array[wp.int32],
+    vertex_world: wp.array[wp.int32],
+    world_shift: wp.array[wp.vec3f],
     x_t0: wp.array[wp.vec3d],
     x_t1: wp.array[wp.vec3d],
     t_end: wp.float64,
@@ -103,23 +141,13 @@ def fill_records(
     """The image of each vertex's box, (lower, 0, -upper, 0) a frame: a union is a minimum. Empty if inactive."""
     v = vertices[begin + wp.tid()]
     for n in range(num_frames):
-        lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
-        upper = -lower
+        record = vec8f(_INFINITY)
         if body_active[vertex_body[v]] != 0:
-            box = point_box(x_t0[v])
-            if num_frames == 1:
-                box = united(box, end_box(x_t0[v], x_t1[v], t_end))
-            elif n == 1:
-                box = end_box(x_t0[v], x_t1[v], t_end)
-            box = inflated(box, inflation)
-            lower = image(box.lower, frame)
-            upper = image(box.upper, frame)
-        at = (v * num_frames + n) * RECORD
-        for k in range(3):
-            records[at + k] = lower[k]
-            records[at + k + 4] = -upper[k]
-        records[at + 3] = wp.float32(0.0)
-        records[at + 7] = wp.float32(0.0)
+            record = vertex_record(
+                v, vertex_world, world_shift, x_t0[v], x_t1[v], t_end, inflation, frame, num_frames, n
+            )
+        for k in range(RECORD):
+            records[(v * num_frames + n) * RECORD + k] = record[k]
 
 
 @wp.func
@@ -253,6 +281,7 @@ def unite_blocks(
 
 @wp.kernel
 def unite_levels(
+    begin: int,  # a single item
     # in
     first_level: int,
     count: int,

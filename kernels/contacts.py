@@ -34,6 +34,21 @@ class Contacts:
     width: wp.array[wp.float64]
 
 
+@wp.struct
+class ContactList:
+    """Contacts of all kinds in any order, as far as there is room, and how many there are."""
+
+    count: wp.array[wp.int32]
+    kind: wp.array[wp.int32]
+    primitives: wp.array[wp.vec2i]
+    toi: wp.array[wp.float64]
+    status: wp.array[wp.int32]
+    parameters: wp.array[wp.vec2d]
+    gap: wp.array[wp.float64]
+    width: wp.array[wp.float64]
+    normal: wp.array[wp.vec3d]
+
+
 @wp.func
 def to_unit_size(a: wp.vec3d) -> wp.vec3d:
     """A vector scaled by a power of two so that its products neither overflow nor underflow."""
@@ -105,6 +120,39 @@ def lift(
     lifted[i, j] = wp.vec3d(p[0], p[1], _ZERO)
 
 
+@wp.func
+def normal_at(
+    kind: int,
+    first: wp.vec3i,
+    second: wp.vec3i,
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    t: wp.float64,
+    uv: wp.vec2d,
+) -> wp.vec3d:
+    """Unit normal of a contact of two primitives, given by their vertices."""
+    a0 = position(x_t0[first[0]], x_t1[first[0]], t)
+    b0 = position(x_t0[second[0]], x_t1[second[0]], t)
+    b1 = position(x_t0[second[1]], x_t1[second[1]], t)
+    # motion of the two points in contact over the step
+    va = x_t1[first[0]] - x_t0[first[0]]
+    vb = x_t1[second[0]] - x_t0[second[0]]
+    vb1 = x_t1[second[1]] - x_t0[second[1]]
+    if kind == EDGE_EDGE:
+        q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
+        r = b1 - b0
+        va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
+        vb = (_ONE - uv[1]) * vb + uv[1] * vb1
+    else:
+        q = b1 - b0
+        r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
+        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
+    if kind == EDGE_EDGE or kind == VERTEX_FACE:
+        return contact_normal(q, r, va - vb)
+    # absent corners repeat the last one, so q is the segment, or 0 for a point
+    return point_normal(q, va - vb, a0 - b0 - uv[0] * q)
+
+
 @wp.kernel
 def describe_contacts(
     begin: int,
@@ -136,22 +184,6 @@ def describe_contacts(
     second = second_corners[pair[1]]
     t = contacts.toi[k]
     uv = contacts.parameters[k]
-    a0 = position(x_t0[first[0]], x_t1[first[0]], t)
-    b0 = position(x_t0[second[0]], x_t1[second[0]], t)
-    b1 = position(x_t0[second[1]], x_t1[second[1]], t)
-    # motion of the two points in contact over the step
-    va = x_t1[first[0]] - x_t0[first[0]]
-    vb = x_t1[second[0]] - x_t0[second[0]]
-    vb1 = x_t1[second[1]] - x_t0[second[1]]
-    if kind == EDGE_EDGE:
-        q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
-        r = b1 - b0
-        va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
-        vb = (_ONE - uv[1]) * vb + uv[1] * vb1
-    else:
-        q = b1 - b0
-        r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
-        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
     kind_out[slot] = kind
     primitives_out[slot] = pair
     toi_out[slot] = t
@@ -159,11 +191,7 @@ def describe_contacts(
     gap_out[slot] = contacts.gap[k]
     width_out[slot] = contacts.width[k]
     parameters_out[slot] = uv
-    if kind == EDGE_EDGE or kind == VERTEX_FACE:
-        normal_out[slot] = contact_normal(q, r, va - vb)
-    else:
-        # absent corners repeat the last one, so q is the segment, or 0 for a point
-        normal_out[slot] = point_normal(q, va - vb, a0 - b0 - uv[0] * q)
+    normal_out[slot] = normal_at(kind, first, second, x_t0, x_t1, t, uv)
 
 
 @wp.func

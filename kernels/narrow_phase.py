@@ -10,13 +10,15 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
+from .atomics import claim_int
 from .bisection import make_bisection
 from .closest_point import make_closest_point
-from .contacts import CONTACTS, Contacts
+from .contacts import CONTACTS, ContactList, Contacts, normal_at
 from .facets import make_facets
+from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
-from .points import Points, corners, longest_side, magnitude, pair_of, points_of, row_points, scaled, total
+from .points import Points, corners, is_at_rest, longest_side, magnitude, pair_of, points_of, row_points, scaled, total
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -313,6 +315,53 @@ def make_narrow_phase(real) -> SimpleNamespace:
             contacts.gap[n] = outcome.gap
             contacts.width[n] = outcome.width
 
+    @wp.kernel(module=own_module("pairs_minima"))
+    def pairs_minima(
+        begin: int,
+        # in
+        stride: int,
+        kind: int,
+        counts: wp.array2d[wp.int64],
+        pairs: wp.array[wp.int64],
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        x_t0: wp.array[vec3d],
+        x_t1: wp.array[vec3d],
+        options: Options,
+        only_moving: int,  # 1: a pair that rests may touch
+        # out
+        minima: Minima,
+        contacts: ContactList,
+    ):
+        """Solve every ``stride``-th of the pairs, as many as the device knows of; lower minima, list contacts."""
+        count = wp.min(counts[kind, 0], wp.int64(pairs.shape[0]))
+        k = wp.int64(begin + wp.tid())
+        while k < count:
+            pair = pair_of(pairs[k])
+            k += wp.int64(stride)
+            first = first_corners[pair[0]]
+            second = second_corners[pair[1]]
+            a = points_of(kind, first, second, x_t0)
+            b = points_of(kind, first, second, x_t1)
+            outcome = Outcome()
+            outcome.status = STATUS_NO_COLLISION
+            if only_moving == 0 or not is_at_rest(a, b):
+                outcome = solve(kind, normalise(kind, a, b, options), options)
+            if outcome.status != STATUS_NO_COLLISION:
+                lower_pair(minima, first, second, wp.cast(outcome.toi, wp.int64))
+                n = claim_int(contacts.count, 0)
+                if n < contacts.toi.shape[0]:
+                    contacts.kind[n] = kind
+                    contacts.primitives[n] = pair
+                    contacts.toi[n] = outcome.toi
+                    contacts.status[n] = outcome.status
+                    contacts.parameters[n] = outcome.parameters
+                    contacts.gap[n] = outcome.gap
+                    contacts.width[n] = outcome.width
+                    contacts.normal[n] = normal_at(kind, first, second, x_t0, x_t1, outcome.toi, outcome.parameters)
+                else:
+                    flag_world(minima, first[0], CONTACTS_OVERFLOW)
+
     @wp.kernel(module=own_module("pairs_bound"))
     def pairs_bound(
         begin: int,
@@ -350,5 +399,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
         normalise=normalise,
         points_toi=points_toi,
         pairs_contacts=pairs_contacts,
+        pairs_minima=pairs_minima,
         pairs_bound=pairs_bound,
     )

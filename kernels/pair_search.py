@@ -7,7 +7,8 @@ lanes after their own, so that each pair is found once.
 A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**. Before the cull it is enough that
 the images of the boxes at both ends of the step do not keep to one side of each other. What the cull does not settle is
 written as a key (first << 32) | second. An item counts what it finds and writes what there is room for: a count beyond
-the room tells the caller to search the items again in smaller parts, so nothing is lost.
+the room tells the caller to search the items again in smaller parts, so nothing is lost. Where no caller looks
+(`HELD`), the toi of a pair beyond the room is lowered to 0.
 """
 
 from functools import cache
@@ -15,10 +16,12 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
 from .boxes import swept_lower
 from .cull import is_free
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask, tied_sides
+from .minima import Minima, drop_pair
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 
@@ -43,6 +46,8 @@ class Filter:
     self_collision: wp.array[wp.int32]  # per body
     by_pair: int  # 1: the array that follows counts
     body_pairs: wp.array2d[wp.uint8]
+    by_world: int  # 1: the array that follows counts
+    vertex_world: wp.array[wp.int32]
     by_ring: int  # 1: the arrays that follow count
     ring_begin: wp.array[wp.int32]  # per vertex, one more at the end
     ring: wp.array[wp.int32]  # the vertices near it, ascending
@@ -106,6 +111,9 @@ def is_near(v: int, c: wp.vec3i, rings: Filter) -> bool:
 @wp.func
 def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
     """Whether the mesh excludes a pair of primitives that share no vertex."""
+    if rules.by_world != 0:
+        if rules.vertex_world[a[0]] != rules.vertex_world[b[0]]:
+            return True
     if rules.by_body != 0:
         body_a = rules.vertex_body[a[0]]
         body_b = rules.vertex_body[b[0]]
@@ -120,10 +128,18 @@ def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
     return False
 
 
+# Where a search ends.
+BOXES = "boxes"  # with every pair whose boxes meet
+CULL = "cull"  # with those that the cull leaves open
+HELD = "held"  # with those that there is room for; the others count as touching
+
+
 @cache
-def make_pair_search(with_cull: bool) -> SimpleNamespace:
-    """The search, ending at the boxes or at the cull."""
-    module = wp.get_module(f"ccd_warp.pair_search.{'cull' if with_cull else 'boxes'}")
+def make_pair_search(end: str) -> SimpleNamespace:
+    """The search, by where it ends."""
+    with_cull = end != BOXES
+    is_held = end == HELD
+    module = wp.get_module(f"ccd_warp.pair_search.{end}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts have two frames
     overlaps = moving_overlap_mask if with_cull else overlap_mask
@@ -144,13 +160,14 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         room: int,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
+        minima: Minima,
     ) -> int:
         """Filter a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
             return 0  # an empty place meets only a box that is infinite in the image
         a = wp.vec3i()
         b = wp.vec3i()
-        has_rules = rules.by_body + rules.by_ring > 0
+        has_rules = rules.by_body + rules.by_world + rules.by_ring > 0
         if wp.static(with_cull) or has_rules or not is_certain:
             a = box_corners(query, q)
             b = box_corners(target, p)
@@ -185,9 +202,16 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
                 c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
                 if is_free(join.kind, c0, c1, join.separation, join.t_end):
                     return 1
-        n = wp.atomic_add(counts, slot, FOUND, wp.int64(1))
-        if n < wp.int64(room):
-            keys[first_key + wp.int32(n)] = pair_key(i, j)
+        if wp.static(is_held):
+            n = claim(counts, slot)  # threads share a row
+            if n < wp.int64(room):
+                keys[n] = pair_key(i, j)
+            else:
+                drop_pair(minima, a, b)
+        else:
+            n = wp.atomic_add(counts, slot, FOUND, wp.int64(1))
+            if n < wp.int64(room):
+                keys[first_key + wp.int32(n)] = pair_key(i, j)
         return 1
 
     @wp.kernel(module=module)
@@ -208,6 +232,7 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
         # out
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
+        minima: Minima,
     ):
         """Find the partners of the query boxes of an item: those of a block (level 1), or a single one (level 0)."""
         # the item is box `item` of its level
@@ -280,8 +305,10 @@ def make_pair_search(with_cull: bool) -> SimpleNamespace:
                                 room,
                                 counts,
                                 keys,
+                                minima,
                             )
-        if num_candidates > 0:
-            wp.atomic_add(counts, slot, CANDIDATES, wp.int64(num_candidates))
+        if wp.static(not is_held):
+            if num_candidates > 0:
+                wp.atomic_add(counts, slot, CANDIDATES, wp.int64(num_candidates))
 
     return SimpleNamespace(search_pairs=search_pairs)

@@ -481,8 +481,9 @@ def test_docs_are_those_of_the_raw_figures():
     page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     for ours, committed in itertools.zip_longest(report.document(raw).splitlines(), page.splitlines()):
         assert ours == committed
-    front = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert report.readme(front, raw) == front
+    for page in report.TABLES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        assert report.with_tables(page, text, raw) == text
 
 
 def test_csv_files_are_those_of_the_raw_figures(tmp_path):

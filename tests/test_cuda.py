@@ -7,11 +7,12 @@ import re
 import ccd_warp.kernels
 import pytest
 import warp as wp
+from ccd_warp.kernels.device_step import make_input
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import make_pair_search
+from ccd_warp.kernels.pair_search import BOXES, CULL, HELD, make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "boxes", "box_tree", "rest_order"]
+PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order"]
 
 
 def warp_modules():
@@ -21,10 +22,11 @@ def warp_modules():
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
-        for kernel in ("points_toi", "pairs_contacts", "pairs_bound"):
+        modules[f"device_step input {real.__name__}"] = make_input(real).read_moving.module
+        for kernel in ("points_toi", "pairs_contacts", "pairs_bound", "pairs_minima"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
-    for with_cull in (False, True):
-        modules[f"pair_search {with_cull}"] = make_pair_search(with_cull).search_pairs.module
+    for end in (BOXES, CULL, HELD):
+        modules[f"pair_search {end}"] = make_pair_search(end).search_pairs.module
     return {name: module for name, module in modules.items() if module.kernels}
 
 

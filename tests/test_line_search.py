@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from ccd_warp.benchmarks.oracle import exact_tois
 
 import ccd_warp as ccd
@@ -166,7 +167,7 @@ def test_the_held_object_gives_the_same():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'body', 'vertex'"),
+        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'"),
         ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
         ({"safety": float("nan")}, "safety is nan"),
         ({"max_rounds": 2}, "max_rounds is 2; expected an integer of at least 3"),
@@ -176,3 +177,140 @@ def test_bad_options_are_named(options, message):
     mesh, start = _stacked(0.0, 1.0)
     with pytest.raises(ValueError, match=message):
         ccd.line_search(mesh, start, start, **options)
+
+
+# --- on the device ---
+
+EVERY_PER = ("scene", "world", "body", "vertex")
+
+
+def _launched(mesh, start, end, dtype=wp.vec3d, device="cpu", **options):
+    """Start and end positions of a line search on the device, as they are there, and its result."""
+    real = np.float64 if dtype is wp.vec3d else np.float32
+    x_t0, x_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (start, end))
+    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch_line_search(x_t0, x_t1, **options)
+    return x_t0.numpy().astype(np.float64), x_t1.numpy().astype(np.float64), result
+
+
+@pytest.mark.parametrize("per", EVERY_PER)
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
+@pytest.mark.parametrize("seed", range(4))
+def test_soup_on_the_device_is_free_by_exact_arithmetic(per, dtype, seed, device):
+    rng = np.random.default_rng(seed)
+    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
+    wished = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    start, end, result = _launched(mesh, wished, wished + rng.uniform(-1, 1, wished.shape), dtype, device, per=per)
+    assert _exact_contacts(mesh, start, end) == []
+    assert np.isinf(result.toi.numpy()[0]) and (start != end).all(axis=1).any()
+
+
+@pytest.mark.parametrize("per", EVERY_PER)
+def test_one_body_falls_on_another_on_the_device(per, device):
+    mesh, start = _stacked(0.0, 1.0)
+    wished = start.copy()
+    wished[3:, 2] -= 2.0
+    start, end, _ = _launched(mesh, start, wished, device=device, per=per, safety=0.5)
+    assert _exact_contacts(mesh, start, end) == []
+    assert end[3:, 2].min() == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_vertex_that_is_stopped_stops_the_one_behind_it_on_the_device(device):
+    mesh, start = _stacked(0.0, 1.0, 2.0)
+    wished = start.copy()
+    wished[3:6, 2] = -0.9
+    wished[6:, 2] = 0.05
+    for per in EVERY_PER:
+        _, end, result = _launched(mesh, start, wished, device=device, per=per)
+        assert _exact_contacts(mesh, start, end) == []
+        assert np.isinf(result.toi.numpy()[0])
+        assert (end[3:] != start[3:]).any(axis=1).all()
+
+
+def _pushed_while_touching():
+    """A vertex rests exactly on a face and is pushed into it; a third body is free."""
+    bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE), (TRIANGLE + 5, FACE)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    end = start.copy()
+    end[3:6, 2] -= 0.5
+    end[6:] += 1.0
+    return bodies, start, end
+
+
+def test_what_rests_on_the_device_may_touch(device):
+    bodies, start, wished = _pushed_while_touching()
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    for per, free in (("scene", False), ("world", False), ("body", True), ("vertex", True)):
+        _, end, result = _launched(mesh, start, wished, device=device, per=per)
+        assert _exact_contacts(mesh, start, end) == []
+        np.testing.assert_array_equal(end[3], start[3])
+        np.testing.assert_array_equal(end[6:], wished[6:] if free else start[6:])
+        assert np.isinf(result.toi.numpy()[0])
+
+
+def test_a_world_that_touches_does_not_stop_another(device):
+    bodies, start, wished = _pushed_while_touching()
+    mesh = ccd.CollisionMesh.from_arrays(bodies * 2, vertex_world=np.repeat([0, 1], 9))
+    start, wished = np.concatenate([start, start]), np.concatenate([wished, wished])
+    start[12:15, 2] += 0.01  # in the second world it is a little above, and goes up
+    wished[12:15, 2] = start[12:15, 2] + 0.5
+    for per, stops_both in (("scene", True), ("world", False)):
+        _, end, _ = _launched(mesh, start, wished, device=device, per=per)
+        np.testing.assert_array_equal(end[:9], start[:9])
+        np.testing.assert_array_equal(end[9:], start[9:] if stops_both else wished[9:])
+
+
+def test_coordinates_that_are_no_numbers_stop_their_world(device):
+    mesh, start = _stacked(0.0, 1.0)
+    wished = start + [0.1, 0, 0]
+    wished[4, 1] = np.nan
+    _, end, result = _launched(mesh, start, wished, device=device, per="vertex")
+    np.testing.assert_array_equal(end, start)
+    assert result.flags.numpy()[0] == 0  # of the last look, at the start positions
+
+
+def test_without_room_for_pairs_nothing_moves_into_another(device):
+    rng = np.random.default_rng(0)
+    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    wished = start + rng.uniform(-1, 1, start.shape)
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, max_pairs=1, device=device)
+    pipeline.launch_line_search(x_t0, x_t1, per="vertex")
+    assert _exact_contacts(mesh, start, x_t1.numpy()) == []
+
+
+def test_line_search_in_a_graph(device):
+    mesh, start = _stacked(0.0, 1.0)
+    x_t0, x_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+    pipeline.launch_line_search(x_t0, x_t1)
+    with wp.ScopedCapture(device=device) as capture:
+        pipeline.launch_line_search(x_t0, x_t1)
+    for fall, expected in ((2.0, 1 - 0.9 * 1.0), (0.5, 0.5), (10.0, 1 - 0.9 * 1.0)):
+        wished = start.copy()
+        wished[3:, 2] -= fall
+        x_t1.assign(wished)
+        wp.capture_launch(capture.graph)
+        assert x_t1.numpy()[3:, 2].min() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'"),
+        ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
+        ({"num_rounds": 0}, "num_rounds is 0; expected a positive integer"),
+    ],
+)
+def test_bad_options_on_the_device_are_named(options, message):
+    mesh, start = _stacked(0.0, 1.0)
+    with pytest.raises(ValueError, match=message):
+        _launched(mesh, start, start, **options)
+
+
+def test_part_of_a_step_is_no_line_search_on_the_device():
+    mesh, start = _stacked(0.0, 1.0)
+    with pytest.raises(ValueError, match=r"t_max is 0.5; expected 1"):
+        ccd.CollisionPipeline(mesh, t_max=0.5).launch_line_search(start, start)

@@ -1,0 +1,413 @@
+"""A step whose input and results stay on the device: launches of known sizes, recorded once, and repeated."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._interop import as_positions
+from ccd_warp._launch import Execution, Recording, Slot
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._options import Options
+from ccd_warp._pair_search import Join, joins_of
+from ccd_warp._results import DeviceContacts, LaunchResult
+from ccd_warp._status import PairKind
+from ccd_warp._step import half_up, moves_alone, possible_kinds
+from ccd_warp._step_boxes import Tree, fill_tree, new_tree
+from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
+from ccd_warp.kernels import box_tree, contacts, device_step
+from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
+from ccd_warp.kernels.pair_search import HELD, NUM_COUNTS, make_pair_search
+
+MOST_PAIRS = 1 << 28
+MOST_CONTACTS = np.iinfo(np.int32).max
+_NUM_FRAMES = 2
+_CHUNK = int(device_step.CHUNK)
+# Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
+_MOST_SOLVERS = 1 << 17
+_PARTS_PER_THREAD = 8
+_PER = {
+    "scene": int(device_step.PER_SCENE),
+    "world": int(device_step.PER_WORLD),
+    "body": int(device_step.PER_BODY),
+    "vertex": int(device_step.PER_VERTEX),
+}
+_CONTACT_FIELDS = {
+    "count": wp.int32,
+    "kind": wp.int32,
+    "primitives": wp.vec2i,
+    "toi": wp.float64,
+    "status": wp.int32,
+    "parameters": wp.vec2d,
+    "gap": wp.float64,
+    "width": wp.float64,
+    "normal": wp.vec3d,
+}
+
+
+@dataclass(frozen=True)
+class Capacities:
+    """Room of a device step; see :meth:`ccd_warp.CollisionPipeline.reserve`."""
+
+    max_pairs: int
+    max_contacts: int
+
+    @staticmethod
+    def default(mesh: CollisionMesh) -> "Capacities":
+        """Two pairs a primitive, one contact."""
+        primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        return Capacities(min(max(1 << 12, 2 * primitives), MOST_PAIRS), min(max(1 << 12, primitives), MOST_CONTACTS))
+
+
+@dataclass(frozen=True)
+class LineSearch:
+    """Options of :meth:`ccd_warp.CollisionPipeline.launch_line_search`."""
+
+    per: str
+    safety: float
+    num_rounds: int
+
+    def stages(self) -> list[tuple[str, float]]:
+        """What a vertex may move by after each check: whose toi, and the share of it."""
+        if self.per in ("scene", "world"):
+            return [(self.per, self.safety), ("world", 0.0)]
+        # what own fractions do not settle, one of the world does, and what is left stays
+        return [*[(self.per, self.safety)] * self.num_rounds, ("world", self.safety), ("world", 0.0)]
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What a recording depends on, beside the arrays."""
+
+    real: Any
+    t0_by_vertex: bool
+    t1_by_vertex: bool
+    is_displacement: bool = False
+    line_search: LineSearch | None = None
+
+
+class DeviceStep:
+    """Everything that a step on the device writes to, and its launches.
+
+    Attributes:
+        result: Where they write.
+    """
+
+    def __init__(
+        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+    ) -> None:
+        """Allocate everything; ``vertices`` are where the trees are laid out, and where static bodies rest."""
+        self.topology = topology
+        self._mesh = mesh = topology.mesh
+        self._options = options
+        self._execution = Execution(topology.device, options.threads)
+        self._vertices = vertices
+        self._length_scale = options.length_scale or _longest_side(vertices)
+        self._separation = options.separation(self._length_scale)
+        self._inflation = half_up(self._separation)
+        self._frame = choose_frame(mesh, vertices, vertices, _NUM_FRAMES)
+        self._records = self._empty(mesh.num_vertices * _NUM_FRAMES * RECORD, wp.float32)
+        self._active = self._full(mesh.num_bodies, 1, wp.int32)
+        self._is_moved = self._full(1, 0, wp.int32)
+        self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
+        self._trees: dict[str, Tree] = {}
+        self._kinds = possible_kinds(mesh, options)
+        self._start = self._end = self._empty(0, wp.vec3d)
+        if mesh.static.any():
+            self._place()
+        self._joins = joins_of(self, self._kinds, moves_alone(mesh))
+        self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
+        self._recordings: dict[_Form, Recording] = {}
+        self.result = self._new_result(capacities.max_contacts)
+        self._minima = self._new_minima()
+        self._contacts = contacts.ContactList()
+        for name in _CONTACT_FIELDS:
+            setattr(self._contacts, name, getattr(self.result.contacts, name))
+
+    def _empty(self, count: int, dtype: Any) -> wp.array:
+        return wp.empty(count, dtype=dtype, device=self.topology.device)
+
+    def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
+        return wp.full(count, value=value, dtype=dtype, device=self.topology.device)
+
+    def _place(self) -> None:
+        """Positions of its own, which begin with the static bodies where they are."""
+        rest: wp.array = wp.array(self._vertices, dtype=wp.vec3d, device=self.topology.device)
+        self._start, self._end = rest, wp.clone(rest)
+
+    def _new_result(self, max_contacts: int) -> LaunchResult:
+        """Arrays that say, before the first launch, that nothing may move."""
+        mesh = self._mesh
+        sizes = {"toi": 1, "body_toi": mesh.num_bodies, "vertex_toi": mesh.num_vertices}
+        arrays = {name: self._full(count, 0.0, wp.float64) for name, count in sizes.items()}
+        arrays["flags"] = self._full(1, 0, wp.int32)
+        arrays["world_toi"], arrays["world_flags"] = arrays["toi"], arrays["flags"]
+        if mesh.num_worlds > 1:
+            arrays["world_toi"] = self._full(mesh.num_worlds, 0.0, wp.float64)
+            arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
+        room = {name: self._empty(max_contacts, dtype) for name, dtype in _CONTACT_FIELDS.items() if name != "count"}
+        count = self._full(1, 0, wp.int32)
+        return LaunchResult(**arrays, contacts=DeviceContacts(count=count, **room), num_pairs=self._counts[:, 0])
+
+    def _new_minima(self) -> Any:
+        """The results as the kernels lower them: bits of numbers that are not negative."""
+        minima = Minima()
+        minima.vertex_body, minima.vertex_world = self.topology.vertex_body, self.topology.vertex_world
+        result = self.result
+        for name, array in (
+            ("vertex", result.vertex_toi),
+            ("body", result.body_toi),
+            ("world", result.world_toi),
+            ("scene", result.toi),
+        ):
+            setattr(minima, name, array.view(wp.int64))
+        minima.flags, minima.world_flags = result.flags, result.world_flags
+        return minima
+
+    def build(self, wanted: list[tuple[str, bool]]) -> None:
+        """Lay trees out, and fill those of static bodies: kinds of primitives, and whether they rest."""
+        sets = [(self.topology.primitives(*end), end[1]) for end in dict.fromkeys(wanted)]
+        if any(is_static for _, is_static in sets):
+            self._execution.launch(
+                box_tree.fill_records,
+                len(self.topology.static_vertices),
+                inputs=self._record_inputs(self.topology.static_vertices, self._start, self._end, 1.0),
+                outputs=[self._records],
+            )
+        for primitives, is_static in sets:
+            tree = new_tree(primitives, _NUM_FRAMES, lambda n: self._empty(n, wp.float32))
+            tree.arrays.primitive, tree.arrays.corners = self._order(primitives)
+            if is_static:
+                fill_tree(tree, self._records, self._execution)
+            self._trees[primitives.name] = tree
+
+    def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
+        if self._vertices is self._mesh.vertices:
+            return self.topology.rest_order(primitives, self._execution)
+        return self.topology.order_at(self._vertices, primitives, self._execution)
+
+    def tree(self, kind: str, is_static: bool) -> Tree | None:
+        """The tree of the primitives of a kind that move, or rest; None if there are none."""
+        return self._trees.get(self.topology.primitives(kind, is_static).name)
+
+    def may_meet(self, a: Tree, b: Tree) -> bool:
+        """What the device alone could tell."""
+        return True
+
+    def _record_inputs(self, vertices: wp.array, start: Any, end: Any, t_end: float) -> list:
+        of_vertices = self.topology.of_vertices(self._active)
+        return [vertices, *of_vertices, start, end, t_end, self._inflation, self._frame, _NUM_FRAMES]
+
+    def launch(
+        self,
+        x_t0: Any,
+        x_t1: Any,
+        *,
+        name_t1: str = "x_t1",
+        is_displacement: bool = False,
+        line_search: LineSearch | None = None,
+    ) -> None:
+        """Launch a step; the arguments are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
+        mesh, device = self._mesh, self.topology.device
+        rows = {mesh.num_vertices: "one a vertex"}
+        if mesh.static.any():
+            rows[len(mesh.moving_vertices)] = "one a moving vertex"
+        start = as_positions(x_t0, "x_t0", device, rows)
+        end = as_positions(x_t1, name_t1, device, rows)
+        if start.dtype is not end.dtype:
+            raise ValueError(f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like x_t0")
+        real = wp.float64 if start.dtype is wp.vec3d else wp.float32
+        count = mesh.num_vertices
+        form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
+        recording = self._recordings.get(form)
+        if recording is None:
+            if device.is_capturing and device.is_cuda:
+                raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
+            recording = self._recordings[form] = self._record(form, start, end)
+        recording.bind("x_t0", start)
+        recording.bind("x_t1", end)
+        recording.play()
+
+    def _record(self, form: _Form, x_t0: wp.array, x_t1: wp.array) -> Recording:
+        """All launches of a step, or of as many as a line search looks at."""
+        recording = Recording(self._execution, {"x_t0": x_t0, "x_t1": x_t1})
+        if form.line_search is None:
+            self._record_step(recording, form)
+            return recording
+        topology = self.topology
+        for per, share in form.line_search.stages():
+            self._record_step(recording, form)
+            recording.launch(
+                device_step.make_input(form.real).shorten,
+                len(topology.moving_vertices),
+                inputs=[
+                    topology.moving_vertices,
+                    Slot("x_t0"),
+                    int(form.t0_by_vertex),
+                    int(form.t1_by_vertex),
+                    _PER[per],
+                    share,
+                    self._minima,
+                ],
+                outputs=[Slot("x_t1")],
+            )
+        return recording
+
+    def _record_step(self, recording: Recording, form: _Form) -> None:
+        mesh, topology = self._mesh, self.topology
+        start: Any = Slot("x_t0")
+        end: Any = Slot("x_t1")
+        is_kept = form.real is not wp.float64 or form.is_displacement or bool(mesh.static.any())
+        if is_kept:
+            if len(self._start) == 0:
+                self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
+            start, end = self._start, self._end
+        self._record_input(recording, form, is_kept)
+        recording.launch(
+            box_tree.fill_records,
+            len(topology.moving_vertices),
+            inputs=self._record_inputs(topology.moving_vertices, start, end, self._options.t_max),
+            outputs=[self._records],
+        )
+        for tree in self._trees.values():
+            if not tree.primitives.is_static:
+                fill_tree(tree, self._records, recording)
+        for join in self._joins:
+            self._record_search(recording, join, start, end)
+        for kind in self._keys:
+            self._record_narrow_phase(recording, kind, start, end, form.line_search is not None)
+
+    def _record_input(self, recording: Recording, form: _Form, is_kept: bool) -> None:
+        """Read positions, and reset the results."""
+        mesh, topology, minima = self._mesh, self.topology, self._minima
+        read = device_step.make_input(form.real)
+        recording.launch(
+            device_step.reset,
+            max(mesh.num_bodies, mesh.num_worlds),
+            inputs=[],
+            outputs=[minima, self._counts, self.result.contacts.count, self._is_moved],
+        )
+        with_static = form.t0_by_vertex and mesh.static.any()
+        if with_static:
+            recording.launch(
+                read.read_static,
+                -(-len(topology.static_vertices) // _CHUNK),
+                inputs=[topology.static_vertices, Slot("x_t0")],
+                outputs=[self._start, self._end, self._is_moved, minima],
+                grain=64,
+            )
+        by_vertex = [int(form.t0_by_vertex), int(form.t1_by_vertex)]
+        recording.launch(
+            read.read_moving,
+            len(topology.moving_vertices),
+            inputs=[
+                topology.moving_vertices,
+                Slot("x_t0"),
+                Slot("x_t1"),
+                *by_vertex,
+                int(form.is_displacement),
+                int(is_kept),
+            ],
+            outputs=[self._start, self._end, minima],
+        )
+        recording.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[minima])
+        if with_static:
+            self._record_refresh(recording)
+
+    def _record_refresh(self, recording: Recording) -> None:
+        """Make the boxes of static bodies anew, where the input says that they are elsewhere."""
+        topology = self.topology
+        trees = [tree for tree in self._trees.values() if tree.primitives.is_static]
+        if not trees:
+            return
+        lattice = [topology.vertex_world, topology.world_shift]
+        recording.launch(
+            device_step.refresh_records,
+            -(-len(topology.static_vertices) // _CHUNK),
+            inputs=[
+                self._is_moved,
+                topology.static_vertices,
+                *lattice,
+                self._start,
+                self._inflation,
+                self._frame,
+                _NUM_FRAMES,
+            ],
+            outputs=[self._records],
+            grain=64,
+        )
+        for tree in trees:
+            recording.launch(
+                device_step.refresh_blocks,
+                -(-tree.levels[0] // _CHUNK),
+                inputs=[self._is_moved, self._records, tree.primitives.num_corners],
+                outputs=[tree.arrays],
+                grain=64,
+            )
+            if len(tree.levels) > 2:
+                recording.launch(
+                    device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
+                )
+
+    def _record_search(self, recording: Recording, join: Join, start: Any, end: Any) -> None:
+        """Look for the pairs of a join, a block of queries an item, on CUDA a query."""
+        level = 0 if recording.is_cuda else 1
+        keys = self._keys[join.kind]
+        rules = join.rules(self._options.t_max, self._inflation, self._separation)
+        recording.launch(
+            make_pair_search(HELD).search_pairs,
+            join.query.primitives.count if level == 0 else join.query.levels[0],
+            inputs=[
+                1,
+                level,
+                int(join.kind),
+                0,
+                len(keys),
+                join.query.arrays,
+                join.target.arrays,
+                rules,
+                self.topology.rules,
+                start,
+                end,
+            ],
+            outputs=[self._counts, keys, self._minima],
+            grain=64,
+            parts_per_thread=_PARTS_PER_THREAD,
+        )
+
+    def _record_narrow_phase(
+        self, recording: Recording, kind: PairKind, start: Any, end: Any, only_moving: bool
+    ) -> None:
+        """Solve the pairs of a kind."""
+        keys = self._keys[kind]
+        solvers = min(len(keys), _MOST_SOLVERS) if recording.is_cuda else self._execution.num_threads
+        corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
+        recording.launch(
+            make_narrow_phase(self._options.real).pairs_minima,
+            solvers,
+            inputs=[
+                solvers,
+                int(kind),
+                self._counts,
+                keys,
+                *corners,
+                start,
+                end,
+                self._options.for_kernel(self._length_scale),
+                int(only_moving),
+            ],
+            outputs=[self._minima, self._contacts],
+            grain=1,
+        )
+
+
+def _longest_side(vertices: NDArray[np.float64]) -> float:
+    """Longest side of the box around positions, which tolerance and separation refer to."""
+    with np.errstate(over="ignore"):
+        side = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 1.0
+    if not 0.0 < side <= np.finfo(np.float64).max:
+        raise ValueError(f"length_scale is None, and the vertices span {side}; expected a length_scale above 0")
+    return side

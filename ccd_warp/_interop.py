@@ -1,0 +1,78 @@
+"""Arrays of other libraries as Warp arrays, in the same memory."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+_CUDA = 2  # a device type of DLPack
+_VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
+
+
+def is_device_array(value: Any) -> bool:
+    """Whether a value is an array of Warp, or of a library that speaks DLPack, other than NumPy."""
+    return isinstance(value, wp.array) or (hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray))
+
+
+def as_warp(value: Any, name: str) -> wp.array:
+    """A Warp array in the memory of an array of Warp, NumPy, or any library that speaks DLPack.
+
+    Raises:
+        ValueError: If it is no such array, or does not let itself be shared.
+    """
+    if isinstance(value, wp.array):
+        return value
+    if isinstance(value, np.ndarray):
+        if not value.flags.c_contiguous:
+            raise ValueError(f"{name} has strides {value.strides}; expected a contiguous array, which needs no copy")
+        if value.dtype not in (np.float32, np.float64):
+            raise ValueError(f"{name} has dtype {value.dtype}; expected float32 or float64")
+        return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
+    if not hasattr(value, "__dlpack__"):
+        raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
+    kind, index = value.__dlpack_device__()
+    if kind == _CUDA and index >= wp.get_cuda_device_count():
+        names = ", ".join(device.alias for device in wp.get_devices())
+        raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
+    try:
+        return wp.from_dlpack(value)  # type: ignore[return-value]
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+
+
+def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -> wp.array:
+    """Positions as vec3f or vec3d of shape [n], in the memory of the array given.
+
+    Args:
+        value: Array of vec3f or vec3d, shape [n], or of float32 or float64, shape [n, 3].
+        name: Name of the argument, for the messages.
+        device: Where it has to be.
+        expected: Numbers of rows that will do, and what these are.
+
+    Returns:
+        The array.
+
+    Raises:
+        ValueError: If the array is of another kind, device, shape or layout.
+    """
+    array: Any = as_warp(value, name)
+    if array.device != device:
+        raise ValueError(f"{name} is on {array.device.alias}; expected {device.alias}, where the pipeline is")
+    if not array.is_contiguous:
+        raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
+    dtype, shape = array.dtype, array.shape
+    if dtype in _VECTORS and array.ndim == 2 and shape[1] == 3:
+        dtype, shape = _VECTORS[dtype], shape[:1]
+    if dtype not in _VECTORS.values() or len(shape) != 1:
+        raise ValueError(
+            f"{name} has dtype {dtype.__name__} and shape {array.shape}; "
+            f"expected vec3f or vec3d and (n,), or float32 or float64 and (n, 3)"
+        )
+    if shape[0] not in expected:
+        rows = " or ".join(f"{count}, {meaning}" for count, meaning in expected.items())
+        raise ValueError(f"{name} has {shape[0]} rows; expected {rows}")
+    if dtype is array.dtype:
+        return array
+    alias: wp.array = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
+    alias._ref = array  # type: ignore[assignment]  # keeps the memory
+    return alias

@@ -1,0 +1,267 @@
+"""The one-shot calls: two frames of a mesh in, earliest times of impact out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ccd_warp._candidates import Candidates
+from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options
+from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._results import MeshResult
+from ccd_warp._status import PairKind
+
+
+def find_candidates(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    inflation: float = 0.0,
+    *,
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    device: Any = None,
+    num_threads: int | None = None,
+) -> Candidates:
+    """Find the pairs of primitives whose swept axis-aligned boxes overlap.
+
+    The box of a primitive encloses its vertices at both ends of the step, grows by ``inflation`` on every side, rounded
+    outward, and is closed: boxes that only touch overlap. Left out are pairs that share a vertex, pairs of two static
+    bodies, pairs within a body whose self-collision is off, and what ``body_pairs`` and ``exclusion_rings`` of the mesh
+    leave out.
+
+    Four kinds of pair are enough: vertices with faces, edges with edges, loose points with loose edges, and loose
+    points with each other. What collides are faces, loose edges and loose points: convex sets, two of which, A and B,
+    are as far apart in any norm as the origin is from the polytope A - B, which is at its boundary while they do not
+    touch. For two faces, or a face and a loose edge, that boundary consists of differences (vertex) - (face) and
+    (edge) - (edge), and where A - B is flat these cover all of it. Two loose edges are an edge-edge pair as they stand,
+    a loose point and a face a vertex-face pair. So a loose point and an edge of a face need no pair: the edge is part
+    of the face and no nearer. Nor do a vertex of an edge and a loose edge: the vertex is part of its own edge. Loose
+    points with loose edges, and with each other, are all that is left, and are looked for only where they exist.
+    Because pairs that share a vertex are left out, a cable that folds back on itself at a joint is not noticed by the
+    two segments of that joint, as two faces with a common edge meet only through their other vertices.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
+            only, shape [V_moving, 3].
+        inflation: Growth of every box on every side, a length in the unit of the mesh, finite and not negative.
+        pair_kinds: Kinds of pairs to look for (:class:`ccd_warp.PairKind` or their names); by default all.
+        device: Warp device; by default Warp's current one.
+        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+
+    Returns:
+        The pairs, sorted.
+
+    Raises:
+        ValueError: If the frames do not match the mesh, a value that is read is not finite, ``inflation`` is negative
+            or not finite, or ``num_threads`` is less than one.
+
+    References:
+        Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (boxes along a
+        space-filling curve); Ericson 2005, "Real-time collision detection", section 6 (bounding volume hierarchies).
+
+    Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair. The boxes of two primitives
+    that come within ``inflation`` of each other (L∞) during the step overlap.
+    """
+    options = Options(pair_kinds=pair_kinds, device=device, num_threads=num_threads)
+    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
+
+
+def mesh_ccd(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
+    t_max: float = 1.0,
+    max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    length_scale: float | None = None,
+    precision: str = "float64",
+    method: str = "clipping",
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    memory_limit: int | None = None,
+    device: Any = None,
+    num_threads: int | None = None,
+) -> MeshResult:
+    """Earliest times of impact of a step: of the scene, per vertex, per body, and of every contact.
+
+    Args:
+        mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
+            only, shape [V_moving, 3].
+        tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
+            ``length_scale``, above 0.
+        minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
+        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
+            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
+            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
+        t_max: End of the step that is checked, in [0, 1].
+        max_iterations: Limit of the work on a pair; at the limit its toi is early, never late.
+        length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
+            motion.
+        precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
+        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
+        pair_kinds: Kinds of pairs to look at (:class:`ccd_warp.PairKind` or their names, as ``"vertex_face"``); by
+            default all that the mesh can form.
+        memory_limit: Bytes that the step may take beside its input, its contacts included. Where the pairs do not fit
+            they come in batches; no result depends on it. By default what the boxes need, and 1 GiB for the pairs.
+        device: Warp device; by default Warp's current one.
+        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+
+    Returns:
+        The result, NumPy arrays.
+
+    Raises:
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
+            ``memory_limit`` is too small, with the least that works.
+
+    References:
+        Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
+
+    Guarantee: if the exact trajectories of a pair that passes the mesh's filter (vertex-face, edge-edge, and where the
+    mesh has loose primitives point-segment and point-point) first touch (or come within the minimum separation) at
+    τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
+    possible only where the L∞ gap falls below separation + δ + ε, or where a limit was reached, which the status says.
+    """
+    options = Options(
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        pair_kinds=pair_kinds,
+        memory_limit=memory_limit,
+        device=device,
+        num_threads=num_threads,
+    )
+    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        return pipeline.mesh_ccd(vertices_t0, vertices_t1)
+
+
+def collision_free_step(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    minimum_separation: float = 0.0,
+    start_gap_fraction: float | None = None,
+    t_max: float = 1.0,
+    max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    length_scale: float | None = None,
+    precision: str = "float64",
+    method: str = "clipping",
+    pair_kinds: Sequence[PairKind | str] | None = None,
+    memory_limit: int | None = None,
+    device: Any = None,
+    num_threads: int | None = None,
+) -> float:
+    """Largest step fraction that is certain to be free of collisions.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, as in :func:`mesh_ccd`, as all that follow.
+        vertices_t1: End positions.
+        tolerance: Largest gap that counts as contact.
+        minimum_separation: Distance at which a pair counts as touching.
+        start_gap_fraction: Largest separation of a pair as a fraction of its start gap; makes a line search's step
+            positive where the minimum separation alone would make it 0.
+        t_max: End of the step that is checked.
+        max_iterations: Limit of the work on a pair.
+        length_scale: Length that the two multiples refer to.
+        precision: ``"float64"`` or ``"float32"``.
+        method: ``"clipping"`` or ``"bisection"``.
+        pair_kinds: Kinds of pairs to look at.
+        memory_limit: Bytes that the step may take beside its input.
+        device: Warp device.
+        num_threads: Threads on the CPU.
+
+    Returns:
+        A fraction of the step in [0, t_max], dimensionless: t_max if there is certainly no collision, 0 if bodies touch
+        at the start.
+
+    Raises:
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
+            ``memory_limit`` is too small, with the least that works.
+
+    References:
+        Wang et al. 2021, section 4.
+
+    Guarantee: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` looks at, touches (or comes
+    within the minimum separation) before the returned fraction.
+    """
+    options = Options(
+        tolerance=tolerance,
+        minimum_separation=minimum_separation,
+        start_gap_fraction=start_gap_fraction,
+        t_max=t_max,
+        max_iterations=max_iterations,
+        length_scale=length_scale,
+        precision=precision,
+        method=method,
+        pair_kinds=pair_kinds,
+        memory_limit=memory_limit,
+        device=device,
+        num_threads=num_threads,
+    )
+    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        return pipeline.collision_free_step(vertices_t0, vertices_t1)
+
+
+def line_search(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    *,
+    per: str = "scene",
+    safety: float = DEFAULT_SAFETY,
+    max_rounds: int = DEFAULT_MAX_ROUNDS,
+    **options: Any,
+) -> LineSearchResult:
+    """Shorten a step until it is certain to be free of collisions: as a whole, by bodies, or vertex by vertex.
+
+    A round takes the toi of every pair that still touches, shortens the displacements of its scene, bodies or vertices
+    to ``safety`` times it, and looks again, at the shortened step. Shortening each vertex by its own toi alone would
+    not do: a vertex that is stopped leaves one that would have passed behind it to run into it.
+
+    Pairs that touch at the start, or are within the minimum separation there, have toi 0, and what shares their
+    fraction does not move; they come back as ``touching``. With ``start_gap_fraction`` those that are only close may
+    move.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, as in :func:`mesh_ccd`.
+        vertices_t1: End positions wished for.
+        per: ``"scene"``: all vertices move by one fraction of their displacements; ``"world"`` and ``"body"``: those of
+            each by one; ``"vertex"``: each vertex by its own.
+        safety: Share of its toi that what touches may move, in (0, 1).
+        max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices move by one fraction,
+            or not at all, and ``is_limited`` says so.
+        **options: Options of :func:`mesh_ccd`, all but ``t_max``.
+
+    Returns:
+        The end positions that can be taken, and the fractions that led there.
+
+    Raises:
+        ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
+
+    References:
+        Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
+
+    Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
+    that passes the mesh's filter touches (or comes within the minimum separation), except pairs of ``touching``, whose
+    vertices do not move. Proof: the last round ran :func:`mesh_ccd` on these very positions, as they are rounded, and
+    every pair with a vertex that moves had toi ``inf`` there, which is certain.
+    """
+    with CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
+        return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds)

@@ -1,0 +1,67 @@
+"""Atomics that hold between threads on the CPU, too, where Warp's own do not."""
+
+import warp as wp
+
+
+@wp.func_native(
+    """
+    long long* p = (long long*)values.data + index;
+#if defined(__CUDA_ARCH__)
+    if (*(volatile long long*)p > value)
+        atomicMin(p, (long long)value);
+#else
+    long long seen = __atomic_load_n(p, __ATOMIC_RELAXED);
+    while (value < seen && !__atomic_compare_exchange_n(p, &seen, (long long)value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+#endif
+"""  # noqa: E501
+)
+def lower_to(values: wp.array[wp.int64], index: int, value: wp.int64):
+    """values[index] = min(values[index], value); a look before spares most of the writes."""
+    ...
+
+
+@wp.func_native(
+    """
+    int* p = (int*)values.data + index;
+#if defined(__CUDA_ARCH__)
+    if ((*(volatile int*)p & bits) != bits)
+        atomicOr(p, bits);
+#else
+    __atomic_fetch_or(p, bits, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def set_bits(values: wp.array[wp.int32], index: int, bits: int):
+    """values[index] |= bits."""
+    ...
+
+
+@wp.func_native(
+    """
+    long long* p = (long long*)((char*)values.data + (long long)row * values.strides[0]);
+#if defined(__CUDA_ARCH__)
+    return (wp::int64)atomicAdd((unsigned long long*)p, 1ULL);
+#else
+    return (wp::int64)__atomic_fetch_add(p, 1LL, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def claim(values: wp.array2d[wp.int64], row: int) -> wp.int64:
+    """values[row, 0] before one is added to it: a place of its own for each thread."""
+    ...
+
+
+@wp.func_native(
+    """
+    int* p = (int*)values.data + index;
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(p, 1);
+#else
+    return __atomic_fetch_add(p, 1, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def claim_int(values: wp.array[wp.int32], index: int) -> int:
+    """values[index] before one is added to it."""
+    ...

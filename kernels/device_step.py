@@ -1,0 +1,241 @@
+"""A step whose input and results stay on the device: what comes before the search and what the others write to.
+
+Nothing here knows sizes that the device finds out: results have a place for every vertex, body and world, lists have a
+capacity, and what does not fit lowers a toi to 0 and sets a flag.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from .atomics import lower_to
+from .box_tree import RECORD, WIDTH, BoxTree, Frame, unite, vertex_record
+from .lanes import write_leaves
+from .minima import INVALID_INPUT, Minima, flag_world, world_of
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# What moves by one fraction in a line search.
+PER_SCENE = wp.constant(0)
+PER_WORLD = wp.constant(1)
+PER_BODY = wp.constant(2)
+PER_VERTEX = wp.constant(3)
+
+# Vertices and blocks of static bodies that one item looks after.
+CHUNK = wp.constant(64)
+
+_INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
+_ZERO_BITS = wp.constant(wp.int64(0))
+
+
+@wp.kernel
+def reset(
+    begin: int,
+    # out
+    m: Minima,
+    counts: wp.array2d[wp.int64],
+    num_contacts: wp.array[wp.int32],
+    is_moved: wp.array[wp.int32],
+):
+    """Nothing touches yet."""
+    i = begin + wp.tid()
+    if i < m.body.shape[0]:
+        m.body[i] = _INFINITY_BITS
+    if i < m.world.shape[0]:
+        m.world[i] = _INFINITY_BITS
+        m.world_flags[i] = 0
+    if i == 0:
+        m.scene[0] = _INFINITY_BITS
+        m.flags[0] = 0
+        num_contacts[0] = 0
+        is_moved[0] = 0
+        for k in range(counts.shape[0]):
+            counts[k, 0] = wp.int64(0)
+
+
+@wp.kernel
+def reset_vertices(
+    begin: int,
+    # out
+    m: Minima,
+):
+    """Nothing touches yet, but all does in a world with a coordinate that is not finite: what it would meet is unknown.
+
+    After all input is read.
+    """
+    v = begin + wp.tid()
+    bits = _INFINITY_BITS
+    if (m.world_flags[world_of(m, v)] & INVALID_INPUT) != 0:
+        bits = _ZERO_BITS
+        lower_to(m.body, m.vertex_body[v], bits)
+        lower_to(m.world, world_of(m, v), bits)
+        lower_to(m.scene, 0, bits)
+    m.vertex[v] = bits
+
+
+@wp.func
+def is_finite(x: wp.vec3d) -> bool:
+    """Whether all coordinates are numbers."""
+    return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
+
+
+@wp.kernel
+def refresh_records(
+    begin: int,
+    # in
+    is_moved: wp.array[wp.int32],
+    vertices: wp.array[wp.int32],
+    vertex_world: wp.array[wp.int32],
+    world_shift: wp.array[wp.vec3f],
+    x: wp.array[wp.vec3d],
+    inflation: wp.float64,
+    frame: Frame,
+    num_frames: int,
+    # out
+    records: wp.array[wp.float32],
+):
+    """`fill_records` for a chunk of vertices that rest, if one of them is not where it was."""
+    if is_moved[0] != 0:
+        first = (begin + wp.tid()) * CHUNK
+        for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
+            v = vertices[k]
+            for n in range(num_frames):
+                record = vertex_record(
+                    v, vertex_world, world_shift, x[v], x[v], wp.float64(1.0), inflation, frame, num_frames, n
+                )
+                for i in range(RECORD):
+                    records[(v * num_frames + n) * RECORD + i] = record[i]
+
+
+@wp.kernel
+def refresh_blocks(
+    begin: int,
+    # in
+    is_moved: wp.array[wp.int32],
+    records: wp.array[wp.float32],
+    num_corners: int,
+    # out
+    tree: BoxTree,
+):
+    """`fill_blocks` for a chunk of blocks of a tree at rest, if something in it moved."""
+    if is_moved[0] != 0:
+        count = (tree.num_boxes + WIDTH - 1) / WIDTH
+        first = (begin + wp.tid()) * CHUNK
+        for b in range(first, wp.min(first + CHUNK, count)):
+            write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+            unite(tree, 1, b, count)
+
+
+@wp.kernel
+def refresh_levels(
+    begin: int,
+    # in
+    is_moved: wp.array[wp.int32],
+    count: int,
+    # out
+    tree: BoxTree,
+):
+    """`unite_levels`, likewise; a single item."""
+    if is_moved[0] != 0:
+        n = wp.int32(count)
+        for level in range(2, tree.num_levels):
+            for k in range(n):
+                unite(tree, level, k, n)
+            n = (n + WIDTH - 1) / WIDTH
+
+
+@cache
+def make_input(real) -> SimpleNamespace:
+    """Kernels that read positions of one precision."""
+    vec3 = wp.types.vector(length=3, dtype=real)
+    module = wp.get_module(f"ccd_warp.device_input.{real.__name__}")
+    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+
+    @wp.kernel(module=module)
+    def read_moving(
+        begin: int,
+        # in
+        vertices: wp.array[wp.int32],
+        x_t0: wp.array[vec3],
+        x_t1: wp.array[vec3],
+        t0_by_vertex: int,  # 0: rows are those of the moving vertices alone
+        t1_by_vertex: int,
+        is_displacement: int,
+        is_kept: int,  # 0: the input itself is what the step reads
+        # out
+        start: wp.array[wp.vec3d],
+        end: wp.array[wp.vec3d],
+        m: Minima,
+    ):
+        """Positions of a moving vertex in float64, which hold those of either precision."""
+        k = begin + wp.tid()
+        v = vertices[k]
+        a = wp.vec3d(x_t0[wp.where(t0_by_vertex != 0, v, k)])
+        b = wp.vec3d(x_t1[wp.where(t1_by_vertex != 0, v, k)])
+        if is_displacement != 0:
+            b = a + b
+        if is_kept != 0:
+            start[v] = a
+            end[v] = b
+        if not (is_finite(a) and is_finite(b)):
+            flag_world(m, v, INVALID_INPUT)
+
+    @wp.kernel(module=module)
+    def read_static(
+        begin: int,
+        # in
+        vertices: wp.array[wp.int32],
+        x_t0: wp.array[vec3],
+        # out
+        start: wp.array[wp.vec3d],
+        end: wp.array[wp.vec3d],
+        is_moved: wp.array[wp.int32],
+        m: Minima,
+    ):
+        """Positions of a chunk of vertices that rest, and whether one is not where it was the last time."""
+        first = (begin + wp.tid()) * CHUNK
+        for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
+            v = vertices[k]
+            a = wp.vec3d(x_t0[v])
+            if not (a == start[v]):
+                start[v] = a
+                end[v] = a
+                is_moved[0] = 1
+            if not is_finite(a):
+                flag_world(m, v, INVALID_INPUT)
+
+    @wp.kernel(module=module)
+    def shorten(
+        begin: int,
+        # in
+        vertices: wp.array[wp.int32],
+        x_t0: wp.array[vec3],
+        t0_by_vertex: int,
+        t1_by_vertex: int,
+        per: int,
+        safety: wp.float64,
+        m: Minima,
+        # in and out
+        x_t1: wp.array[vec3],
+    ):
+        """Move a vertex no farther than a share of the toi of what it moves with; exactly nowhere for a share of 0."""
+        k = begin + wp.tid()
+        v = vertices[k]
+        bits = m.scene[0]
+        if per == PER_WORLD:
+            bits = m.world[world_of(m, v)]
+        elif per == PER_BODY:
+            bits = m.body[m.vertex_body[v]]
+        elif per == PER_VERTEX:
+            bits = m.vertex[v]
+        if bits < _INFINITY_BITS:
+            row = wp.where(t1_by_vertex != 0, v, k)
+            x = x_t0[wp.where(t0_by_vertex != 0, v, k)]
+            f = safety * wp.cast(bits, wp.float64)
+            if f > wp.float64(0.0):
+                # no difference of two far positions is formed, which could overflow
+                x = vec3((wp.float64(1.0) - f) * wp.vec3d(x) + f * wp.vec3d(x_t1[row]))
+            x_t1[row] = x
+
+    return SimpleNamespace(read_moving=read_moving, read_static=read_static, shorten=shorten)

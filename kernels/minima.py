@@ -1,0 +1,65 @@
+"""The earliest toi of every vertex, body, world and of the scene, lowered by whoever finds a contact, and flags."""
+
+import warp as wp
+
+from .atomics import lower_to, set_bits
+
+# Flags of a world, and of the scene.
+PAIRS_OVERFLOW = wp.constant(1)
+CONTACTS_OVERFLOW = wp.constant(2)
+INVALID_INPUT = wp.constant(4)
+
+_ZERO_BITS = wp.constant(wp.int64(0))
+
+
+@wp.struct
+class Minima:
+    """The earliest toi of everything, as bits: of numbers that are not negative they compare as the numbers do."""
+
+    vertex_body: wp.array[wp.int32]
+    vertex_world: wp.array[wp.int32]  # empty where there is one world
+    vertex: wp.array[wp.int64]
+    body: wp.array[wp.int64]
+    world: wp.array[wp.int64]
+    scene: wp.array[wp.int64]
+    world_flags: wp.array[wp.int32]
+    flags: wp.array[wp.int32]
+
+
+@wp.func
+def world_of(m: Minima, v: int) -> int:
+    """World of a vertex."""
+    if m.vertex_world.shape[0] > 0:
+        return m.vertex_world[v]
+    return 0
+
+
+@wp.func
+def lower_primitive(m: Minima, c: wp.vec3i, bits: wp.int64):
+    """Lower the toi of a primitive's vertices and body."""
+    for k in range(3):
+        lower_to(m.vertex, c[k], bits)
+    lower_to(m.body, m.vertex_body[c[0]], bits)
+
+
+@wp.func
+def lower_pair(m: Minima, a: wp.vec3i, b: wp.vec3i, bits: wp.int64):
+    """Lower the toi of all that a pair belongs to."""
+    lower_primitive(m, a, bits)
+    lower_primitive(m, b, bits)
+    lower_to(m.world, world_of(m, a[0]), bits)
+    lower_to(m.scene, 0, bits)
+
+
+@wp.func
+def flag_world(m: Minima, v: int, flag: int):
+    """Set a flag of the world of a vertex, and of the scene."""
+    set_bits(m.world_flags, world_of(m, v), flag)
+    set_bits(m.flags, 0, flag)
+
+
+@wp.func
+def drop_pair(m: Minima, a: wp.vec3i, b: wp.vec3i):
+    """A pair that there is no room for: its toi is 0, which is never late."""
+    lower_pair(m, a, b, _ZERO_BITS)
+    flag_world(m, a[0], PAIRS_OVERFLOW)

@@ -1,0 +1,170 @@
+"""Arrays of other libraries in and out, in the same memory: the pointers say that nothing was copied."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+import ccd_warp as ccd
+
+WALL = np.array([[1.0, -1, -1], [1, 1, -1], [1, 0, 1]])
+BULLET = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
+START = np.concatenate([BULLET, WALL])
+END = np.concatenate([BULLET + [2.0, 0, 0], WALL])
+MESH = ccd.CollisionMesh.from_arrays([(BULLET, [[0, 1, 2]]), (WALL, [[0, 1, 2]])])
+PAIR = np.concatenate([BULLET[:1], WALL])[None], np.concatenate([BULLET[:1] + [2.0, 0, 0], WALL])[None]
+EXPECTED = ccd.mesh_ccd(MESH, START, END, length_scale=1.0, device="cpu")
+
+
+class Library:
+    """NumPy, or a library beside it: how to make an array, to find where it is, and to read an array of Warp."""
+
+    def __init__(self, name):
+        self.name = name
+        self.module = np if name == "numpy" else pytest.importorskip(name)
+        if name == "jax":
+            self.module.config.update("jax_enable_x64", True)
+
+    def array(self, values):
+        if self.name == "numpy":
+            return np.array(values)
+        return self.module.from_numpy(np.array(values)) if self.name == "torch" else self.module.numpy.array(values)
+
+    def pointer(self, array):
+        if self.name == "numpy":
+            return array.ctypes.data
+        return array.data_ptr() if self.name == "torch" else array.unsafe_buffer_pointer()
+
+    def from_warp(self, array):
+        return {
+            "numpy": np.from_dlpack,
+            "torch": lambda a: self.module.from_dlpack(a),
+            "jax": lambda a: self.module.dlpack.from_dlpack(a),
+        }[self.name](array)
+
+
+@pytest.fixture(params=["numpy", "torch", "jax"])
+def library(request):
+    return Library(request.param)
+
+
+def recorded(pipeline, name):
+    """The array that the launches of a pipeline read."""
+    (recording,) = pipeline._device_step._recordings.values()
+    return recording._arrays[name]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_launch_reads_where_it_is(library, dtype):
+    start, end = library.array(START.astype(dtype)), library.array(END.astype(dtype))
+    pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
+    result = pipeline.launch(start, end)
+    assert recorded(pipeline, "x_t0").ptr == library.pointer(start)
+    assert recorded(pipeline, "x_t1").ptr == library.pointer(end)
+    expected = ccd.mesh_ccd(MESH, START.astype(dtype), END.astype(dtype), length_scale=1.0, device="cpu")
+    assert np.isfinite(expected.toi)
+    np.testing.assert_array_equal(result.vertex_toi.numpy(), expected.vertex_toi)
+
+
+def test_results_go_out_where_they_are(library):
+    pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
+    result = pipeline.launch(START, END)
+    for name in ("toi", "vertex_toi", "body_toi", "world_toi", "flags"):
+        array = getattr(result, name)
+        theirs = library.from_warp(array)
+        assert library.pointer(theirs) == array.ptr
+        np.testing.assert_array_equal(np.asarray(theirs), array.numpy())
+    assert np.asarray(library.from_warp(result.contacts.normal)).shape == (len(result.contacts.kind), 3)
+
+
+def test_pairs_are_read_where_they_are(library, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        ccd._narrow_phase.Execution,
+        "launch",
+        lambda self, kernel, count, inputs, outputs, grain=1, real=ccd._narrow_phase.Execution.launch: (
+            seen.extend(inputs[1:3]),
+            real(self, kernel, count, inputs, outputs, grain),
+        ),
+    )
+    start, end = (library.array(points) for points in PAIR)
+    result = ccd.vertex_face_ccd(start, end, device="cpu")
+    assert [x.ptr for x in seen] == [library.pointer(start), library.pointer(end)]
+    if library.name == "numpy":
+        assert isinstance(result.toi, np.ndarray)
+    else:
+        theirs = library.from_warp(result.toi)
+        assert library.pointer(theirs) == result.toi.ptr
+    assert np.asarray(result.toi if library.name == "numpy" else theirs)[0] == pytest.approx(0.5, abs=1e-12)
+
+
+def test_calls_on_the_host_take_their_arrays(library):
+    result = ccd.mesh_ccd(MESH, library.array(START), library.array(END), length_scale=1.0, device="cpu")
+    assert result.toi == EXPECTED.toi
+    frames = MESH.frames(library.array(START), library.array(END))
+    np.testing.assert_array_equal(frames[1], END)
+
+
+def test_calls_on_the_host_take_warp_arrays():
+    start, end = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (START, END))
+    assert ccd.mesh_ccd(MESH, start, end, length_scale=1.0, device="cpu").toi == EXPECTED.toi
+    assert MESH.frames(start, end)[0].ctypes.data == start.ptr
+
+
+class OnAnotherDevice:
+    """An array that says it is on a GPU."""
+
+    shape = (6, 3)
+
+    def __dlpack_device__(self):
+        return (2, 99)
+
+    def __dlpack__(self, **_):
+        raise BufferError("no such device here")
+
+
+def test_array_on_a_gpu_is_named():
+    with pytest.raises(ValueError, match="vertices_t1 is a OnAnotherDevice on a GPU; expected an array on the host"):
+        ccd.mesh_ccd(MESH, START, OnAnotherDevice())
+    with pytest.raises(ValueError, match="x_t0 is a OnAnotherDevice on cuda:99; expected it on one of cpu"):
+        ccd.CollisionPipeline(MESH, device="cpu").launch(OnAnotherDevice(), END)
+
+
+@pytest.mark.parametrize("name", ["torch", "jax"])
+def test_bad_arrays_of_other_libraries_are_named(name):
+    library = Library(name)
+    pipeline = ccd.CollisionPipeline(MESH, device="cpu")
+    good = library.array(START)
+    with pytest.raises(ValueError, match="x_t1 has dtype int64 and shape"):
+        pipeline.launch(good, library.array(START.astype(np.int64)))
+    with pytest.raises(ValueError, match="x_t0 has 3 rows; expected 6, one a vertex"):
+        pipeline.launch(library.array(BULLET), good)
+    with pytest.raises(ValueError, match=r"points_t0 has dtype float32 and shape \(1, 4, 3\); expected vec3d and"):
+        ccd.vertex_face_ccd(*(library.array(points.astype(np.float32)) for points in PAIR))
+    with pytest.raises(ValueError, match="points_t1 is a ndarray; expected a"):
+        ccd.vertex_face_ccd(library.array(PAIR[0]), PAIR[1])
+
+
+def test_tensor_that_is_not_contiguous_or_requires_a_gradient_is_named():
+    torch = pytest.importorskip("torch")
+    pipeline = ccd.CollisionPipeline(MESH, device="cpu")
+    good = torch.from_numpy(START.copy())
+    with pytest.raises(ValueError, match=r"x_t1 has strides \(48, 8\); expected a contiguous array"):
+        pipeline.launch(good, torch.zeros(6, 6, dtype=torch.float64)[:, :3])
+    with pytest.raises(ValueError, match=r"x_t0 is a Tensor that cannot be shared: .*gradient"):
+        pipeline.launch(good.clone().requires_grad_(), good)
+
+
+def test_a_loop_in_torch_on_one_graph():
+    torch = pytest.importorskip("torch")
+    start, end = torch.from_numpy(START.copy()), torch.from_numpy(END.copy())
+    pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
+    result = pipeline.launch(start, end)
+    with wp.ScopedCapture(device="cpu") as capture:
+        pipeline.launch(start, end)
+    toi = torch.from_dlpack(result.toi)
+    for distance in (2.0, 4.0, 0.5):
+        end[:3] = start[:3] + torch.tensor([distance, 0.0, 0.0])
+        wp.capture_launch(capture.graph)
+        expected = 1.0 / distance if distance >= 1 else np.inf
+        assert toi.item() == pytest.approx(ccd.mesh_ccd(MESH, start, end, length_scale=1.0, device="cpu").toi, abs=0)
+        assert toi.item() <= expected

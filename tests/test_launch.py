@@ -1,0 +1,434 @@
+"""Steps whose input and results stay on the device: against the calls on the host, captured, with too little room."""
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from ccd_warp.benchmarks.oracle import exact_tois
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_candidates import cables_and_particles, single, soup
+from test_step import corners_of, crowd
+
+import ccd_warp as ccd
+from ccd_warp import LaunchFlag, PairKind
+
+ROOM = {"max_pairs": 60_000, "max_contacts": 60_000}
+
+
+def on_device(x, device="cpu", dtype=wp.vec3d):
+    real = np.float64 if dtype is wp.vec3d else np.float32
+    return wp.array(np.ascontiguousarray(x, dtype=real), dtype=dtype, device=device)
+
+
+def host(result):
+    """The arrays of a result."""
+    names = ("toi", "vertex_toi", "body_toi", "world_toi", "flags", "world_flags")
+    return {name: getattr(result, name).numpy() for name in names}
+
+
+def check_same(result, expected):
+    """A launch says what the call on the host says, bit by bit."""
+    ours = host(result)
+    assert ours["flags"][0] == 0
+    assert ours["toi"][0] == expected.toi
+    for name in ("vertex_toi", "body_toi", "world_toi"):
+        np.testing.assert_array_equal(ours[name], getattr(expected, name))
+    assert result.contacts.count.numpy()[0] == len(expected.contacts)
+    contacts = result.contacts.to_host()
+    for name, values in vars(expected.contacts).items():
+        np.testing.assert_array_equal(getattr(contacts, name), values)
+
+
+def sheet(n, size=1.0):
+    """A square grid of (n + 1)² vertices in the plane z = 0."""
+    k = np.arange(n + 1) / n - 0.5
+    vertices = size * np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((n + 1, n + 1))], axis=-1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    faces = np.concatenate([np.stack([a, a + n + 1, a + 1], 1), np.stack([a + 1, a + n + 1, a + n + 2], 1)])
+    return vertices, faces
+
+
+def sheet_over_ball():
+    """A sheet that falls through a ball at rest: mesh and both frames."""
+    vertices, faces = sheet(12)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
+    start = np.concatenate([vertices + [0.013, 0.007, 0.5], ball.vertices])
+    end = start.copy()
+    end[: len(vertices), 2] -= 1.0
+    return mesh, start, end
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("separation", [0.0, 1e-3])
+def test_crowd_is_as_on_the_host(device, precision, separation):
+    mesh, start, end = crowd(np.random.default_rng(3))
+    options = {"length_scale": 1.0, "precision": precision, "minimum_separation": separation}
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **options, **ROOM)
+    result = pipeline.launch(on_device(start, device), on_device(end, device))
+    expected = ccd.mesh_ccd(mesh, start, end, device=device, **options)
+    assert len(expected.contacts) > 1000
+    check_same(result, expected)
+    assert result.num_pairs.numpy()[PairKind.VERTEX_FACE] == expected.counts["vertex-face after the cull"]
+
+
+@pytest.mark.parametrize("form", ["positions", "displacements", "moving rows", "float32", "float32 displacements"])
+def test_every_form_of_input(device, form):
+    mesh, start, end = sheet_over_ball()
+    dtype = wp.vec3f if "float32" in form else wp.vec3d
+    if dtype is wp.vec3f:
+        start, end = start.astype(np.float32).astype(np.float64), end.astype(np.float32).astype(np.float64)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    x_t0, x_t1 = on_device(start, device, dtype), on_device(end, device, dtype)
+    if form == "moving rows":
+        moving = mesh.moving_vertices
+        pipeline.reserve(vertices=start)
+        result = pipeline.launch(on_device(start[moving], device), on_device(end[moving], device))
+    elif "displacements" in form:
+        step = (end - start).astype(np.float32).astype(np.float64)
+        end = start + step
+        result = pipeline.launch(x_t0, displacements=on_device(step, device, dtype))
+    else:
+        result = pipeline.launch(x_t0, x_t1)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    assert expected.hit
+    check_same(result, expected)
+
+
+@pytest.mark.parametrize("kinds", [["vertex_face"], ["edge_edge"], ["vertex_face", "edge_edge"]])
+def test_kinds_that_are_not_asked_for_have_no_room(device, kinds):
+    mesh, start, end = crowd(np.random.default_rng(5))
+    pipeline = ccd.CollisionPipeline(mesh, pair_kinds=kinds, length_scale=1.0, device=device, **ROOM)
+    result = pipeline.launch(on_device(start, device), on_device(end, device))
+    check_same(result, ccd.mesh_ccd(mesh, start, end, pair_kinds=kinds, length_scale=1.0, device=device))
+    assert {kind.name.lower() for kind in pipeline._device_step._keys} == set(kinds)
+
+
+def test_cables_and_particles(device):
+    rng = np.random.default_rng(2)
+    mesh = ccd.CollisionMesh.from_arrays([cables_and_particles(rng, 60, 0.1)], loose_points=True)
+    end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    options = {"minimum_separation": 0.02, "length_scale": 1.0, "device": device}
+    result = ccd.CollisionPipeline(mesh, **options, **ROOM).launch(
+        on_device(mesh.vertices, device), on_device(end, device)
+    )
+    expected = ccd.mesh_ccd(mesh, mesh.vertices, end, **options)
+    assert set(expected.contacts.kind) == set(PairKind)
+    check_same(result, expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    size=st.sampled_from([1e-3, 0.1, 1.0]),
+    flat=st.booleans(),
+    t_max=st.sampled_from([0.3, 1]),
+)
+def test_random_soups_are_never_late(seed, size, flat, t_max):
+    rng = np.random.default_rng(seed)
+    vertices, faces = soup(rng, 12, size, 20)
+    mesh = single(vertices, faces)
+    end = vertices + rng.normal(size=vertices.shape) * 0.3
+    if flat:
+        vertices[:, 2] = end[:, 2] = 0.25
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, t_max=t_max, num_threads=1)
+    result = host(pipeline.launch(on_device(vertices), on_device(end)))
+    expected = ccd.mesh_ccd(mesh, vertices, end, length_scale=1.0, t_max=t_max, num_threads=1)
+    np.testing.assert_array_equal(result["vertex_toi"], expected.vertex_toi)
+    candidates = ccd.find_candidates(mesh, vertices, end)
+    for kind, pairs in (("vertex-face", candidates.vertex_face[:40]), ("edge-edge", candidates.edge_edge[:40])):
+        if len(pairs) == 0:
+            continue
+        corners = corners_of(mesh, PairKind[kind.upper().replace("-", "_")], pairs)
+        for truth, four in zip(exact_tois(kind, vertices[corners], end[corners], t_max=t_max), corners, strict=True):
+            assert not any(truth.late(toi) for toi in [*result["vertex_toi"][four], result["toi"][0]])
+
+
+def test_capture_and_replay_with_new_positions(device):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    x_t0, x_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(x_t0, x_t1)
+    with wp.ScopedCapture(device=device) as capture:
+        assert pipeline.launch(x_t0, x_t1) is result
+    for shift in (0.0, 0.3, -0.45, 5.0):
+        a, b = start.copy(), end.copy()
+        a[mesh.moving_vertices, 2] += shift
+        b[mesh.moving_vertices, 2] += shift
+        x_t0.assign(a)
+        x_t1.assign(b)
+        wp.capture_launch(capture.graph)
+        expected = ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device=device)
+        assert expected.hit == (shift < 1)
+        check_same(result, expected)
+
+
+def test_capture_follows_a_static_body_that_is_moved(device):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    x_t0, x_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(x_t0, x_t1)
+    with wp.ScopedCapture(device=device) as capture:
+        pipeline.launch(x_t0, x_t1)
+    at_rest = mesh.static[mesh.vertex_body]
+    for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
+        a = start.copy()
+        a[at_rest, 0] += shift
+        x_t0.assign(a)  # rows of static bodies are not read from x_t1
+        wp.capture_launch(capture.graph)
+        check_same(result, ccd.mesh_ccd(mesh, a, end, length_scale=1.0, device=device))
+
+
+def test_nothing_is_allocated_copied_or_waited_for(device, monkeypatch):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    arrays = [on_device(start, device), on_device(end, device), on_device(end, device)]
+    pipeline.launch(*arrays[:2])
+
+    def forbidden(*args, **kwargs):
+        raise AssertionError("not in the loop")
+
+    allocator = wp.get_device(device).get_allocator()
+    monkeypatch.setattr(type(allocator), "allocate", forbidden)
+    for name in ("copy", "synchronize", "synchronize_device", "synchronize_stream", "clone"):
+        monkeypatch.setattr(wp, name, forbidden)
+    monkeypatch.setattr(wp.array, "numpy", forbidden)
+    with pytest.raises(AssertionError, match="not in the loop"):
+        wp.empty(1, device=device)
+    for k in (1, 2, 1, 2):
+        pipeline.launch(arrays[0], arrays[k])
+
+
+def test_float64_positions_are_read_where_they_are(device):
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    pipeline.launch(on_device(start, device), on_device(end, device))
+    assert len(pipeline._device_step._start) == 0
+    pipeline.launch(on_device(start, device, wp.vec3f), on_device(end, device, wp.vec3f))
+    assert len(pipeline._device_step._start) == mesh.num_vertices
+
+
+@pytest.mark.parametrize("max_pairs", [1, 7, 500])
+def test_pairs_without_room_count_as_touching(device, max_pairs):
+    mesh, start, end = crowd(np.random.default_rng(3))
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=max_pairs, max_contacts=60_000)
+    x_t0, x_t1 = on_device(start, device), on_device(end, device)
+    short = host(pipeline.launch(x_t0, x_t1))
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    assert short["flags"][0] == LaunchFlag.PAIRS_OVERFLOW
+    assert short["toi"][0] == 0.0
+    for name in ("vertex_toi", "body_toi", "world_toi"):
+        assert (short[name] <= getattr(expected, name)).all()
+    assert set(np.unique(short["vertex_toi"])) <= {0.0, *expected.vertex_toi}
+    needed = pipeline._device_step.result.num_pairs.numpy().max()
+    assert needed > max_pairs
+    pipeline.reserve(max_pairs=int(needed))
+    check_same(pipeline.launch(x_t0, x_t1), expected)
+
+
+def test_contacts_without_room_are_missing_from_the_list_alone(device):
+    mesh, start, end = crowd(np.random.default_rng(3))
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=60_000, max_contacts=10)
+    x_t0, x_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(x_t0, x_t1)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    short = host(result)
+    assert short["flags"][0] == LaunchFlag.CONTACTS_OVERFLOW
+    assert len(result.contacts.to_host()) == 10
+    np.testing.assert_array_equal(short["vertex_toi"], expected.vertex_toi)
+    count = int(result.contacts.count.numpy()[0])
+    assert count == len(expected.contacts)
+    check_same((pipeline.reserve(max_contacts=count), pipeline.launch(x_t0, x_t1))[0], expected)
+
+
+def worlds_of(scenes):
+    """Scenes of several meshes as worlds of one mesh: the mesh, both frames, and where the vertices of each begin."""
+    bodies = [(mesh.vertices, mesh.faces) for mesh, _, _ in scenes]
+    counts = [mesh.num_vertices for mesh, _, _ in scenes]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(len(scenes)), counts))
+    frames = (np.concatenate([scene[k] for scene in scenes]) for k in (1, 2))
+    return mesh, *frames, np.concatenate([[0], np.cumsum(counts)])
+
+
+@pytest.mark.parametrize("num_worlds", [2, 9, 65])
+def test_worlds_in_one_place_are_scenes_of_their_own(device, num_worlds):
+    rng = np.random.default_rng(num_worlds)
+    scenes = [crowd(rng, num_faces=int(rng.integers(1, 25)), size=0.3) for _ in range(num_worlds)]
+    mesh, start, end, first = worlds_of(scenes)
+    options = {"length_scale": 1.0, "device": device}
+    result = ccd.CollisionPipeline(mesh, **options, **ROOM).launch(on_device(start, device), on_device(end, device))
+    on_host = ccd.mesh_ccd(mesh, start, end, **options)
+    check_same(result, on_host)
+    world_toi = result.world_toi.numpy()
+    vertex_toi = result.vertex_toi.numpy()
+    for world, scene in enumerate(scenes):
+        alone = ccd.mesh_ccd(*scene, **options)
+        assert world_toi[world] == alone.toi
+        np.testing.assert_array_equal(vertex_toi[first[world] : first[world + 1]], alone.vertex_toi)
+    assert np.isfinite(world_toi).any()
+    assert result.toi.numpy()[0] == world_toi.min()
+
+
+def test_world_that_is_no_number_stops_itself_alone(device):
+    rng = np.random.default_rng(1)
+    scenes = [crowd(rng, num_faces=20, size=0.3) for _ in range(5)]
+    mesh, start, end, first = worlds_of(scenes)
+    options = {"length_scale": 1.0, "device": device}
+    expected = ccd.mesh_ccd(mesh, start, end, **options)
+    pipeline = ccd.CollisionPipeline(mesh, **options, **ROOM)
+    for value in (np.nan, np.inf, -np.inf):
+        for broken in (start, end):
+            kept = broken[first[2] + 7].copy()
+            broken[first[2] + 7] = [value, 0.0, 1.0]
+            result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
+            broken[first[2] + 7] = kept
+            assert result["flags"][0] == LaunchFlag.INVALID_INPUT
+            assert result["world_flags"].tolist() == [0, 0, LaunchFlag.INVALID_INPUT, 0, 0]
+            assert result["toi"][0] == result["world_toi"][2] == result["body_toi"][2] == 0.0
+            assert (result["vertex_toi"][first[2] : first[3]] == 0.0).all()
+            others = mesh.vertex_world != 2
+            np.testing.assert_array_equal(result["vertex_toi"][others], expected.vertex_toi[others])
+    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), expected)
+
+
+def test_body_that_is_no_number_at_rest_stops_its_world(device):
+    mesh, start, end = sheet_over_ball()
+    start[-1] = np.nan
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **ROOM)
+    result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
+    assert result["flags"][0] == LaunchFlag.INVALID_INPUT
+    assert (result["vertex_toi"] == 0.0).all()
+    assert (result["body_toi"] == 0.0).all()
+
+
+def test_a_thousand_worlds(device):
+    vertices, faces = sheet(3)
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+    count = 1000
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(vertices, faces), (ball.vertices, ball.faces)] * count,
+        static=range(1, 2 * count, 2),
+        vertex_world=np.repeat(np.arange(count), len(vertices) + len(ball.vertices)),
+    )
+    rng = np.random.default_rng(0)
+    start = np.tile(np.concatenate([vertices + [0.01, 0.02, 0.5], ball.vertices]), (count, 1))
+    end = start.copy()
+    end[mesh.moving_vertices, 2] -= np.repeat(rng.uniform(0.0, 1.0, count), len(vertices))
+    options = {"length_scale": 1.0, "device": device}
+    result = ccd.CollisionPipeline(mesh, **options).launch(on_device(start, device), on_device(end, device))
+    world_toi = result.world_toi.numpy()
+    assert result.flags.numpy()[0] == 0
+    assert 0.6 < np.isfinite(world_toi).mean() < 0.9
+    size = len(vertices) + len(ball.vertices)
+    alone = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
+    for world in range(0, count, 101):
+        rows = slice(size * world, size * (world + 1))
+        assert world_toi[world] == ccd.mesh_ccd(alone, start[rows], end[rows], **options).toi
+
+
+def test_more_threads_lose_no_minimum_and_no_contact():
+    mesh, start, end = crowd(np.random.default_rng(8), num_faces=800, size=0.1)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, num_threads=8, max_pairs=200_000, max_contacts=200_000)
+    for _ in range(20):
+        check_same(pipeline.launch(on_device(start), on_device(end)), expected)
+
+
+def test_result_before_a_launch_lets_nothing_move(device):
+    mesh, _, _ = sheet_over_ball()
+    result = ccd.CollisionPipeline(mesh, device=device).reserve()
+    assert result.toi.numpy()[0] == 0.0
+    assert (result.vertex_toi.numpy() == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "bodies",
+    [
+        [(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))],
+        [(np.eye(3), np.zeros((0, 3), dtype=int))],
+        [(np.eye(3), [[0, 1, 2]]), (np.zeros((0, 3)), np.zeros((0, 3), dtype=int))],
+    ],
+)
+def test_scenes_without_pairs(device, bodies):
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    x = on_device(mesh.vertices, device)
+    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch(x, x)
+    check_same(result, ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, device=device))
+
+
+def test_all_static(device):
+    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])] * 2, static=[0, 1])
+    x = on_device(mesh.vertices, device)
+    result = host(ccd.CollisionPipeline(mesh, device=device).launch(x, x))
+    assert result["toi"][0] == np.inf
+
+
+def launch_on_cpu(mesh, x_t0, x_t1=None, **arrays):
+    return ccd.CollisionPipeline(mesh, device="cpu").launch(x_t0, x_t1, **arrays)
+
+
+TRIANGLE = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((TRIANGLE, None), "neither of x_t1 and displacements is given; expected one of them"),
+        ((TRIANGLE[:2], TRIANGLE), "x_t0 has 2 rows; expected 3, one a vertex"),
+        ((TRIANGLE, TRIANGLE.astype(np.float32)), "x_t1 has dtype vec3f; expected vec3d like x_t0"),
+        ((TRIANGLE.astype(int), TRIANGLE), "x_t0 has dtype int64; expected float32 or float64"),
+        ((TRIANGLE, TRIANGLE[::-1]), r"x_t1 has strides \(-24, 8\); expected a contiguous array"),
+        ((TRIANGLE.T, TRIANGLE), r"x_t0 has strides \(8, 24\); expected a contiguous array"),
+        ((TRIANGLE.tolist(), TRIANGLE), "x_t0 is a list; expected an array of Warp, NumPy, or with DLPack"),
+        ((TRIANGLE.ravel(), TRIANGLE), r"x_t0 has dtype float64 and shape \(9,\); expected vec3f or vec3d and \(n,\)"),
+    ],
+)
+def test_bad_arrays_are_named(arguments, message):
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
+    with pytest.raises(ValueError, match=message):
+        launch_on_cpu(mesh, *arguments)
+
+
+def test_both_ends_and_displacements_are_one_too_many():
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
+    with pytest.raises(ValueError, match="both of x_t1 and displacements is given"):
+        launch_on_cpu(mesh, TRIANGLE, TRIANGLE, displacements=TRIANGLE)
+
+
+@pytest.mark.parametrize(
+    ("capacity", "message"),
+    [
+        ({"max_pairs": 0}, "max_pairs is 0; expected a positive integer"),
+        ({"max_pairs": 2**29}, "max_pairs is 536870912; expected a positive integer up to 268435456"),
+        ({"max_contacts": 1.5}, "max_contacts is 1.5; expected a positive integer"),
+        ({"vertices": np.zeros((3, 3))}, "vertices span 0.0; expected a length_scale above 0"),
+        ({"vertices": np.full((3, 3), np.nan)}, "vertices holds nan in row 0"),
+    ],
+)
+def test_bad_capacities_are_named(capacity, message):
+    pipeline = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])]))
+    with pytest.raises(ValueError, match=message):
+        pipeline.reserve(**capacity)
+
+
+def test_capture_without_room_says_what_to_do():
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    with pytest.raises(RuntimeError, match=r"call reserve\(\) before the capture"), wp.ScopedCapture(device="cpu"):
+        pipeline.launch(on_device(TRIANGLE), on_device(TRIANGLE))
+
+
+@pytest.mark.parametrize(
+    ("worlds", "message"),
+    [
+        ([0, 0], r"vertex_world has dtype int64 and shape \(2,\); expected integers and \(3,\)"),
+        ([0.0, 0.0, 0.0], "vertex_world has dtype float64"),
+        ([-1, 0, 0], r"vertex_world holds -1; expected worlds in \[0, 3\)"),
+        ([3, 3, 3], r"vertex_world holds 3; expected worlds in \[0, 3\)"),
+        ([0, 0, 1], r"vertex_world gives face 0 worlds \[0, 0, 1\]; expected one"),
+    ],
+)
+def test_bad_worlds_are_named(worlds, message):
+    with pytest.raises(ValueError, match=message):
+        ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])], vertex_world=worlds)
