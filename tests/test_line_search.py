@@ -281,6 +281,40 @@ def test_without_room_for_pairs_nothing_moves_into_another(device):
     assert _exact_contacts(mesh, start, x_t1.numpy()) == []
 
 
+def _triangle_over_a_face() -> tuple[ccd.CollisionMesh, np.ndarray, float]:
+    """A triangle above a static face, where float32 has steps of 6e-5 and the face lies between two of them."""
+    level = 1000.0 + 2e-5
+    face = np.array([[-9, -9, level], [9, -9, level], [0, 9, level]])
+    start = np.array([[0, 0, 1000.0625], [0.5, 0, 1000.0625], [0, 0.5, 1000.0625]], dtype=np.float32)
+    return ccd.CollisionMesh.from_arrays([(start, FACE), (face, FACE)], static=[1]), start, level
+
+
+def test_pushes_again_and_again_do_not_round_through_a_face(device):
+    mesh, start, level = _triangle_over_a_face()
+    x_t0, x_t1 = (wp.array(start, dtype=wp.vec3f, device=device) for _ in range(2))
+    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-7, length_scale=1.0, device=device)
+    for _ in range(8):
+        x_t1.assign(start - np.float32([0, 0, 1]))  # rows of the moving vertices alone
+        pipeline.launch_line_search(x_t0, x_t1, per="vertex")
+        x_t0.assign(x_t1)
+        assert (x_t0.numpy()[:, 2].astype(np.float64) > level).all()
+    assert x_t0.numpy()[:, 2].min() < level + 2e-4
+
+
+def test_rounding_afterwards_goes_through_the_face():
+    """So the one above can fail: the line search on the host answers in float64, and float32 is another way."""
+    mesh, start, level = _triangle_over_a_face()
+    x = mesh.vertices.copy()
+    for _ in range(8):
+        wished = np.concatenate([start - np.float32([0, 0, 1]), mesh.vertices[3:]])
+        x = ccd.line_search(mesh, x, wished, per="vertex", minimum_separation=1e-7, length_scale=1.0).vertices
+        assert (x[:3, 2] > level).all()
+        x[:3] = x[:3].astype(np.float32)
+        if (x[:3, 2] <= level).any():
+            return
+    pytest.fail("rounding never crossed the face")
+
+
 def test_line_search_in_a_graph(device):
     mesh, start = _stacked(0.0, 1.0)
     x_t0, x_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))

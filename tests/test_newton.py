@@ -1,0 +1,113 @@
+"""A newton cloth passes through nothing with ccd_warp, and does without, by exact arithmetic on integers.
+
+Optional: `pip install -e '.[test,newton]'`.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("newton", reason="the extra newton is not installed")
+
+import ccd_warp as ccd
+
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "newton_cloth.py"
+RESOLUTION, NUM_STEPS = 16, 6
+
+
+@pytest.fixture(scope="module")
+def newton_cloth():
+    spec = importlib.util.spec_from_file_location("newton_cloth", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def _integers(vertices: np.ndarray) -> np.ndarray:
+    """Coordinates as Python integers, all by one power of two: exact for floats that are multiples of 2^-200."""
+    scaled = [int(x * 2.0**200) for x in np.asarray(vertices, dtype=np.float64).ravel()]
+    return np.array(scaled, dtype=object).reshape(-1, 3)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Sign of the volume of a, b, c, p, exactly."""
+    volume = (_cross(b - a, c - a) * (p - a)).sum(axis=1)
+    return np.array([(x > 0) - (x < 0) for x in volume], dtype=int)
+
+
+def _meet_in_plane(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> bool:
+    """Whether the edge pq touches the triangle abc, all in one plane: no line along a side of either parts them."""
+    normal = _cross((b - a)[None], (c - a)[None])[0]
+    kept = [k for k in range(3) if k != max(range(3), key=lambda k: abs(normal[k]))]
+    edge, triangle = [x[kept] for x in (p, q)], [x[kept] for x in (a, b, c)]
+    sides = [edge, *([triangle[k], triangle[k - 1]] for k in range(3))]
+    axes = [(m[1] - n[1], n[0] - m[0]) for m, n in sides] + [tuple(edge[1] - edge[0])]
+    for x, y in axes:
+        first, second = ([x * point[0] + y * point[1] for point in points] for points in (edge, triangle))
+        if max(first) < min(second) or max(second) < min(first):
+            return False
+    return True
+
+
+def _num_crossings(mesh: ccd.CollisionMesh, vertices: np.ndarray) -> int:
+    """Pairs of an edge and a face, without a common vertex and not both at rest, that touch or cross.
+
+    Two triangles without a common vertex meet only where an edge of one meets the other.
+    """
+    low, high = vertices[mesh.edges].min(axis=1), vertices[mesh.edges].max(axis=1)
+    face_low, face_high = vertices[mesh.faces].min(axis=1), vertices[mesh.faces].max(axis=1)
+    pairs = []
+    for face in range(len(mesh.faces)):
+        near = np.flatnonzero(((low <= face_high[face]) & (face_low[face] <= high)).all(axis=1))
+        common = (mesh.edges[near][:, :, None] == mesh.faces[face]).any(axis=(1, 2))
+        rest = mesh.static[mesh.edge_body[near]] & mesh.static[mesh.face_body[face]]
+        pairs.append(np.column_stack([near[~common & ~rest], np.full((~common & ~rest).sum(), face)]))
+    edge, face = np.vstack(pairs).T
+    exact = _integers(vertices)
+    p, q = exact[mesh.edges[edge]].transpose(1, 0, 2)
+    a, b, c = exact[mesh.faces[face]].transpose(1, 0, 2)
+    p_side, q_side = _side(a, b, c, p), _side(a, b, c, q)
+    around = np.column_stack([_side(p, q, a, b), _side(p, q, b, c), _side(p, q, c, a)])
+    within = (around >= 0).all(axis=1) | (around <= 0).all(axis=1)
+    flat = (p_side == 0) & (q_side == 0)
+    num_flat = sum(_meet_in_plane(*points) for points in zip(*(x[flat] for x in (p, q, a, b, c)), strict=True))
+    return int(((p_side * q_side <= 0) & within & ~flat).sum()) + num_flat
+
+
+def _counts(module, mode: str) -> tuple[list[int], list[int]]:
+    """Crossings, and vertices below the plate, after each step."""
+    throw = module.ClothThrow(mode, RESOLUTION)
+    frames = list(throw.frames(NUM_STEPS))
+    below = [module.vertices_below_plate(throw.mesh, frame) for frame in frames]
+    return [_num_crossings(throw.mesh, frame) for frame in frames], below
+
+
+@pytest.mark.parametrize("mode", ["iterations", "end"])
+def test_cloth_passes_through_nothing_with_ccd(newton_cloth, mode):
+    crossings, below = _counts(newton_cloth, mode)
+    assert crossings == [0] * NUM_STEPS
+    assert below == [0] * NUM_STEPS
+
+
+def test_the_steps_are_too_large_without_ccd(newton_cloth):
+    crossings, below = _counts(newton_cloth, "none")
+    assert max(crossings) > 0
+    assert below[-1] == (RESOLUTION + 1) ** 2
+
+
+def test_the_check_sees_a_crossing():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [0.4, 0.2, 1.0]])
+    mesh = ccd.CollisionMesh.from_arrays([(vertices[:3], [[0, 1, 2]]), (vertices[3:], [[0, 1, 2]])])
+    assert _num_crossings(mesh, vertices) > 0
+    assert _num_crossings(mesh, vertices + [[0], [0], [0], [2], [2], [2]]) == 0
