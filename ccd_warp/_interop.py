@@ -40,6 +40,20 @@ def as_warp(value: Any, name: str) -> wp.array:
         raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
 
 
+def check_writable(value: Any, name: str) -> None:
+    """Check that an array may be written to.
+
+    Raises:
+        ValueError: If its library says that it does not change.
+    """
+    if isinstance(value, wp.array):
+        return
+    if type(value).__module__.partition(".")[0] in ("jax", "jaxlib"):
+        raise ValueError(f"{name} is an array of JAX, which does not change; expected one that can be written to")
+    if isinstance(value, np.ndarray) and not value.flags.writeable:
+        raise ValueError(f"{name} is read-only; expected an array that can be written to")
+
+
 def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -> wp.array:
     """Positions as vec3f or vec3d of shape [n], in the memory of the array given.
 

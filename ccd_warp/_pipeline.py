@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
 from ccd_warp._device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep, LineSearch
+from ccd_warp._interop import check_writable
 from ccd_warp._line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -244,6 +245,7 @@ class CollisionPipeline:
         moves touches (or comes within the minimum separation), whatever the flags. Proof: the last look was at these
         very positions, as they are rounded, and where its toi was not inf the vertices do not move.
         """
+        check_writable(x_t1, "x_t1")
         check_line_search(per, safety)
         check_count("num_rounds", num_rounds, _MOST_ROUNDS)
         check_step_is_whole(self._options.t_max)

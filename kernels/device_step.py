@@ -193,17 +193,20 @@ def make_input(real) -> SimpleNamespace:
         is_moved: wp.array[wp.int32],
         m: Minima,
     ):
-        """Positions of a chunk of vertices that rest, and whether one is not where it was the last time."""
+        """Positions of a chunk of vertices that rest, and whether one is not where it was the last time.
+
+        What is no number is left where it was: it may not be read again.
+        """
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
             v = vertices[k]
             a = wp.vec3d(x_t0[v])
-            if not (a == start[v]):
+            if not is_finite(a):
+                flag_world(m, v, INVALID_INPUT)
+            elif not (a == start[v]):
                 start[v] = a
                 end[v] = a
                 is_moved[0] = 1
-            if not is_finite(a):
-                flag_world(m, v, INVALID_INPUT)
 
     @wp.kernel(module=module)
     def shorten(

@@ -19,7 +19,7 @@ from ccd_warp._cli import main
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
-from ccd_warp.benchmarks import bench, compare, figures, raw_file, report
+from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
@@ -470,6 +470,17 @@ def test_no_raw_file_is_taken_for_one(tmp_path):
 
 def test_the_parts_of_the_help_are_those_there_are():
     assert ", ".join(bench.SECTIONS) == command.SECTIONS_HELP
+
+
+# ---- Steps on the device ---------------------------------------------------------------------------------------------
+
+
+def test_a_row_of_the_steps_on_the_device(monkeypatch):
+    monkeypatch.setattr(device_step, "ROUNDS", 1)
+    row = device_step.measure(*device_step.worlds(5), "cpu")
+    assert row["worlds"] == 5 and row["contacts"] > 0
+    assert row["different_toi"] == row["later_toi"] == 0
+    assert set(row["seconds"]) == {"mesh_ccd", "launch", "replay", "line search"}
 
 
 # ---- The docs --------------------------------------------------------------------------------------------------------

@@ -219,6 +219,39 @@ def cables_and_particles(rng, count, size):
     return start, groups[0], np.concatenate([groups[1][:, :2], groups[1][:, 1:]])
 
 
+@pytest.mark.parametrize("lattice", [None, 8])
+@pytest.mark.parametrize("inflation", [0.0, 0.125])
+@pytest.mark.parametrize("num_worlds", [2, 3, 9, 70])
+def test_worlds_in_one_place(device, num_worlds, inflation, lattice):
+    """Each world has the pairs that it has alone; on a lattice many boxes touch exactly."""
+    rng = np.random.default_rng(num_worlds)
+    bodies, ends = [], []
+    for _ in range(num_worlds):
+        vertices, faces = soup(rng, int(rng.integers(1, 6)), 0.3)
+        end = vertices + 0.3 * rng.standard_normal(vertices.shape)
+        if lattice:
+            vertices, end = (np.round(x * lattice) / lattice for x in (vertices, end))
+        bodies.append((vertices, faces))
+        ends.append(end)
+    counts = [len(vertices) for vertices, _ in bodies]
+    world = np.repeat(np.arange(num_worlds), counts)
+    mesh = CollisionMesh.from_arrays(bodies, vertex_world=world)
+    assert mesh.num_worlds == num_worlds
+    together = find_candidates(mesh, mesh.vertices, np.concatenate(ends), inflation, device=device)
+    one, other = (world[mesh.edges[together.edge_edge[:, k], 0]] for k in range(2))
+    assert (one == other).all()
+    first = np.concatenate([[0], np.cumsum(counts)])
+    number = 0
+    for k, (vertices, faces) in enumerate(bodies):
+        alone = CollisionMesh.from_arrays([(vertices, faces)])
+        expected = find_candidates(alone, vertices, ends[k], inflation, device=device)
+        check(alone, vertices, ends[k], inflation, device)
+        ours = together.vertex_face[world[together.vertex_face[:, 0]] == k] - [first[k], first[k] // 3]
+        np.testing.assert_array_equal(ours, expected.vertex_face)
+        number += len(expected.edge_edge)
+    assert number == len(together.edge_edge)
+
+
 @pytest.mark.parametrize("inflation", [0.0, 0.03])
 @pytest.mark.parametrize("size", [0.01, 0.3])
 def test_cables_and_particles(device, size, inflation):

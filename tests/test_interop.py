@@ -154,6 +154,24 @@ def test_tensor_that_is_not_contiguous_or_requires_a_gradient_is_named():
         pipeline.launch(good.clone().requires_grad_(), good)
 
 
+def test_line_search_writes_where_it_is(library):
+    pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
+    start, wished = library.array(START), library.array(END)
+    if library.name == "jax":
+        with pytest.raises(ValueError, match="x_t1 is an array of JAX, which does not change"):
+            pipeline.launch_line_search(start, wished)
+        return
+    pipeline.launch_line_search(start, wished, safety=0.9)
+    assert np.asarray(wished)[:3, 0].max() == pytest.approx(0.1 + 0.9 * 0.9)
+
+
+def test_line_search_into_a_read_only_array_is_named():
+    wished = END.copy()
+    wished.flags.writeable = False
+    with pytest.raises(ValueError, match="x_t1 is read-only; expected an array that can be written to"):
+        ccd.CollisionPipeline(MESH, device="cpu").launch_line_search(START, wished)
+
+
 def test_a_loop_in_torch_on_one_graph():
     torch = pytest.importorskip("torch")
     start, end = torch.from_numpy(START.copy()), torch.from_numpy(END.copy())

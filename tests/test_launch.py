@@ -302,6 +302,17 @@ def test_body_that_is_no_number_at_rest_stops_its_world(device):
     assert (result["body_toi"] == 0.0).all()
 
 
+def test_body_at_rest_that_was_no_number_is_where_it_was_before(device):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    broken = start.copy()
+    broken[-1] = np.nan
+    pipeline.launch(on_device(broken, device), on_device(end, device))
+    rows = mesh.moving_vertices
+    check_same(pipeline.launch(on_device(start[rows], device), on_device(end[rows], device)), expected)
+
+
 def test_a_thousand_worlds(device):
     vertices, faces = sheet(3)
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)

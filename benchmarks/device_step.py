@@ -1,0 +1,126 @@
+"""Steps that stay on the device against the call on the host, and many worlds in one launch.
+
+    python -m ccd_warp.benchmarks.device_step --output device_step.json
+
+Rounds are interleaved; times are medians. The tois of the launch are compared with those of the call on the host.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks import scenes
+from ccd_warp.benchmarks.machine import describe, machine
+from ccd_warp.benchmarks.numbers import table, time_text
+
+import ccd_warp as ccd
+
+WORLDS = (1, 10, 100, 1_000, 10_000)
+ROUNDS = 7
+
+
+def interleaved(calls: dict[str, Callable[[], None]], device: str) -> dict[str, float]:
+    """Median seconds of each call, after one to warm up; each until the device is done."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for k in range(ROUNDS + 1):
+        for name, call in calls.items():
+            begin = time.perf_counter()
+            call()
+            wp.synchronize_device(device)
+            if k:
+                seconds[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray, device: str) -> dict:
+    """One row."""
+    begin = time.perf_counter()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+    pipeline.reserve(vertices=start)
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3f, device=device) for x in (start, end))
+    wished = wp.clone(x_t1)
+    result = pipeline.launch(x_t0, x_t1)
+    needed, contacts = int(result.num_pairs.numpy().max()), int(result.contacts.count.numpy()[0])
+    if result.flags.numpy()[0]:
+        pipeline.reserve(max_pairs=max(needed, 1), max_contacts=max(contacts, 1))
+        result = pipeline.launch(x_t0, x_t1)
+    first = time.perf_counter() - begin
+    with wp.ScopedCapture(device=device) as capture:
+        pipeline.launch(x_t0, x_t1)
+
+    def line_search() -> None:
+        wp.copy(wished, x_t1)
+        pipeline.launch_line_search(x_t0, wished, per="vertex")
+
+    rounded = [x.numpy().astype(np.float64) for x in (x_t0, x_t1)]
+    on_host = pipeline.mesh_ccd(*rounded)
+    pipeline.launch(x_t0, x_t1)
+    row = {
+        "scene": name,
+        "device": device,
+        "vertices": mesh.num_vertices,
+        "worlds": mesh.num_worlds,
+        "pairs": needed,
+        "contacts": contacts,
+        "different_toi": int((result.vertex_toi.numpy() != on_host.vertex_toi).sum()),
+        "later_toi": int((result.vertex_toi.numpy() > on_host.vertex_toi).sum()),
+        "first": first,
+    }
+    row["seconds"] = interleaved(
+        {
+            "mesh_ccd": lambda: pipeline.mesh_ccd(*rounded),
+            "launch": lambda: pipeline.launch(x_t0, x_t1),
+            "replay": lambda: wp.capture_launch(capture.graph),
+            "line search": line_search,
+        },
+        device,
+    )
+    return row
+
+
+def worlds(count: int) -> tuple[str, ccd.CollisionMesh, np.ndarray, np.ndarray]:
+    """So many worlds of a sheet of 32 faces that falls on a ball of 80, some of them onto it."""
+    sheet, faces = scenes.grid(5, 5, 1.0, 1.0)
+    ball, ball_faces = scenes.sphere(80, 0.3)
+    size = len(sheet) + len(ball)
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(sheet, faces), (ball, ball_faces)] * count,
+        static=range(1, 2 * count, 2),
+        vertex_world=np.repeat(np.arange(count), size),
+    )
+    start = np.tile(np.concatenate([sheet + [0.01, 0.02, 0.5], ball]), (count, 1))
+    end = start.copy()
+    end[mesh.moving_vertices, 2] -= np.repeat(np.random.default_rng(0).uniform(0.0, 0.4, count), len(sheet))
+    return f"{count:,} worlds", mesh, start, end
+
+
+def main() -> None:
+    """Measure, print a table and write the figures."""
+    parser = argparse.ArgumentParser(description="Steps on the device, as a table and as JSON.")
+    parser.add_argument("--output", type=Path, help="where the figures go, JSON")
+    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    cases = []
+    for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
+        cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
+    rows = [measure(*case, options.device) for case in [*cases, *map(worlds, WORLDS)]]
+    sizes = ("vertices", "pairs", "contacts")
+    header = ["scene", *sizes, "mesh_ccd", "launch", "replay", "line search by vertex"]
+    cells = [[row["scene"], *(f"{row[k]:,}" for k in sizes), *map(time_text, row["seconds"].values())] for row in rows]
+    here = machine()
+    print("\n".join([describe(here), "", *table(header, cells)]))
+    print(f"{sum(row['different_toi'] for row in rows)} tois differ, {sum(row['later_toi'] for row in rows)} are later")
+    if options.output:
+        options.output.write_text(json.dumps({"machine": here, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
