@@ -1,0 +1,81 @@
+"""Atomics between threads of the CPU: nothing is lost, where plain reads and writes lose something now and then."""
+
+import os
+
+import numpy as np
+import pytest
+import warp as wp
+from ccd_warp.kernels.atomics import claim, claim_int, lower_to, set_bits
+
+from ccd_warp._launch import Execution, load
+
+NUM_ROUNDS = 2_000
+COUNT = 3_000_000
+MOST_SPINS = wp.constant(1_000_000)  # about a millisecond, should one thread have to wait for a core
+
+
+@wp.func_native("return *(volatile long long*)values.data;")
+def first_now(values: wp.array2d[wp.int64]) -> wp.int64:
+    """values[0, 0], read anew each time."""
+    ...
+
+
+@wp.kernel
+def in_step(
+    thread: int,
+    num_rounds: int,
+    barrier: wp.array2d[wp.int64],
+    values: wp.array2d[wp.int64],
+    minima: wp.array[wp.int64],
+    flags: wp.array[wp.int32],
+):
+    """Two threads wait for each other, and then go for the same places, in each round another first."""
+    for k in range(num_rounds):
+        for what in range(2):
+            claim(barrier, 0)
+            patience = wp.int32(MOST_SPINS)
+            while patience > 0 and first_now(barrier) < wp.int64(2 * (2 * k + what + 1)):
+                patience -= 1
+            if what == 0:
+                lower_to(minima, k, values[thread, k])
+            else:
+                set_bits(flags, k, 1 << thread)
+
+
+@wp.kernel
+def count_up(count: int, rows: wp.array2d[wp.int64], counter: wp.array[wp.int32]):
+    """As fast as it goes, one counter after the other."""
+    for _k in range(count):
+        claim(rows, 1)
+    for _k in range(count):
+        claim_int(counter, 0)
+
+
+two_cores = pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="two threads on one core do not meet")
+
+
+@two_cores
+def test_no_minimum_and_no_flag_is_lost_between_threads():
+    device = wp.get_device("cpu")
+    values = np.random.default_rng(0).integers(0, 2**62, (2, NUM_ROUNDS))
+    barrier = wp.zeros((2, 8), dtype=wp.int64, device=device)
+    minima = wp.full(NUM_ROUNDS, value=2**62, dtype=wp.int64, device=device)
+    flags = wp.zeros(NUM_ROUNDS, dtype=wp.int32, device=device)
+    load(in_step, device)
+    inputs = [NUM_ROUNDS, barrier, wp.array(values, dtype=wp.int64, device=device), minima, flags]
+    tasks = [lambda t=t: wp.launch(in_step, dim=1, inputs=[t, *inputs], device=device) for t in range(2)]
+    Execution(device, 2).run(tasks)
+    np.testing.assert_array_equal(minima.numpy(), values.min(axis=0))
+    assert (flags.numpy() == 3).all()
+
+
+@two_cores
+def test_no_count_is_lost_between_threads():
+    device = wp.get_device("cpu")
+    rows = wp.zeros((2, 8), dtype=wp.int64, device=device)
+    counter = wp.zeros(1, dtype=wp.int32, device=device)
+    load(count_up, device)
+    tasks = [lambda: wp.launch(count_up, dim=1, inputs=[COUNT, rows, counter], device=device)] * 4
+    Execution(device, 4).run(tasks)
+    assert rows.numpy().tolist() == [[0] * 8, [4 * COUNT] + [0] * 7]
+    assert counter.numpy()[0] == 4 * COUNT
