@@ -35,6 +35,8 @@ _PER = {
     "body": int(device_step.PER_BODY),
     "vertex": int(device_step.PER_VERTEX),
 }
+# Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
+_ROUNDS_BY_TOI = 2
 _CONTACT_FIELDS = {
     "count": wp.int32,
     "kind": wp.int32,
@@ -74,8 +76,10 @@ class LineSearch:
         """What a vertex may move by after each check: whose toi, and the share of it."""
         if self.per in ("scene", "world"):
             return [(self.per, self.safety), ("world", 0.0)]
-        # what own fractions do not settle, one of the world does, and what is left stays
-        return [*[(self.per, self.safety)] * self.num_rounds, ("world", self.safety), ("world", 0.0)]
+        # what is stopped may stop others in turn; what is left one fraction of the world settles
+        by_toi = min(_ROUNDS_BY_TOI, self.num_rounds)
+        shares = [self.safety] * by_toi + [0.0] * (self.num_rounds - by_toi)
+        return [*((self.per, share) for share in shares), ("world", self.safety), ("world", 0.0)]
 
 
 @dataclass(frozen=True)

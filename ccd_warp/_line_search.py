@@ -124,8 +124,8 @@ def _shared(bound: NDArray[np.float64], mesh: CollisionMesh, per: str) -> NDArra
 def _moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
     f = fraction[:, None]
-    # no difference of two far positions is formed, which could overflow
-    return np.where(f == 0, start, np.where(f == 1, end, (1 - f) * start + f * end))
+    # no difference of two far positions is formed, which could overflow; what rests is not to move by a rounding
+    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def _chosen(contacts: Contacts, chosen: NDArray[np.bool_]) -> Contacts:

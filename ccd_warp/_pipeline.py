@@ -26,7 +26,7 @@ from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 from ccd_warp._workspace import Workspace
 
-DEFAULT_NUM_ROUNDS = 3
+DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100
 
 
@@ -217,9 +217,10 @@ class CollisionPipeline:
         """Shorten a step on the device until it is certain to be free of collisions, as :meth:`launch` looks at it.
 
         A round looks at the step and moves every vertex that is part of a contact, or all that move with it, no
-        farther than ``safety`` times its toi. Where bodies or vertices of their own fractions still touch after
-        ``num_rounds``, a round with one fraction for their world follows. A last look, and worlds that touch even then
-        stay where they are. The number of launches is always the same, so that a graph can hold them.
+        farther than ``safety`` times its toi; bodies and vertices of their own fractions that touch a third time stay
+        where they are, which may stop others in turn. After ``num_rounds`` a round with one fraction for each world
+        that still touches follows, and a last look: a world that touches even then stays where it is. The number of
+        launches is always the same, so that a graph can hold them.
 
         Pairs that rest are no matter here: two vertices that both stay may touch.
 
@@ -229,7 +230,8 @@ class CollisionPipeline:
                 bodies are neither read nor written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Share of its toi that what touches may move, in (0, 1).
-            num_rounds: Rounds in which bodies or vertices have fractions of their own, at least one.
+            num_rounds: Rounds in which bodies or vertices have fractions of their own, at least one; two more looks
+                follow.
 
         Returns:
             The result of the last look: of a world that moves, toi is inf; of one that had to stay, it is finite.

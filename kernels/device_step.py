@@ -237,8 +237,11 @@ def make_input(real) -> SimpleNamespace:
             x = x_t0[wp.where(t0_by_vertex != 0, v, k)]
             f = safety * wp.cast(bits, wp.float64)
             if f > wp.float64(0.0):
-                # no difference of two far positions is formed, which could overflow
-                x = vec3((wp.float64(1.0) - f) * wp.vec3d(x) + f * wp.vec3d(x_t1[row]))
+                y = x_t1[row]
+                for i in range(3):
+                    if y[i] != x[i]:  # what rests is not to move by a rounding
+                        # no difference of two far positions is formed, which could overflow
+                        x[i] = real((wp.float64(1.0) - f) * wp.float64(x[i]) + f * wp.float64(y[i]))
             x_t1[row] = x
 
     return SimpleNamespace(read_moving=read_moving, read_static=read_static, shorten=shorten)

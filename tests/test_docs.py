@@ -27,6 +27,14 @@ def test_the_examples_print_what_the_page_says(page, tmp_path):
     assert done.stdout == "".join(output for _, output in blocks)
 
 
+def test_the_ten_lines_are_of_the_program():
+    text = (ROOT / "docs" / "solver.md").read_text(encoding="utf-8")
+    (excerpt,) = re.findall(r"^```py\n(.*?)^```$", text, re.DOTALL | re.M)
+    program = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.M)[0].splitlines()
+    assert len(excerpt.splitlines()) == 10
+    assert set(excerpt.splitlines()) <= set(program)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text(encoding="utf-8"))

@@ -179,6 +179,22 @@ def test_bad_options_are_named(options, message):
         ccd.line_search(mesh, start, start, **options)
 
 
+@every_per
+def test_coordinates_that_rest_do_not_move_by_a_rounding(per):
+    mesh, start = _stacked(0.0, 1.0)
+    start += np.random.default_rng(0).uniform(0.1, 0.3, start.shape) * [1, 1, 0]
+    end = start.copy()
+    end[3:, 2] -= 2.0
+    for safety in (0.3, 0.7, 0.9):
+        step = ccd.line_search(mesh, start, end, per=per, safety=safety)
+        np.testing.assert_array_equal(step.vertices[:3], start[:3])
+        np.testing.assert_array_equal(step.vertices[:, :2], start[:, :2])
+        for dtype in (wp.vec3d, wp.vec3f):
+            before, after, _ = _launched(mesh, start, end, dtype, per=per, safety=safety)
+            np.testing.assert_array_equal(after[:3], before[:3])
+            np.testing.assert_array_equal(after[:, :2], before[:, :2])
+
+
 # --- on the device ---
 
 EVERY_PER = ("scene", "world", "body", "vertex")
@@ -299,6 +315,23 @@ def test_pushes_again_and_again_do_not_round_through_a_face(device):
         x_t0.assign(x_t1)
         assert (x_t0.numpy()[:, 2].astype(np.float64) > level).all()
     assert x_t0.numpy()[:, 2].min() < level + 2e-4
+
+
+def test_a_vertex_one_rounding_from_a_face_does_not_stop_its_world(device):
+    """Shortened by any share, its step of one rounding is that step again, so it has to be stopped."""
+    mesh, start, _ = _triangle_over_a_face()
+    face = mesh.vertices[3:]
+    mesh = ccd.CollisionMesh.from_arrays([(start, FACE), (face, FACE), (start + 50, FACE)], static=[1])
+    begin = np.concatenate([start, start + np.float32(50)])
+    x_t0, x_t1 = (wp.array(begin, dtype=wp.vec3f, device=device) for _ in range(2))
+    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-7, length_scale=1.0, device=device)
+    for _ in range(12):
+        before = x_t0.numpy().copy()
+        x_t1.assign(np.concatenate([start - np.float32([0, 0, 1]), before[3:] + np.float32([0.25, 0, 0])]))
+        result = pipeline.launch_line_search(x_t0, x_t1, per="vertex")
+        assert np.isinf(result.toi.numpy()[0])
+        np.testing.assert_array_equal(x_t1.numpy()[3:, 0] - before[3:, 0], 0.25)
+        x_t0.assign(x_t1)
 
 
 def test_rounding_afterwards_goes_through_the_face():

@@ -1,0 +1,83 @@
+"""The particles of the example stay on their side with CCD, and do not without, by the winding number."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ccd_warp as ccd
+
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "fsi_membrane.py"
+NUM_PARTICLES, RESOLUTION, NUM_FRAMES = 300, 12, 50
+
+
+@pytest.fixture(scope="module")
+def fsi_membrane():
+    pytest.importorskip("igl", reason="the extra examples is not installed")
+    spec = importlib.util.spec_from_file_location("fsi_membrane", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # Warp looks up the source of kernels there
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def run(module, with_ccd):
+    """The scene after some frames, the particles on the wrong side after each, and how far the membrane came."""
+    scene = module.Trampoline(NUM_PARTICLES, RESOLUTION, with_ccd=with_ccd)
+    counts, heights = [], []
+    for frame in range(NUM_FRAMES):
+        scene.advance(frame)
+        scene.check_room()
+        counts.append(module.wrong_side(scene, scene.x.numpy().astype(np.float64)))
+        heights.append(scene.x.numpy()[: scene.num_membrane, 2].copy())
+    return scene, counts, np.array(heights)
+
+
+def test_no_particle_changes_sides_with_ccd(fsi_membrane):
+    scene, counts, heights = run(fsi_membrane, True)
+    assert counts == [0] * NUM_FRAMES
+    # it moves, as far as its rim is told to, and it gives way
+    assert heights.max() > 0.9 * fsi_membrane.STROKE
+    assert heights.min() < -0.05
+    assert scene.x.numpy()[scene.num_membrane :, 2].max() > fsi_membrane.STROKE
+    assert np.quantile(scene.compression.numpy(), 0.95) < 0.2
+
+
+def test_the_steps_are_too_large_without_ccd(fsi_membrane):
+    assert max(run(fsi_membrane, False)[1]) > NUM_PARTICLES // 10
+
+
+def test_only_particles_and_faces_are_looked_for(fsi_membrane):
+    scene = fsi_membrane.Trampoline(NUM_PARTICLES, RESOLUTION)
+    for pipeline in (scene.finder, scene.guard):
+        (join,) = pipeline._device_step._joins
+        assert join.kind == ccd.PairKind.VERTEX_FACE
+        assert list(pipeline._device_step._keys) == [ccd.PairKind.VERTEX_FACE]
+    found = ccd.find_candidates(scene.mesh, scene.mesh.vertices, scene.mesh.vertices, 0.1, pair_kinds=["vertex_face"])
+    assert (found.vertex_face[:, 0] >= scene.num_membrane).all() and len(found.vertex_face)
+
+
+def test_the_check_sees_a_particle_below_the_membrane(fsi_membrane):
+    scene = fsi_membrane.Trampoline(NUM_PARTICLES, RESOLUTION)
+    vertices = scene.mesh.vertices.copy()
+    assert fsi_membrane.wrong_side(scene, vertices) == 0
+    vertices[scene.num_membrane : scene.num_membrane + 7, 2] *= -1.0
+    assert fsi_membrane.wrong_side(scene, vertices) == 7
+
+
+def test_the_series_reads_back(fsi_membrane, tmp_path):
+    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    scene = fsi_membrane.Trampoline(NUM_PARTICLES, RESOLUTION)
+    fsi_membrane.write_frame(
+        tmp_path / "frame.vtu", scene, scene.mesh.vertices, np.full(scene.mesh.num_vertices, np.inf)
+    )
+    fsi_membrane.write_series(tmp_path / "series.pvd", ["frame.vtu"])
+    frame = meshio.read(tmp_path / "frame.vtu")
+    cells = {block.type: len(block.data) for block in frame.cells}
+    num_particles = scene.mesh.num_vertices - scene.num_membrane
+    assert cells == {"triangle": len(scene.mesh.faces), "vertex": num_particles}
+    assert set(frame.point_data) == {"velocity", "toi"}
+    assert (tmp_path / "series.pvd").read_text().count("frame.vtu") == 1
