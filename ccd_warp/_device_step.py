@@ -114,7 +114,7 @@ class DeviceStep:
         self._inflation = half_up(self._separation)
         self._frame = choose_frame(mesh, vertices, vertices, _NUM_FRAMES)
         self._records = self._empty(mesh.num_vertices * _NUM_FRAMES * RECORD, wp.float32)
-        self._active = self._full(mesh.num_bodies, 1, wp.int32)
+        self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
         self._is_moved = self._full(1, 0, wp.int32)
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._trees: dict[str, Tree] = {}
@@ -178,7 +178,7 @@ class DeviceStep:
             self._execution.launch(
                 box_tree.fill_records,
                 len(self.topology.static_vertices),
-                inputs=self._record_inputs(self.topology.static_vertices, self._start, self._end, 1.0),
+                inputs=self._record_inputs(self.topology.static_vertices, self._active, self._start, self._end, 1.0),
                 outputs=[self._records],
             )
         for primitives, is_static in sets:
@@ -201,8 +201,8 @@ class DeviceStep:
         """What the device alone could tell."""
         return True
 
-    def _record_inputs(self, vertices: wp.array, start: Any, end: Any, t_end: float) -> list:
-        of_vertices = self.topology.of_vertices(self._active)
+    def _record_inputs(self, vertices: wp.array, active: wp.array, start: Any, end: Any, t_end: float) -> list:
+        of_vertices = self.topology.of_vertices(active)
         return [vertices, *of_vertices, start, end, t_end, self._inflation, self._frame, _NUM_FRAMES]
 
     def launch(
@@ -242,8 +242,18 @@ class DeviceStep:
             self._record_step(recording, form)
             return recording
         topology = self.topology
+        num_bodies = self._mesh.num_bodies
+        recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
         for per, share in form.line_search.stages():
             self._record_step(recording, form)
+            # what a look has found free is so until something in its world is shortened
+            recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
+            recording.launch(
+                device_step.keep_touched,
+                len(topology.moving_vertices),
+                inputs=[topology.moving_vertices, self._minima],
+                outputs=[self._touched],
+            )
             recording.launch(
                 device_step.make_input(form.real).shorten,
                 len(topology.moving_vertices),
@@ -273,7 +283,13 @@ class DeviceStep:
         recording.launch(
             box_tree.fill_records,
             len(topology.moving_vertices),
-            inputs=self._record_inputs(topology.moving_vertices, start, end, self._options.t_max),
+            inputs=self._record_inputs(
+                topology.moving_vertices,
+                self._active if form.line_search is None else self._touched,
+                start,
+                end,
+                self._options.t_max,
+            ),
             outputs=[self._records],
         )
         for tree in self._trees.values():

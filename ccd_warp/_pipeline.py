@@ -220,7 +220,8 @@ class CollisionPipeline:
         farther than ``safety`` times its toi; bodies and vertices of their own fractions that touch a third time stay
         where they are, which may stop others in turn. After ``num_rounds`` a round with one fraction for each world
         that still touches follows, and a last look: a world that touches even then stays where it is. The number of
-        launches is always the same, so that a graph can hold them.
+        launches is always the same, so that a graph can hold them; a world that a look finds free has no boxes in those
+        that follow.
 
         Pairs that rest are no matter here: two vertices that both stay may touch.
 

@@ -41,7 +41,7 @@ FRAME_TIME = 1.0 / 60.0
 GRAVITY = wp.vec3(0.0, 0.0, -9.81)
 SIDE, DEPTH, DENSITY = 1.0, 0.15, 1000.0
 SHEET_MASS = 40.0
-STROKE, STROKE_FREQUENCY, FIRST_STROKE = 0.35, 2.0, 30
+STROKE, STROKE_FREQUENCY, FIRST_STROKE = 0.25, 2.0, 30
 REACH = 2.2  # of the fluid's kernel, in spacings
 PASSES, ITERATIONS, SWEEPS = 3, 8, 8
 VISCOSITY = 0.05
@@ -435,7 +435,7 @@ def draw(path: Path, scene: Trampoline, pictures: list[tuple[str, NDArray[np.flo
             style = {"point_size": 7, "render_points_as_spheres": True, "cmap": "Blues_r", "show_scalar_bar": False}
             plotter.add_mesh(drops, scalars=vertices[m:, 2], clim=(-0.4, 0.8), **style)
             plotter.add_text(title, font_size=11, color="#222222")
-            plotter.camera_position = [(1.7, -2.1, 0.75), (0.0, 0.0, 0.15), (0.0, 0.0, 1.0)]
+            plotter.camera_position = [(2.0, -2.5, 1.1), (0.0, 0.0, 0.25), (0.0, 0.0, 1.0)]
             plotter.background_color = "white"
         plotter.screenshot(path)
         plotter.close()

@@ -74,6 +74,33 @@ def reset_vertices(
     m.vertex[v] = bits
 
 
+@wp.kernel
+def set_active(
+    begin: int,
+    # in
+    value: int,
+    # out
+    body_active: wp.array[wp.int32],
+):
+    """The same for every body."""
+    body_active[begin + wp.tid()] = value
+
+
+@wp.kernel
+def keep_touched(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    m: Minima,
+    # out
+    body_active: wp.array[wp.int32],
+):
+    """The bodies of worlds that touch, of which others are about to be shortened; the rest is free as it is."""
+    v = vertices[begin + wp.tid()]
+    if m.world[world_of(m, v)] < _INFINITY_BITS:
+        body_active[m.vertex_body[v]] = 1
+
+
 @wp.func
 def is_finite(x: wp.vec3d) -> bool:
     """Whether all coordinates are numbers."""

@@ -276,6 +276,48 @@ def test_a_world_that_touches_does_not_stop_another(device):
         np.testing.assert_array_equal(end[9:], start[9:] if stops_both else wished[9:])
 
 
+@pytest.mark.parametrize("per", ["world", "body", "vertex"])
+def test_worlds_are_shortened_as_each_alone(per, device):
+    rng = np.random.default_rng(5)
+    bodies, starts, ends = [], [], []
+    for _ in range(12):
+        faces = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(2)]
+        bodies.append(faces)
+        starts.append(np.concatenate([vertices for vertices, _ in faces]))
+        ends.append(starts[-1] + rng.uniform(-0.5, 0.5, starts[-1].shape))
+    mesh = ccd.CollisionMesh.from_arrays([b for world in bodies for b in world], vertex_world=np.repeat(range(12), 6))
+    _, together, result = _launched(mesh, np.concatenate(starts), np.concatenate(ends), device=device, per=per)
+    assert np.isinf(result.world_toi.numpy()).all()
+    num_shortened = 0
+    for world, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        alone = ccd.CollisionMesh.from_arrays(bodies[world])
+        _, expected, _ = _launched(alone, start, end, device=device, per=per)
+        np.testing.assert_array_equal(together[6 * world : 6 * (world + 1)], expected)
+        num_shortened += not np.array_equal(expected, end)
+    assert 0 < num_shortened < 12
+
+
+def test_what_a_look_finds_free_has_no_pairs_in_the_next(device):
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(2)]
+        mesh = ccd.CollisionMesh.from_arrays(bodies)
+        end = mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape)
+        x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (mesh.vertices, end))
+        pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+        result = pipeline.launch(x_t0, x_t1)
+        num_pairs = result.num_pairs.numpy().sum()
+        if np.isinf(result.toi.numpy()[0]) and num_pairs > 0:
+            break
+    else:
+        pytest.fail("no free step has pairs that the cull leaves open")
+    pipeline.launch_line_search(x_t0, x_t1)
+    assert np.isinf(result.toi.numpy()[0]) and result.num_pairs.numpy().sum() == 0
+    np.testing.assert_array_equal(x_t1.numpy(), end)
+    pipeline.launch(x_t0, x_t1)
+    assert result.num_pairs.numpy().sum() == num_pairs
+
+
 def test_coordinates_that_are_no_numbers_stop_their_world(device):
     mesh, start = _stacked(0.0, 1.0)
     wished = start + [0.1, 0, 0]
