@@ -1,6 +1,6 @@
 """Steps that stay on the device against the call on the host, and many worlds in one launch.
 
-    python -m ccd_warp.benchmarks.device_step --output device_step.json
+    python -m ccd_warp.benchmarks.device_step --output benchmarks/results/device_step.json --docs docs/solver.md
 
 Rounds are interleaved; times are medians. The tois of the launch are compared with those of the call on the host.
 """
@@ -19,6 +19,7 @@ import warp as wp
 from ccd_warp.benchmarks import scenes
 from ccd_warp.benchmarks.machine import describe, machine
 from ccd_warp.benchmarks.numbers import table, time_text
+from ccd_warp.benchmarks.report import with_table
 
 import ccd_warp as ccd
 
@@ -98,13 +99,22 @@ def worlds(count: int) -> tuple[str, ccd.CollisionMesh, np.ndarray, np.ndarray]:
     start = np.tile(np.concatenate([sheet + [0.01, 0.02, 0.5], ball]), (count, 1))
     end = start.copy()
     end[mesh.moving_vertices, 2] -= np.repeat(np.random.default_rng(0).uniform(0.0, 0.4, count), len(sheet))
-    return f"{count:,} worlds", mesh, start, end
+    return f"{count:,} world{'s' * (count > 1)}", mesh, start, end
+
+
+def rows_table(rows: list[dict]) -> list[str]:
+    """The table of docs/solver.md."""
+    sizes = ("vertices", "pairs", "contacts")
+    header = ["scene", *sizes, "`mesh_ccd`", "`launch`", "in a graph", "`launch_line_search`, by vertex"]
+    cells = ([row["scene"], *(f"{row[k]:,}" for k in sizes), *map(time_text, row["seconds"].values())] for row in rows)
+    return table(header, cells)
 
 
 def main() -> None:
     """Measure, print a table and write the figures."""
     parser = argparse.ArgumentParser(description="Steps on the device, as a table and as JSON.")
     parser.add_argument("--output", type=Path, help="where the figures go, JSON")
+    parser.add_argument("--docs", type=Path, help="docs/solver.md, whose table is written")
     parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
@@ -112,14 +122,14 @@ def main() -> None:
     for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
         cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
     rows = [measure(*case, options.device) for case in [*cases, *map(worlds, WORLDS)]]
-    sizes = ("vertices", "pairs", "contacts")
-    header = ["scene", *sizes, "mesh_ccd", "launch", "replay", "line search by vertex"]
-    cells = [[row["scene"], *(f"{row[k]:,}" for k in sizes), *map(time_text, row["seconds"].values())] for row in rows]
     here = machine()
-    print("\n".join([describe(here), "", *table(header, cells)]))
+    print("\n".join([describe(here), "", *rows_table(rows)]))
     print(f"{sum(row['different_toi'] for row in rows)} tois differ, {sum(row['later_toi'] for row in rows)} are later")
     if options.output:
         options.output.write_text(json.dumps({"machine": here, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+    if options.docs:
+        text = options.docs.read_text(encoding="utf-8")
+        options.docs.write_text(with_table(text, "steps on the device", rows_table(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":

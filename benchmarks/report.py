@@ -176,10 +176,15 @@ TABLES = {
 def with_tables(page: str, text: str, raw: dict) -> str:
     """A page with its tables between their marks replaced."""
     for name, make in TABLES[page].items():
-        begin, end = _marks(name)
-        before, rest = text.split(f"{begin}\n")
-        text = f"{before}{begin}\n" + "\n".join(make(raw)) + f"\n{end}" + rest.split(end)[1]
+        text = with_table(text, name, make(raw))
     return text
+
+
+def with_table(text: str, name: str, lines: list[str]) -> str:
+    """A text with what is between two marks replaced."""
+    begin, end = _marks(name)
+    before, rest = text.split(f"{begin}\n")
+    return f"{before}{begin}\n" + "\n".join(lines) + f"\n{end}" + rest.split(end)[1]
 
 
 def check_docs(root: Path) -> None:

@@ -29,6 +29,8 @@ _CHUNK = int(device_step.CHUNK)
 # Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
 _MOST_SOLVERS = 1 << 17
 _PARTS_PER_THREAD = 8
+# Vertices from which on waking threads for the narrow phase costs less than they save.
+_WORTH_THREADS = 1 << 11
 _PER = {
     "scene": int(device_step.PER_SCENE),
     "world": int(device_step.PER_WORLD),
@@ -403,7 +405,9 @@ class DeviceStep:
     ) -> None:
         """Solve the pairs of a kind."""
         keys = self._keys[kind]
-        solvers = min(len(keys), _MOST_SOLVERS) if recording.is_cuda else self._execution.num_threads
+        solvers = min(len(keys), _MOST_SOLVERS)
+        if not recording.is_cuda:
+            solvers = self._execution.num_threads if self._mesh.num_vertices > _WORTH_THREADS else 1
         corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
         recording.launch(
             make_narrow_phase(self._options.real).pairs_minima,

@@ -475,6 +475,13 @@ def test_the_parts_of_the_help_are_those_there_are():
 # ---- Steps on the device ---------------------------------------------------------------------------------------------
 
 
+def test_the_solver_page_has_the_figures_of_the_steps_on_the_device():
+    figures = json.loads((RESULTS / "device_step.json").read_text(encoding="utf-8"))
+    assert all(row["different_toi"] == 0 for row in figures["rows"])
+    text = (ROOT / "docs" / "solver.md").read_text(encoding="utf-8")
+    assert report.with_table(text, "steps on the device", device_step.rows_table(figures["rows"])) == text
+
+
 def test_a_row_of_the_steps_on_the_device(monkeypatch):
     monkeypatch.setattr(device_step, "ROUNDS", 1)
     row = device_step.measure(*device_step.worlds(5), "cpu")
