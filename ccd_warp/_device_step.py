@@ -13,7 +13,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
 from ccd_warp._pair_search import Join, joins_of
 from ccd_warp._results import DeviceContacts, LaunchResult
-from ccd_warp._status import PairKind
+from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp._step import half_up, moves_alone, possible_kinds
 from ccd_warp._step_boxes import Tree, fill_tree, new_tree
 from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
@@ -29,6 +29,8 @@ _CHUNK = int(device_step.CHUNK)
 # Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
 _MOST_SOLVERS = 1 << 17
 _PARTS_PER_THREAD = 8
+# Flags that a look of a line search passes on: what one did not see, the others do not undo.
+_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
 # Vertices from which on waking threads for the narrow phase costs less than they save.
 _WORTH_THREADS = 1 << 11
 _PER = {
@@ -246,8 +248,8 @@ class DeviceStep:
         topology = self.topology
         num_bodies = self._mesh.num_bodies
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
-        for per, share in form.line_search.stages():
-            self._record_step(recording, form)
+        for look, (per, share) in enumerate(form.line_search.stages()):
+            self._record_step(recording, form, kept_flags=_KEPT_FLAGS if look > 0 else 0)
             # what a look has found free is so until something in its world is shortened
             recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
             recording.launch(
@@ -272,7 +274,8 @@ class DeviceStep:
             )
         return recording
 
-    def _record_step(self, recording: Recording, form: _Form) -> None:
+    def _record_step(self, recording: Recording, form: _Form, kept_flags: int = 0) -> None:
+        """The launches of a look at a step."""
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("x_t0")
         end: Any = Slot("x_t1")
@@ -281,7 +284,7 @@ class DeviceStep:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
             start, end = self._start, self._end
-        self._record_input(recording, form, is_kept)
+        self._record_input(recording, form, is_kept, kept_flags)
         recording.launch(
             box_tree.fill_records,
             len(topology.moving_vertices),
@@ -302,14 +305,14 @@ class DeviceStep:
         for kind in self._keys:
             self._record_narrow_phase(recording, kind, start, end, form.line_search is not None)
 
-    def _record_input(self, recording: Recording, form: _Form, is_kept: bool) -> None:
+    def _record_input(self, recording: Recording, form: _Form, is_kept: bool, kept_flags: int) -> None:
         """Read positions, and reset the results."""
         mesh, topology, minima = self._mesh, self.topology, self._minima
         read = device_step.make_input(form.real)
         recording.launch(
             device_step.reset,
             max(mesh.num_bodies, mesh.num_worlds),
-            inputs=[],
+            inputs=[kept_flags],
             outputs=[minima, self._counts, self.result.contacts.count, self._is_moved],
         )
         with_static = form.t0_by_vertex and mesh.static.any()

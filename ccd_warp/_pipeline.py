@@ -235,7 +235,8 @@ class CollisionPipeline:
                 follow.
 
         Returns:
-            The result of the last look: of a world that moves, toi is inf; of one that had to stay, it is finite.
+            The result of the last look: of a world that moves, toi is inf; of one that had to stay, it is finite. Flags
+            of too little room for pairs and of invalid input are those of all looks.
 
         Raises:
             ValueError: As :meth:`launch`, or if an option is out of its range.

@@ -32,22 +32,25 @@ _ZERO_BITS = wp.constant(wp.int64(0))
 @wp.kernel
 def reset(
     begin: int,
+    # in
+    kept_flags: int,
     # out
     m: Minima,
     counts: wp.array2d[wp.int64],
     num_contacts: wp.array[wp.int32],
     is_moved: wp.array[wp.int32],
 ):
-    """Nothing touches yet."""
+    """Nothing touches yet; flags go but those of looks before that concern this one."""
     i = begin + wp.tid()
     if i < m.body.shape[0]:
         m.body[i] = _INFINITY_BITS
     if i < m.world.shape[0]:
         m.world[i] = _INFINITY_BITS
-        m.world_flags[i] = 0
+        m.world_flags[i] = m.world_flags[i] & kept_flags
     if i == 0:
         m.scene[0] = _INFINITY_BITS
-        m.flags[0] = 0
+        if m.world.shape[0] > 1:  # else the flags of the world are those of the scene
+            m.flags[0] = m.flags[0] & kept_flags
         num_contacts[0] = 0
         is_moved[0] = 0
         for k in range(counts.shape[0]):

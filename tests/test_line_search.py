@@ -324,7 +324,7 @@ def test_coordinates_that_are_no_numbers_stop_their_world(device):
     wished[4, 1] = np.nan
     _, end, result = _launched(mesh, start, wished, device=device, per="vertex")
     np.testing.assert_array_equal(end, start)
-    assert result.flags.numpy()[0] == 0  # of the last look, at the start positions
+    assert result.flags.numpy()[0] == ccd.LaunchFlag.INVALID_INPUT and result.toi.numpy()[0] == 0.0
 
 
 def test_without_room_for_pairs_nothing_moves_into_another(device):
@@ -335,8 +335,12 @@ def test_without_room_for_pairs_nothing_moves_into_another(device):
     wished = start + rng.uniform(-1, 1, start.shape)
     x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, max_pairs=1, device=device)
-    pipeline.launch_line_search(x_t0, x_t1, per="vertex")
+    result = pipeline.launch_line_search(x_t0, x_t1, per="vertex")
     assert _exact_contacts(mesh, start, x_t1.numpy()) == []
+    assert result.flags.numpy()[0] == ccd.LaunchFlag.PAIRS_OVERFLOW
+    pipeline.reserve(max_pairs=1000)
+    x_t1.assign(wished)
+    assert pipeline.launch_line_search(x_t0, x_t1, per="vertex").flags.numpy()[0] == 0
 
 
 def _triangle_over_a_face() -> tuple[ccd.CollisionMesh, np.ndarray, float]:
