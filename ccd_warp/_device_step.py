@@ -247,6 +247,7 @@ class DeviceStep:
             return recording
         topology = self.topology
         num_bodies = self._mesh.num_bodies
+        by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(self._mesh))
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
         for look, (per, share) in enumerate(form.line_search.stages()):
             self._record_step(recording, form, kept_flags=_KEPT_FLAGS if look > 0 else 0)
@@ -255,7 +256,7 @@ class DeviceStep:
             recording.launch(
                 device_step.keep_touched,
                 len(topology.moving_vertices),
-                inputs=[topology.moving_vertices, self._minima],
+                inputs=[topology.moving_vertices, by_scene, self._minima],
                 outputs=[self._touched],
             )
             recording.launch(
@@ -429,6 +430,12 @@ class DeviceStep:
             outputs=[self._minima, self._contacts],
             grain=1,
         )
+
+
+def _worlds_are_apart(mesh: CollisionMesh) -> bool:
+    """Whether no body has vertices in more than one world."""
+    within = np.diff(mesh.vertex_body) == 0
+    return not (within & (np.diff(mesh.vertex_world) != 0)).any()
 
 
 def _longest_side(vertices: NDArray[np.float64]) -> float:

@@ -94,13 +94,20 @@ def keep_touched(
     begin: int,
     # in
     vertices: wp.array[wp.int32],
+    by_scene: int,
     m: Minima,
     # out
     body_active: wp.array[wp.int32],
 ):
-    """The bodies of worlds that touch, of which others are about to be shortened; the rest is free as it is."""
+    """The bodies of worlds in which something is about to be shortened; the rest is free as it is.
+
+    ``by_scene`` where what touches in one world is shortened in others, too: then all bodies, if anything touches.
+    """
     v = vertices[begin + wp.tid()]
-    if m.world[world_of(m, v)] < _INFINITY_BITS:
+    bits = m.world[world_of(m, v)]
+    if by_scene != 0:
+        bits = m.scene[0]
+    if bits < _INFINITY_BITS:
         body_active[m.vertex_body[v]] = 1
 
 

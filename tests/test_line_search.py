@@ -9,6 +9,7 @@ import warp as wp
 from ccd_warp.benchmarks.oracle import exact_tois
 
 import ccd_warp as ccd
+from ccd_warp._contact_corners import contact_vertices
 
 PER = ("scene", "body", "vertex")
 every_per = pytest.mark.parametrize("per", PER)
@@ -316,6 +317,53 @@ def test_what_a_look_finds_free_has_no_pairs_in_the_next(device):
     np.testing.assert_array_equal(x_t1.numpy(), end)
     pipeline.launch(x_t0, x_t1)
     assert result.num_pairs.numpy().sum() == num_pairs
+
+
+def _two_worlds_of_one_body():
+    """In one world a body is stopped by a face; in the other it would then stand in the way of what follows it."""
+    layers = [TRIANGLE + [0.1 * k, 0.07 * k, z] for k, z in enumerate((1.0, 0.0, 1.0, 1.5))]
+    bodies = [(np.vstack([layers[0], layers[2]]), [[0, 1, 2], [3, 4, 5]]), (layers[1], FACE), (layers[3], FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 3 + [0] * 3 + [1] * 3)
+    wished = mesh.vertices.copy()
+    wished[:6, 2] -= 2.0
+    wished[9:, 2] -= 2.3
+    return mesh, wished
+
+
+def _touching_in_a_world(mesh, start, end):
+    """Contacts of vertices that move, by the call on the host."""
+    contacts = ccd.mesh_ccd(mesh, start, end, length_scale=1.0).contacts
+    corners = contact_vertices(mesh, contacts)
+    return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())
+
+
+@pytest.mark.parametrize("per", EVERY_PER)
+def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, device):
+    mesh, wished = _two_worlds_of_one_body()
+    free = ccd.mesh_ccd(mesh, mesh.vertices, wished, length_scale=1.0).world_toi
+    assert np.isfinite(free[0]) and np.isinf(free[1])
+    start, end, _ = _launched(mesh, mesh.vertices, wished, device=device, per=per)
+    assert (start != end).any() and _touching_in_a_world(mesh, start, end) == 0
+
+
+def test_a_world_that_another_shortens_is_looked_at_again(device):
+    """One fraction for the scene moves worlds that were found free, too, and rounds them anew."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(4)]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat([0, 1], 6))
+        x_t0 = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
+        x_t1 = wp.array(mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape), dtype=wp.vec3d, device=device)
+        pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+        touched = np.isfinite(pipeline.launch(x_t0, x_t1).world_toi.numpy()).sum() == 1
+        result = pipeline.launch_line_search(x_t0, x_t1, per="scene")
+        looked_at = result.num_pairs.numpy().copy()
+        there = pipeline.launch(x_t0, x_t1).num_pairs.numpy()
+        if touched and there.sum() > 0:
+            np.testing.assert_array_equal(looked_at, there)
+            break
+    else:
+        pytest.fail("no such scene")
 
 
 def test_coordinates_that_are_no_numbers_stop_their_world(device):
