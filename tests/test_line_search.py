@@ -366,6 +366,53 @@ def test_a_world_that_another_shortens_is_looked_at_again(device):
         pytest.fail("no such scene")
 
 
+def _random_scene(rng):
+    """Worlds of some bodies, of which some rest: mesh and end positions wished for."""
+    num_worlds, num_bodies = rng.integers(1, 5), rng.integers(1, 6)
+    size, offset = 10.0 ** rng.uniform(-2, 0.5), rng.choice([0.0, 0.0, 10.0, 1000.0])
+    bodies, ends, worlds = [], [], []
+    for world in np.repeat(range(num_worlds), num_bodies):
+        count = 3 * int(rng.integers(1, 4))
+        vertices = rng.uniform(-1, 1, (1, 3)) + size * rng.normal(size=(count, 3)) + offset
+        if rng.random() < 0.2:
+            vertices = np.round(4 * vertices) / 4
+        end = vertices + rng.normal(size=(1, 3)) * rng.choice([0, 0.1, 1])
+        end = end + rng.normal(size=vertices.shape) * rng.choice([0, 0.05, 0.5])
+        if rng.random() < 0.2:
+            end[:, 2] = vertices[:, 2]
+        bodies.append((vertices, np.arange(count).reshape(-1, 3)))
+        ends.append(end)
+        worlds += [world] * count
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies,
+        static=np.flatnonzero(rng.random(len(bodies)) < 0.15).tolist(),
+        self_collision=bool(rng.random() < 0.7),
+        vertex_world=worlds if rng.random() < 0.7 else None,
+    )
+    return mesh, np.concatenate(ends)
+
+
+@pytest.mark.parametrize("per", EVERY_PER)
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
+def test_random_scenes_are_free_whatever_the_room(per, dtype, device):
+    rng = np.random.default_rng(EVERY_PER.index(per))
+    num_moved = 0
+    for _ in range(60):
+        mesh, wished = _random_scene(rng)
+        options = {"length_scale": 1.0, "minimum_separation": rng.choice([0, 1e-6, 1e-3, 0.05]), "device": device}
+        pipeline = ccd.CollisionPipeline(mesh, **options, max_pairs=int(rng.choice([5, 100_000])))
+        real = np.float64 if dtype is wp.vec3d else np.float32
+        x_t0, x_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (mesh.vertices, wished))
+        pipeline.launch_line_search(x_t0, x_t1, per=per, num_rounds=int(rng.integers(1, 7)))
+        start, end = (x.numpy().astype(np.float64) for x in (x_t0, x_t1))
+        end[mesh.static[mesh.vertex_body]] = start[mesh.static[mesh.vertex_body]]
+        contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
+        corners = contact_vertices(mesh, contacts)
+        assert not (start[corners] != end[corners]).any()
+        num_moved += (start != end).any()
+    assert num_moved > 20
+
+
 def test_coordinates_that_are_no_numbers_stop_their_world(device):
     mesh, start = _stacked(0.0, 1.0)
     wished = start + [0.1, 0, 0]
