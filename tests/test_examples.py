@@ -30,7 +30,9 @@ def test_no_example_is_left_out():
         "bullet_2d.py",
         "bullet_through_wall.py",
         "cloth_drop.py",
+        "fsi_membrane.py",
         "mesh_against_mesh.py",
+        "newton_cloth.py",
     }
 
 
