@@ -27,7 +27,7 @@ class LineSearchResult:
         touching: Pairs that keep vertices where they are: they touch at the start, or come within the minimum
             separation; none of their vertices moves.
         num_rounds: Calls of ``mesh_ccd`` that were made.
-        is_limited: Whether fractions of their own took too many rounds, and all move by one, or not at all.
+        is_limited: Whether fractions of their own took too many rounds, and all of a world move by one, or not at all.
     """
 
     vertices: NDArray[np.float64]
@@ -78,7 +78,7 @@ def search_step(
     moves = ~mesh.static[mesh.vertex_body]
     fraction = np.ones(mesh.num_vertices)
     vertices = end
-    common = 1.0
+    common = fraction
     is_limited = False
     for num_rounds in range(1, max_rounds + 1):
         contacts = solve(start, vertices).contacts
@@ -88,15 +88,17 @@ def search_step(
             break
         bound = np.full(mesh.num_vertices, np.inf)
         np.minimum.at(bound, corners[~is_held], contacts.toi[~is_held, None])
+        of_world = _shared(bound, mesh, "scene" if per == "scene" else "world")
         if num_rounds == 1:
-            common = safety * float(bound.min())
+            common = np.minimum(safety * of_world, 1.0)
         bound = _shared(bound, mesh, per)
         touched = np.isfinite(bound)
         fraction[touched] *= safety * bound[touched]
         if num_rounds >= max_rounds - 2:
-            # one fraction for all, which the first round has found free; and then none, which ends the search
+            # one fraction for each world that touches, which the first round has found free; and then none, which ends
+            # the search
             is_limited = True
-            fraction = np.full_like(fraction, common if num_rounds == max_rounds - 2 else 0.0)
+            fraction = np.where(np.isinf(of_world), fraction, common if num_rounds == max_rounds - 2 else 0.0)
         fraction[~moves] = 1.0
         vertices = _moved(start, end, fraction)
     return LineSearchResult(

@@ -245,8 +245,8 @@ def line_search(
         per: ``"scene"``: all vertices move by one fraction of their displacements; ``"world"`` and ``"body"``: those of
             each by one; ``"vertex"``: each vertex by its own.
         safety: Share of its toi that what touches may move, in (0, 1).
-        max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices move by one fraction,
-            or not at all, and ``is_limited`` says so.
+        max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices of a world move by
+            one fraction, or not at all, and ``is_limited`` says so.
         **options: Options of :func:`mesh_ccd`, all but ``t_max``.
 
     Returns:

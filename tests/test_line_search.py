@@ -155,6 +155,18 @@ def test_a_search_that_takes_too_long_moves_by_one_fraction_or_not_at_all():
     assert _exact_contacts(mesh, start, step.vertices) == []
 
 
+def test_a_world_whose_search_takes_too_long_does_not_hold_others():
+    rng = np.random.default_rng(3)
+    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(8)]
+    start = np.concatenate([vertices for vertices, _ in bodies])
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, *bodies], vertex_world=np.repeat([0, 1], len(start)))
+    end = start + rng.uniform(-2, 2, start.shape)
+    both = np.concatenate([start, start]), np.concatenate([end, start + 0.25])
+    step = ccd.line_search(mesh, *both, per="vertex", max_rounds=3, length_scale=1.0)
+    assert step.is_limited and len(set(step.vertex_fraction[: len(start)])) == 1
+    assert step.vertex_fraction[0] < 1.0 and (step.vertex_fraction[len(start) :] == 1.0).all()
+
+
 def test_the_held_object_gives_the_same():
     mesh, start = _stacked(0.0, 1.0)
     end = start - [0, 0, 2.0] * (np.arange(6)[:, None] >= 3)
