@@ -24,6 +24,7 @@ from ccd_warp.kernels.pair_search import HELD, NUM_COUNTS, make_pair_search
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
+_LEAST_ROOM = 1 << 12
 _NUM_FRAMES = 2
 _CHUNK = int(device_step.CHUNK)
 # Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
@@ -63,9 +64,9 @@ class Capacities:
 
     @staticmethod
     def default(mesh: CollisionMesh) -> "Capacities":
-        """Two pairs a primitive, one contact."""
+        """A pair of each kind a primitive, a contact a vertex: less than the boxes take."""
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
-        return Capacities(min(max(1 << 12, 2 * primitives), MOST_PAIRS), min(max(1 << 12, primitives), MOST_CONTACTS))
+        return Capacities(min(max(_LEAST_ROOM, primitives), MOST_PAIRS), max(_LEAST_ROOM, mesh.num_vertices))
 
 
 @dataclass(frozen=True)

@@ -141,9 +141,9 @@ class CollisionPipeline:
 
         Args:
             max_pairs: Pairs of each kind that there is room for after the cull, 8 bytes each; by default as before, at
-                first two a primitive.
-            max_contacts: Contacts that there is room for, 80 bytes each; by default as before, at first one a
-                primitive.
+                first one a primitive and at least 4,096.
+            max_contacts: Contacts that there is room for, 80 bytes each; by default as before, at first one a vertex
+                and at least 4,096.
             vertices: Positions that are typical of the loop, shape [V, 3]: boxes are laid out for them, and static
                 bodies rest there until a launch says otherwise. By default as before, at first those of the mesh.
                 Another layout costs time, never a collision.
