@@ -19,7 +19,7 @@ from ccd_warp._cli import main
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
-from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report
+from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report, separation
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
@@ -480,6 +480,20 @@ def test_the_solver_page_has_the_figures_of_the_steps_on_the_device():
     assert all(row["different_toi"] == 0 for row in figures["rows"])
     text = (ROOT / "docs" / "solver.md").read_text(encoding="utf-8")
     assert report.with_table(text, "steps on the device", device_step.rows_table(figures["rows"])) == text
+
+
+def test_the_choosing_page_has_the_figures_of_the_separations():
+    figures = json.loads((RESULTS / "separation.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "choosing.md").read_text(encoding="utf-8")
+    assert report.with_table(text, "separation", separation.rows_table(figures["rows"])) == text
+
+
+def test_a_larger_separation_is_met_earlier_and_brings_more_near(monkeypatch):
+    monkeypatch.setattr(separation, "ROUNDS", 1)
+    rows = separation.measure(5_000, (0.0, 1e-3, 1e-2))
+    for name, sign in (("toi", -1), ("candidates", 1), ("contacts", 1)):
+        assert all(sign * a[name] <= sign * b[name] for a, b in itertools.pairwise(rows)), name
+        assert rows[0][name] != rows[-1][name]
 
 
 def test_a_row_of_the_steps_on_the_device(monkeypatch):
