@@ -25,9 +25,9 @@ class PairResult:
     Attributes:
         toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
         status: How the answer was reached (:class:`ccd_warp.CCDStatus`), int32, shape [n].
-        parameters: (u, v) of the closest point at toi, float64, shape [n, 2]: barycentric coordinates of f1 and f2 for
-            vertex-face, positions along the first and the second edge for edge-edge, (u, 0) with the position u along
-            the segment for point-segment. 0 where toi is inf.
+        parameters: (u, v) of the closest point at toi, with a minimum separation in the Euclidean norm, float64,
+            shape [n, 2]: barycentric coordinates of f1 and f2 for vertex-face, positions along the first and the second
+            edge for edge-edge, (u, 0) with the position u along the segment for point-segment. 0 where toi is inf.
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, in the length unit of the points,
             float64, shape [n]; 0 where toi is inf.
         width: Width of the reported box in time: the gap holds somewhere in [toi, toi + width]. 0 with the default

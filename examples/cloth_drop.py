@@ -351,6 +351,7 @@ def main() -> None:
     from tqdm import tqdm
 
     options.output.mkdir(parents=True, exist_ok=True)
+    wp.config.log_level = wp.LOG_WARNING
     scene = ClothDrop(options.resolution, with_ccd=not options.no_ccd)
     key_frames = {frame for frame in KEY_FRAMES if frame < options.frames} | {options.frames - 1}
     pictures: list[tuple[str, NDArray[np.float64]]] = []

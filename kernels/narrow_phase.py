@@ -193,6 +193,14 @@ def make_narrow_phase(real) -> SimpleNamespace:
         return gap
 
     @wp.func
+    def to_lengths(n: Normalised) -> vec3:
+        """Factors that make corners lengths again, up to one common to all axes."""
+        largest = wp.max(wp.max(n.unit[0], n.unit[1]), n.unit[2])
+        if largest <= LARGEST:
+            return vec3(n.unit / largest)
+        return vec3(real(1.0), real(1.0), real(1.0))
+
+    @wp.func
     def solve(kind: int, n: Normalised, options: Options) -> Outcome:
         """Earliest toi of one pair, inf if none."""
         outcome = Outcome()
@@ -234,16 +242,25 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 outcome.toi = wp.float64(answer.toi)
                 outcome.status = answer.status
                 outcome.width = wp.float64(answer.width)
-                if answer.status == STATUS_COLLISION:
-                    if answer.toi == real(0.0):
-                        outcome.status = STATUS_INITIAL_CONTACT
-                else:
-                    # the toi is the earliest time still open, on whatever sub-patch
+                is_open = answer.status != STATUS_COLLISION
+                if not is_open and answer.toi == real(0.0):
+                    outcome.status = STATUS_INITIAL_CONTACT
+                if is_open or n.problem.has_separation:
+                    # the toi is the earliest time still open, on whatever sub-patch; or the point is one within the
+                    # separation, which need not be the closest
                     c = corners_at(n.patch, answer.toi)
-                    _d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, n.patch.is_triangle)
-                    answer.point = point_of(c, wb, wc, from_w11)
+                    s = to_lengths(n)
+                    _d, wb, wc, from_w11 = closest_on_patch(
+                        wp.cw_mul(s, c.w00),
+                        wp.cw_mul(s, c.w01),
+                        wp.cw_mul(s, c.w10),
+                        wp.cw_mul(s, c.w11),
+                        n.patch.is_triangle,
+                    )
                     answer.parameters = parameters(kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11)
-                    outcome.width = options.t_max - outcome.toi
+                    if is_open:
+                        answer.point = point_of(c, wb, wc, from_w11)
+                        outcome.width = options.t_max - outcome.toi
                 outcome.parameters = answer.parameters
                 outcome.gap = gap_of(answer.point, n)
         return outcome

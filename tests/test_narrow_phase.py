@@ -312,6 +312,44 @@ def test_edges_cross(precision):
     np.testing.assert_allclose(result.parameters[0], [0.25, 0.5], atol=1e-5)
 
 
+def gaps_at(kind, points, u, v):
+    """Vectors between the two points of (u, v) of each pair; u and v have shape [n] or [n, m]."""
+    p = points[:, :, None, :] if u.ndim == 2 else points
+    u, v = u[..., None], v[..., None]
+    if kind == "vertex-face":
+        return p[:, 0] - (1 - u - v) * p[:, 1] - u * p[:, 2] - v * p[:, 3]
+    if kind == "edge-edge":
+        return (1 - u) * p[:, 0] + u * p[:, 1] - (1 - v) * p[:, 2] - v * p[:, 3]
+    return p[:, 0] - (1 - u) * p[:, 1] - u * p[:, 2]
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.05, 20.0)])
+@pytest.mark.parametrize("kind", [*KINDS, "point-segment"])
+def test_parameters_within_a_separation_are_of_the_closest_point(kind, axes, precision):
+    """Many start within the separation, where any point would do for the toi."""
+    rng = np.random.default_rng(2)
+    n = 400
+    count = 3 if kind == "point-segment" else 4
+    start = rng.uniform(-1, 1, (n, count, 3)) * axes
+    end = start + rng.uniform(-0.5, 0.5, start.shape) * axes
+    result = {**SOLVE, "point-segment": ccd.point_segment_ccd}[kind](
+        start, end, minimum_separation=0.3, length_scale=1.0, precision=precision
+    )
+    u, v = result.parameters[result.hit].T
+    t = result.toi[result.hit, None, None]
+    at = (1 - t) * start[result.hit] + t * end[result.hit]
+    ours = np.linalg.norm(gaps_at(kind, at, u, v), axis=1)
+    sampled_u, sampled_v = rng.random((2, len(u), 5_000))
+    if kind == "vertex-face":
+        outside = sampled_u + sampled_v > 1
+        sampled_u, sampled_v = (np.where(outside, 1 - x, x) for x in (sampled_u, sampled_v))
+    sampled = np.linalg.norm(gaps_at(kind, at, sampled_u, sampled_v), axis=-1)
+    sampled = sampled.reshape(len(u), -1).min(axis=1)
+    size = np.abs(at).max(axis=(1, 2))
+    assert (ours <= sampled + (1e-12 if precision == "float64" else 1e-4) * size).all()
+    assert len(u) > 20
+
+
 def test_parameters_name_the_point_of_contact():
     # (u, v) of 200 random collisions: the points that they name are within the tolerance at toi, in float64
     for kind in KINDS:
