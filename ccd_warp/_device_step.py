@@ -106,11 +106,17 @@ class DeviceStep:
     """
 
     def __init__(
-        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+        self,
+        topology: Topology,
+        options: Options,
+        capacities: Capacities,
+        vertices: NDArray[np.float64],
+        at_rest: NDArray[np.float64],
     ) -> None:
-        """Allocate everything; ``vertices`` are where the trees are laid out, and where static bodies rest."""
+        """Allocate everything; ``vertices`` are where the trees are laid out, rows of ``at_rest`` static bodies."""
         self.topology = topology
         self._mesh = mesh = topology.mesh
+        _ = topology.corners, topology.rules  # made now, not when a graph is captured
         self._options = options
         self._execution = Execution(topology.device, options.threads)
         self._vertices = vertices
@@ -126,7 +132,7 @@ class DeviceStep:
         self._kinds = possible_kinds(mesh, options)
         self._start = self._end = self._empty(0, wp.vec3d)
         if mesh.static.any():
-            self._place()
+            self._place(at_rest)
         self._joins = joins_of(self, self._kinds, moves_alone(mesh))
         self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
         self._recordings: dict[_Form, Recording] = {}
@@ -142,10 +148,14 @@ class DeviceStep:
     def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
         return wp.full(count, value=value, dtype=dtype, device=self.topology.device)
 
-    def _place(self) -> None:
+    def _place(self, at_rest: NDArray[np.float64]) -> None:
         """Positions of its own, which begin with the static bodies where they are."""
-        rest: wp.array = wp.array(self._vertices, dtype=wp.vec3d, device=self.topology.device)
+        rest: wp.array = wp.array(at_rest, dtype=wp.vec3d, device=self.topology.device)
         self._start, self._end = rest, wp.clone(rest)
+
+    def at_rest(self) -> NDArray[np.float64]:
+        """Positions whose static rows are where these bodies rest by now; this waits for the device."""
+        return self._start.numpy().copy() if self._mesh.static.any() else self._vertices
 
     def _new_result(self, max_contacts: int) -> LaunchResult:
         """Arrays that say, before the first launch, that nothing may move."""
@@ -159,7 +169,8 @@ class DeviceStep:
             arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
         room = {name: self._empty(max_contacts, dtype) for name, dtype in _CONTACT_FIELDS.items() if name != "count"}
         count = self._full(1, 0, wp.int32)
-        return LaunchResult(**arrays, contacts=DeviceContacts(count=count, **room), num_pairs=self._counts[:, 0])
+        contacts = DeviceContacts(count=count, **room)
+        return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
     def _new_minima(self) -> Any:
         """The results as the kernels lower them: bits of numbers that are not negative."""

@@ -30,7 +30,10 @@ def as_warp(value: Any, name: str) -> wp.array:
         return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
     if not hasattr(value, "__dlpack__"):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
-    kind, index = value.__dlpack_device__()
+    try:
+        kind, index = value.__dlpack_device__()
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
     if kind == _CUDA and index >= wp.get_cuda_device_count():
         names = ", ".join(device.alias for device in wp.get_devices())
         raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
@@ -72,7 +75,7 @@ def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -
     array: Any = as_warp(value, name)
     if array.device != device:
         raise ValueError(f"{name} is on {array.device.alias}; expected {device.alias}, where the pipeline is")
-    if not array.is_contiguous:
+    if not array.is_contiguous and array.size:
         raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
     dtype, shape = array.dtype, array.shape
     if dtype in _VECTORS and array.ndim == 2 and shape[1] == 3:
@@ -87,6 +90,8 @@ def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -
         raise ValueError(f"{name} has {shape[0]} rows; expected {rows}")
     if dtype is array.dtype:
         return array
+    if shape[0] == 0:
+        return wp.empty(0, dtype=dtype, device=array.device)
     alias: wp.array = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
     alias._ref = array  # type: ignore[assignment]  # keeps the memory
     return alias

@@ -89,8 +89,13 @@ def as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 def on_host(values: Any, name: str) -> Any:
     """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU."""
-    place = getattr(values, "__dlpack_device__", None)
-    if callable(place) and not isinstance(values, np.ndarray) and place()[0] not in _HOST_MEMORY:
+    place = None
+    if hasattr(values, "__dlpack_device__") and not isinstance(values, np.ndarray):
+        try:
+            place = values.__dlpack_device__()[0]
+        except Exception as error:  # whatever the other library raises
+            raise ValueError(f"{name} is a {type(values).__name__} that cannot be read: {error}") from error
+    if place is not None and place not in _HOST_MEMORY:
         raise ValueError(
             f"{name} is a {type(values).__name__} on a GPU; expected an array on the host, "
             f"or CollisionPipeline.launch, which takes arrays on its device"

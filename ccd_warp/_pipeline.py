@@ -83,7 +83,7 @@ class CollisionPipeline:
             num_threads=num_threads,
         )
         self._hold(options, Workspace(mesh, resolve_device(device)))
-        self._set_capacities(max_pairs, max_contacts)
+        self._capacities = self._with_capacities(max_pairs, max_contacts)
 
     def _hold(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
@@ -115,6 +115,8 @@ class CollisionPipeline:
 
     @contextmanager
     def _step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> Iterator[Step]:
+        if self._workspace.topology.device.is_capturing:
+            raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
             step = Step(self._workspace, vertices_t0, vertices_t1, self._options)
             yield step
@@ -123,21 +125,23 @@ class CollisionPipeline:
             self.timings = step.timings
             self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
 
-    def _set_capacities(self, max_pairs: int | None, max_contacts: int | None) -> None:
+    def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
+        capacities = self._capacities
         if max_pairs is not None:
             check_count("max_pairs", max_pairs, MOST_PAIRS)
-            self._capacities = replace(self._capacities, max_pairs=int(max_pairs))
+            capacities = replace(capacities, max_pairs=int(max_pairs))
         if max_contacts is not None:
             check_count("max_contacts", max_contacts, MOST_CONTACTS)
-            self._capacities = replace(self._capacities, max_contacts=int(max_contacts))
+            capacities = replace(capacities, max_contacts=int(max_contacts))
+        return capacities
 
     def reserve(
         self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
     ) -> LaunchResult:
         """Allocate all that :meth:`launch` needs: before the loop, and again where a flag told of too little room.
 
-        The result of before is no longer written to. A graph that was captured before still writes there, and needs it
-        kept: capture anew.
+        The result of before is no longer written to. A graph that was captured before still writes there, as long as
+        that result is kept: capture anew.
 
         Args:
             max_pairs: Pairs of each kind that there is room for after the cull, 8 bytes each; by default as before, at
@@ -154,13 +158,19 @@ class CollisionPipeline:
         Raises:
             ValueError: If a capacity is out of its range, the positions do not match, or are all one and no
                 ``length_scale`` is given.
+            RuntimeError: While a graph is captured.
         """
         with self._lock:
-            self._set_capacities(max_pairs, max_contacts)
-            if vertices is not None:
-                self._layout = self.mesh.frame(vertices, "vertices")
-            self._device_step = DeviceStep(self._workspace.topology, self._options, self._capacities, self._layout)
-            return self._device_step.result
+            topology = self._workspace.topology
+            if topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured; call reserve() before the capture")
+            capacities = self._with_capacities(max_pairs, max_contacts)
+            layout = self._layout if vertices is None else self.mesh.frame(vertices, "vertices").copy()
+            before = self._device_step
+            at_rest = layout if vertices is not None or before is None else before.at_rest()
+            step = DeviceStep(topology, self._options, capacities, layout, at_rest)
+            self._capacities, self._layout, self._device_step = capacities, layout, step
+            return step.result
 
     def launch(self, x_t0: Any, x_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
         """Look at a step on the device, without waiting for it.
@@ -235,8 +245,8 @@ class CollisionPipeline:
                 follow.
 
         Returns:
-            The result of the last look: of a world that moves, toi is inf; of one that had to stay, it is finite. Flags
-            of too little room for pairs and of invalid input are those of all looks.
+            The result of the last look: of a world in which something moves, toi is inf; of one that it had to stop it
+            is finite. Flags of too little room for pairs and of invalid input are those of all looks.
 
         Raises:
             ValueError: As :meth:`launch`, or if an option is out of its range.

@@ -1,6 +1,7 @@
 """Results of the mesh functions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -112,6 +113,8 @@ class DeviceContacts:
 class LaunchResult:
     """Where :meth:`ccd_warp.CollisionPipeline.launch` writes: Warp arrays, the same ones each time.
 
+    It keeps all that a captured graph uses, so keep it as long as the graph.
+
     Attributes:
         toi: Earliest time of impact of the scene in [0, t_max]; inf: certainly none; float64, shape [1].
         world_toi: The same for each world, float64, shape [W]; without worlds the array ``toi`` itself.
@@ -132,3 +135,4 @@ class LaunchResult:
     flags: wp.array
     world_flags: wp.array
     num_pairs: wp.array
+    _step: Any = field(default=None, repr=False, compare=False)  # what a graph that writes here uses

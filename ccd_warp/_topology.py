@@ -102,6 +102,8 @@ class Topology:
         return [self.vertex_body, active, self.vertex_world, self.world_shift]
 
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        if self.device.is_capturing:  # the copy would be part of the graph, and not made now
+            raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
     @cached_property

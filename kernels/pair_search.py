@@ -258,6 +258,8 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 lane = lowest_bit(pending[level])
                 pending[level] = pending[level] & (pending[level] - wp.uint32(1))
                 child = node[level] * WIDTH + lane
+                if child >= target.block_begin[level] - target.block_begin[level - 1]:
+                    continue  # an empty place, which only a box that is infinite in the image meets
                 if level > 1:
                     level -= 1
                     block = target.block_begin[level] + child

@@ -129,6 +129,25 @@ def test_array_on_a_gpu_is_named():
         ccd.CollisionPipeline(MESH, device="cpu").launch(OnAnotherDevice(), END)
 
 
+class WithoutADevice:
+    """An array that does not say where it is."""
+
+    shape = (6, 3)
+
+    def __dlpack__(self, **_):
+        raise BufferError("not now")
+
+    def __dlpack_device__(self):
+        raise TypeError("deleted")
+
+
+def test_array_that_does_not_say_where_it_is_is_named():
+    with pytest.raises(ValueError, match="x_t0 is a WithoutADevice that cannot be shared: deleted"):
+        ccd.CollisionPipeline(MESH, device="cpu").launch(WithoutADevice(), END)
+    with pytest.raises(ValueError, match="vertices_t0 is a WithoutADevice that cannot be read: deleted"):
+        ccd.mesh_ccd(MESH, WithoutADevice(), END)
+
+
 @pytest.mark.parametrize("name", ["torch", "jax"])
 def test_bad_arrays_of_other_libraries_are_named(name):
     library = Library(name)

@@ -1,5 +1,8 @@
 """Steps whose input and results stay on the device: against the calls on the host, captured, with too little room."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import trimesh
@@ -374,6 +377,131 @@ def test_all_static(device):
     x = on_device(mesh.vertices, device)
     result = host(ccd.CollisionPipeline(mesh, device=device).launch(x, x))
     assert result["toi"][0] == np.inf
+
+
+LOW, HIGH = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0.2, 0.2, 1], [1.2, 0.2, 1], [0.2, 1.2, 1]])
+ONE_FACE = [[0, 1, 2]]
+
+
+def falling(**options):
+    """A face that falls through another: mesh and both frames."""
+    mesh = ccd.CollisionMesh.from_arrays([(LOW, ONE_FACE), (HIGH, ONE_FACE)], **options)
+    end = mesh.vertices.copy()
+    end[3:, 2] -= 2.0
+    return mesh, mesh.vertices.copy(), end
+
+
+@pytest.mark.parametrize("rules", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool)}, {"exclusion_rings": 2}])
+def test_first_launch_in_a_capture_of_the_cpu(rules):
+    """What a mesh keeps on the device is made before, or the graph alone would hold the copies."""
+    mesh, start, end = falling(**rules)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
+    result = pipeline.reserve()
+    x_t0, x_t1 = on_device(start), on_device(end)
+    with wp.ScopedCapture(device="cpu") as capture:
+        pipeline.launch(x_t0, x_t1)
+    expected = ccd.mesh_ccd(falling(**rules)[0], start, end, length_scale=1.0, device="cpu")
+    assert expected.hit
+    wp.capture_launch(capture.graph)
+    check_same(result, expected)
+    check_same(pipeline.launch(x_t0, x_t1), expected)
+    assert ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu").toi == expected.toi
+
+
+def test_calls_that_a_graph_cannot_hold_say_so():
+    mesh, start, end = falling()
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    for call in (
+        pipeline.reserve,
+        lambda: pipeline.mesh_ccd(start, end),
+        lambda: ccd.collision_free_step(mesh, start, end, device="cpu"),
+        lambda: ccd.CollisionPipeline(falling()[0], device="cpu"),
+    ):
+        with pytest.raises(RuntimeError, match="a graph is being captured"), wp.ScopedCapture(device="cpu"):
+            call()
+
+
+@pytest.mark.parametrize("far", [1e40, 1e300])
+@pytest.mark.parametrize("count", [20, 5_000])
+def test_face_whose_box_is_infinite_in_the_image(device, count, far):
+    rng = np.random.default_rng(0)
+    vertices = (rng.uniform(-1, 1, (count, 1, 3)) + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
+    faces = np.arange(3 * count).reshape(-1, 3)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (np.eye(3), ONE_FACE)], self_collision=False)
+    start = mesh.vertices.copy()
+    end = start + [0, 0, 0.01]
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    pipeline.reserve(vertices=start)
+    start[-2] = end[-2] = far
+    start[-1] = end[-1] = -far
+    result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    if result["flags"][0] == 0:
+        assert (result["vertex_toi"] <= expected.vertex_toi).all()
+    assert ccd.collision_free_step(mesh, start, end, length_scale=1.0, device=device) <= min(expected.toi, 1.0)
+
+
+def test_separation_beyond_the_image(device):
+    mesh, start, end = falling()
+    options = {"minimum_separation": 1e40, "length_scale": 1.0, "device": device}
+    result = ccd.CollisionPipeline(mesh, **options).launch(on_device(start, device), on_device(end, device))
+    assert result.toi.numpy()[0] == ccd.mesh_ccd(mesh, start, end, **options).toi == 0.0
+
+
+def test_layout_is_kept_as_it_was_given(device):
+    mesh, start, end = falling()
+    layout = mesh.vertices.copy()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+    pipeline.reserve(vertices=layout)
+    layout[:] = np.nan  # the caller's own array
+    pipeline.reserve(max_pairs=10_000)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
+    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), expected)
+
+
+def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved(device):
+    mesh = ccd.CollisionMesh.from_arrays([(HIGH, ONE_FACE), (LOW, ONE_FACE)], static=[1])
+    start = np.concatenate([HIGH - [0, 0, 2.0], LOW - [0, 0, 5.0]])
+    end = np.concatenate([HIGH - [0, 0, 10.0], start[3:]])
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
+    pipeline.launch(on_device(start, device), on_device(end, device))
+    pipeline.reserve(max_pairs=10_000)
+    moving = pipeline.launch(on_device(start[:3], device), on_device(end[:3], device))
+    check_same(moving, ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device))
+    assert moving.toi.numpy()[0] == pytest.approx(0.5)
+    pipeline.reserve(vertices=mesh.vertices)
+    assert pipeline.launch(on_device(start[:3], device), on_device(end[:3], device)).toi.numpy()[0] == np.inf
+
+
+def test_reserve_that_fails_changes_nothing():
+    mesh, _, _ = falling()
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    with pytest.raises(ValueError, match=r"vertices span 0\.0"):
+        pipeline.reserve(max_pairs=7, vertices=np.zeros((6, 3)))
+    pipeline.reserve(max_contacts=5)
+    assert {len(keys) for keys in pipeline._device_step._keys.values()} == {4096}
+
+
+def test_result_keeps_what_a_graph_uses():
+    mesh, start, end = falling()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
+    x_t0, x_t1 = on_device(start), on_device(end)
+    result = pipeline.launch(x_t0, x_t1)
+    step = weakref.ref(pipeline._device_step)
+    pipeline.reserve()
+    gc.collect()
+    assert step() is not None
+    del result
+    gc.collect()
+    assert step() is None
+
+
+def test_no_rows(device):
+    empty = np.zeros((0, 3))
+    mesh = ccd.CollisionMesh.from_arrays([(empty, np.zeros((0, 3), dtype=int))])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    assert pipeline.launch(empty, empty).toi.numpy()[0] == np.inf
+    assert pipeline.launch_line_search(empty, empty).toi.numpy()[0] == np.inf
 
 
 def launch_on_cpu(mesh, x_t0, x_t1=None, **arrays):
