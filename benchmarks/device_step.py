@@ -7,37 +7,17 @@ Rounds are interleaved; times are medians. The tois of the launch are compared w
 
 from __future__ import annotations
 
-import argparse
-import json
-import statistics
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.machine import describe, machine
+from ccd_warp.benchmarks import scenes, side_figures
 from ccd_warp.benchmarks.numbers import table, time_text
-from ccd_warp.benchmarks.report import with_table
 
 import ccd_warp as ccd
 
 WORLDS = (1, 10, 100, 1_000, 10_000)
 ROUNDS = 7
-
-
-def interleaved(calls: dict[str, Callable[[], None]], device: str) -> dict[str, float]:
-    """Median seconds of each call, after one to warm up; each until the device is done."""
-    seconds: dict[str, list[float]] = {name: [] for name in calls}
-    for k in range(ROUNDS + 1):
-        for name, call in calls.items():
-            begin = time.perf_counter()
-            call()
-            wp.synchronize_device(device)
-            if k:
-                seconds[name].append(time.perf_counter() - begin)
-    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray, device: str) -> dict:
@@ -74,13 +54,14 @@ def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarr
         "later_toi": int((result.vertex_toi.numpy() > on_host.vertex_toi).sum()),
         "first": first,
     }
-    row["seconds"] = interleaved(
+    row["seconds"] = side_figures.interleaved(
         {
             "mesh_ccd": lambda: pipeline.mesh_ccd(*rounded),
             "launch": lambda: pipeline.launch(x_t0, x_t1),
             "replay": lambda: wp.capture_launch(capture.graph),
             "line search": line_search,
         },
+        ROUNDS,
         device,
     )
     return row
@@ -112,9 +93,7 @@ def rows_table(rows: list[dict]) -> list[str]:
 
 def main() -> None:
     """Measure, print a table and write the figures."""
-    parser = argparse.ArgumentParser(description="Steps on the device, as a table and as JSON.")
-    parser.add_argument("--output", type=Path, help="where the figures go, JSON")
-    parser.add_argument("--docs", type=Path, help="docs/solver.md, whose table is written")
+    parser = side_figures.parser("Steps on the device", "docs/solver.md")
     parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
@@ -122,14 +101,8 @@ def main() -> None:
     for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
         cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
     rows = [measure(*case, options.device) for case in [*cases, *map(worlds, WORLDS)]]
-    here = machine()
-    print("\n".join([describe(here), "", *rows_table(rows)]))
+    side_figures.publish(options, "steps on the device", rows, rows_table(rows))
     print(f"{sum(row['different_toi'] for row in rows)} tois differ, {sum(row['later_toi'] for row in rows)} are later")
-    if options.output:
-        options.output.write_text(json.dumps({"machine": here, "rows": rows}, indent=1) + "\n", encoding="utf-8")
-    if options.docs:
-        text = options.docs.read_text(encoding="utf-8")
-        options.docs.write_text(with_table(text, "steps on the device", rows_table(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":

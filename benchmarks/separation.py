@@ -5,17 +5,9 @@ python -m ccd_warp.benchmarks.separation --output benchmarks/results/separation.
 
 from __future__ import annotations
 
-import argparse
-import json
-import statistics
-import time
-from pathlib import Path
-
 import warp as wp
-from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.machine import describe, machine
+from ccd_warp.benchmarks import scenes, side_figures
 from ccd_warp.benchmarks.numbers import table, time_text
-from ccd_warp.benchmarks.report import with_table
 
 import ccd_warp as ccd
 
@@ -30,24 +22,19 @@ def measure(num_faces: int, separations: tuple[float, ...] = SEPARATIONS) -> lis
     scene = scenes.cloth_over_sphere(num_faces)
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
-    pipelines = [ccd.CollisionPipeline(mesh, minimum_separation=s, length_scale=1.0) for s in separations]
-    seconds: list[list[float]] = [[] for _ in pipelines]
-    results = []
-    for k in range(ROUNDS + 1):
-        results = []
-        for pipeline, times in zip(pipelines, seconds, strict=True):
-            begin = time.perf_counter()
-            results.append(pipeline.mesh_ccd(*frames))
-            if k:
-                times.append(time.perf_counter() - begin)
+    pipelines = {s: ccd.CollisionPipeline(mesh, minimum_separation=s, length_scale=1.0) for s in separations}
+    seconds = side_figures.interleaved(
+        {s: lambda p=pipeline: p.mesh_ccd(*frames) for s, pipeline in pipelines.items()}, ROUNDS
+    )
     edges = mesh.vertices[mesh.edges]
     edge_length = float(((edges[:, 0] - edges[:, 1]) ** 2).sum(axis=1).mean() ** 0.5)
     rows = []
-    for separation, result, times in zip(separations, results, seconds, strict=True):
+    for separation, pipeline in pipelines.items():
+        result = pipeline.mesh_ccd(*frames)
         kinds = ("vertex-face", "edge-edge")
         both = {stage: sum(result.counts[f"{kind} {stage}"] for kind in kinds) for stage in STAGES}
         rows.append({"separation": separation, "edge_length": edge_length, **both, "toi": result.toi})
-        rows[-1]["seconds"] = statistics.median(times)
+        rows[-1]["seconds"] = seconds[separation]
     return rows
 
 
@@ -68,19 +55,10 @@ def rows_table(rows: list[dict]) -> list[str]:
 
 def main() -> None:
     """Measure, print a table and write the figures."""
-    parser = argparse.ArgumentParser(description="What a minimum separation costs, as a table and as JSON.")
-    parser.add_argument("--output", type=Path, help="where the figures go, JSON")
-    parser.add_argument("--docs", type=Path, help="docs/choosing.md, whose table is written")
-    options = parser.parse_args()
+    options = side_figures.parser("What a minimum separation costs", "docs/choosing.md").parse_args()
     wp.config.log_level = wp.LOG_WARNING
     rows = measure(NUM_FACES)
-    here = machine()
-    print("\n".join([describe(here), "", *rows_table(rows)]))
-    if options.output:
-        options.output.write_text(json.dumps({"machine": here, "rows": rows}, indent=1) + "\n", encoding="utf-8")
-    if options.docs:
-        text = options.docs.read_text(encoding="utf-8")
-        options.docs.write_text(with_table(text, "separation", rows_table(rows)), encoding="utf-8")
+    side_figures.publish(options, "separation", rows, rows_table(rows))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ _FIELDS = {
     "gap": wp.float64,
     "width": wp.float64,
 }
-_OUTPUTS = {
+CONTACT_DTYPES = {
     "kind": wp.int32,
     "primitives": wp.vec2i,
     "toi": wp.float64,
@@ -54,9 +54,11 @@ class Gathered:
 class ContactStore:
     """Contacts of the batches so far."""
 
-    BYTES_PER_CONTACT = sum(wp.types.type_size_in_bytes(dtype) for dtype in _FIELDS.values())
+    BYTES_PER_CONTACT = sum(map(wp.types.type_size_in_bytes, _FIELDS.values()))
     # kept, in arrays that double and are copied to grow; their order; and what is returned
-    BYTES_KEPT = 3 * BYTES_PER_CONTACT + 8 + sum(wp.types.type_size_in_bytes(dtype) for dtype in _OUTPUTS.values())
+    BYTES_KEPT = (
+        3 * BYTES_PER_CONTACT + 8 + sum(wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values())
+    )
 
     def __init__(self, buffers: Buffers, execution: Execution, largest: int) -> None:
         """``largest`` is the number of contacts that there is room for; beyond it they are only counted."""
@@ -119,7 +121,7 @@ class ContactStore:
         """All contacts, by kind and pair, with normals, and whose they are."""
         mesh, topology, device = step.mesh, step.topology, self._execution.device
         total = sum(self.count.values())
-        outputs = {name: wp.empty(total, dtype=dtype, device=device) for name, dtype in _OUTPUTS.items()}
+        outputs = {name: wp.empty(total, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
         if total == 0:
             contacts = _as_contacts({name: array.numpy() for name, array in outputs.items()})
             toi = [np.full(n, np.inf) for n in (mesh.num_vertices, mesh.num_bodies)]

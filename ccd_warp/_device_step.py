@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contacts import CONTACT_DTYPES
 from ccd_warp._interop import as_positions
 from ccd_warp._launch import Execution, Recording, Slot
 from ccd_warp._mesh import CollisionMesh
@@ -42,17 +43,6 @@ _PER = {
 }
 # Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
 _ROUNDS_BY_TOI = 2
-_CONTACT_FIELDS = {
-    "count": wp.int32,
-    "kind": wp.int32,
-    "primitives": wp.vec2i,
-    "toi": wp.float64,
-    "status": wp.int32,
-    "parameters": wp.vec2d,
-    "gap": wp.float64,
-    "width": wp.float64,
-    "normal": wp.vec3d,
-}
 
 
 @dataclass(frozen=True)
@@ -129,18 +119,17 @@ class DeviceStep:
         self._is_moved = self._full(1, 0, wp.int32)
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._trees: dict[str, Tree] = {}
-        self._kinds = possible_kinds(mesh, options)
         self._start = self._end = self._empty(0, wp.vec3d)
         if mesh.static.any():
             self._place(at_rest)
-        self._joins = joins_of(self, self._kinds, moves_alone(mesh))
+        self._joins = joins_of(self, possible_kinds(mesh, options), moves_alone(mesh))
         self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
         self._recordings: dict[_Form, Recording] = {}
         self.result = self._new_result(capacities.max_contacts)
         self._minima = self._new_minima()
         self._contacts = contacts.ContactList()
-        for name in _CONTACT_FIELDS:
-            setattr(self._contacts, name, getattr(self.result.contacts, name))
+        for name, array in vars(self.result.contacts).items():
+            setattr(self._contacts, name, array)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -167,7 +156,7 @@ class DeviceStep:
         if mesh.num_worlds > 1:
             arrays["world_toi"] = self._full(mesh.num_worlds, 0.0, wp.float64)
             arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
-        room = {name: self._empty(max_contacts, dtype) for name, dtype in _CONTACT_FIELDS.items() if name != "count"}
+        room = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
         count = self._full(1, 0, wp.int32)
         contacts = DeviceContacts(count=count, **room)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
@@ -261,16 +250,18 @@ class DeviceStep:
         num_bodies = self._mesh.num_bodies
         by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(self._mesh))
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
-        for look, (per, share) in enumerate(form.line_search.stages()):
+        stages = form.line_search.stages()
+        for look, (per, share) in enumerate(stages):
             self._record_step(recording, form, kept_flags=_KEPT_FLAGS if look > 0 else 0)
-            # what a look has found free is so until something in its world is shortened
-            recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
-            recording.launch(
-                device_step.keep_touched,
-                len(topology.moving_vertices),
-                inputs=[topology.moving_vertices, by_scene, self._minima],
-                outputs=[self._touched],
-            )
+            if look < len(stages) - 1:
+                # what a look has found free is so until something in its world is shortened
+                recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
+                recording.launch(
+                    device_step.keep_touched,
+                    len(topology.moving_vertices),
+                    inputs=[topology.moving_vertices, by_scene, self._minima],
+                    outputs=[self._touched],
+                )
             recording.launch(
                 device_step.make_input(form.real).shorten,
                 len(topology.moving_vertices),

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-_CUDA = 2  # a device type of DLPack
+# Device types of DLPack: CUDA; and the CPU, and host memory that CUDA has pinned or manages.
+_CUDA = 2
+_HOST_MEMORY = (1, 3, 13)
 _VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
 
 
@@ -30,10 +32,7 @@ def as_warp(value: Any, name: str) -> wp.array:
         return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
     if not hasattr(value, "__dlpack__"):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
-    try:
-        kind, index = value.__dlpack_device__()
-    except Exception as error:  # whatever the other library raises
-        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+    kind, index = _place(value, name)
     if kind == _CUDA and index >= wp.get_cuda_device_count():
         names = ", ".join(device.alias for device in wp.get_devices())
         raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
@@ -41,6 +40,29 @@ def as_warp(value: Any, name: str) -> wp.array:
         return wp.from_dlpack(value)  # type: ignore[return-value]
     except Exception as error:  # whatever the other library raises
         raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+
+
+def _place(value: Any, name: str) -> tuple[int, int]:
+    """Type and index of the device of an array, as DLPack counts them."""
+    try:
+        kind, index = value.__dlpack_device__()
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+    return int(kind), int(index)
+
+
+def on_host(value: Any, name: str) -> Any:
+    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU.
+
+    Raises:
+        ValueError: If they are.
+    """
+    if is_device_array(value) and _place(value, name)[0] not in _HOST_MEMORY:
+        raise ValueError(
+            f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
+            f"or CollisionPipeline.launch, which takes arrays on its device"
+        )
+    return value.numpy() if isinstance(value, wp.array) else value
 
 
 def check_writable(value: Any, name: str) -> None:

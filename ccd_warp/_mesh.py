@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._interop import on_host
 from ccd_warp._mesh_input import (
     arrays_of_trimesh,
     as_positions,
     check_finite,
     find_loose_points,
-    on_host,
     unique_edges,
     validated_body_pairs,
     validated_flags,

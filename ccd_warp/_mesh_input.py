@@ -4,11 +4,9 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-# Device types of DLPack: the CPU, and host memory that CUDA has pinned or manages.
-_HOST_MEMORY = (1, 3, 13)
+from ccd_warp._interop import on_host
 
 
 def unique_edges(
@@ -85,22 +83,6 @@ def as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {array.dtype}; expected real numbers")
     return np.ascontiguousarray(array, dtype=np.float64)
-
-
-def on_host(values: Any, name: str) -> Any:
-    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU."""
-    place = None
-    if hasattr(values, "__dlpack_device__") and not isinstance(values, np.ndarray):
-        try:
-            place = values.__dlpack_device__()[0]
-        except Exception as error:  # whatever the other library raises
-            raise ValueError(f"{name} is a {type(values).__name__} that cannot be read: {error}") from error
-    if place is not None and place not in _HOST_MEMORY:
-        raise ValueError(
-            f"{name} is a {type(values).__name__} on a GPU; expected an array on the host, "
-            f"or CollisionPipeline.launch, which takes arrays on its device"
-        )
-    return values.numpy() if isinstance(values, wp.array) else values
 
 
 def check_finite(array: NDArray[np.float64], name: str) -> None:

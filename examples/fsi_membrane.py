@@ -309,7 +309,7 @@ class Trampoline:
         self.guard = ccd.CollisionPipeline(self.mesh, minimum_separation=SEPARATION * self.spacing, **lengths)
         count = self.mesh.num_vertices
         self.max_contacts = 32 * len(particles)
-        self.contacts = self.finder.reserve(max_pairs=2 * self.max_contacts, max_contacts=self.max_contacts).contacts
+        self.found = self.finder.reserve(max_pairs=2 * self.max_contacts, max_contacts=self.max_contacts)
         self.looked = self.guard.reserve(max_pairs=2 * self.max_contacts)
         self.planes = [wp.zeros(self.max_contacts, dtype=dtype) for dtype in (wp.vec4i, wp.vec4, wp.vec3)]
 
@@ -326,7 +326,7 @@ class Trampoline:
         self.springs = [wp.array(first, dtype=int), wp.array(other, dtype=int), wp.array(lengths, dtype=float)]
         self.grid = wp.HashGrid(64, 64, 64)
         self.multiplier, self.compression = (wp.zeros(len(particles), dtype=float) for _ in range(2))
-        # the kernel summed over a cubic lattice, and the softness that a hundredth of its gradients' squares make
+        # the kernel summed over a cubic lattice; and what keeps the multiplier of a lone particle finite
         k = np.arange(-3, 4) * self.spacing
         q = np.minimum(np.linalg.norm(np.stack(np.meshgrid(k, k, k)), axis=0) / self.reach, 1.0)
         self.rest_density = float((21.0 / (2.0 * np.pi * self.reach**3) * (1.0 - q) ** 4 * (4.0 * q + 1.0)).sum())
@@ -344,7 +344,7 @@ class Trampoline:
             # Without CCD all that can be known is what is close at one instant.
             start = self.x if self.with_ccd else self.wished
             self.finder.launch(start, self.wished)
-            found = self.contacts
+            found = self.found.contacts
             inputs = [found.count, found.primitives, found.parameters, found.toi, self.faces, start, self.wished]
             wp.launch(place_planes, dim=self.max_contacts, inputs=inputs, outputs=self.planes)
             self.grid.build(self.fluid_part(self.wished), self.reach)
@@ -374,13 +374,13 @@ class Trampoline:
             inputs = [self.wished, self.inverse_mass, *self.springs]
             wp.launch(pull_springs, dim=self.num_membrane, inputs=inputs, outputs=[self.moved])
             wp.copy(self.wished, self.moved, count=self.num_membrane)
-            inputs = [self.contacts.count, *self.planes, THICKNESS * self.spacing, self.inverse_mass, self.wished]
+            inputs = [self.found.contacts.count, *self.planes, THICKNESS * self.spacing, self.inverse_mass, self.wished]
             wp.launch(push_contacts, dim=self.max_contacts, inputs=inputs, outputs=pushes)
             wp.launch(apply_pushes, dim=len(self.wished), outputs=[*pushes, self.wished])
 
     def check_room(self) -> None:
         """Fail rather than go on without contacts that there was no room for."""
-        flags = int(self.finder.launch(self.x, self.x).flags.numpy()[0]) | int(self.looked.flags.numpy()[0])
+        flags = int(self.found.flags.numpy()[0]) | int(self.looked.flags.numpy()[0])
         if flags:
             raise RuntimeError(f"{ccd.LaunchFlag(flags)!r}; expected room for all pairs and contacts")
 

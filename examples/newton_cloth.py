@@ -111,8 +111,9 @@ class MotionBound:
     def apply(self, wished: wp.array) -> None:
         """Shorten the way from ``start`` to the positions wished for, in place: rows of the particles alone."""
         result = self.pipeline.launch_line_search(self.start, wished, per="vertex")
-        if result.flags.numpy()[0]:  # rather than particles that stand still for no reason that is seen
-            raise RuntimeError(f"{ccd.LaunchFlag(int(result.flags.numpy()[0]))!r}; reserve more")
+        flags = int(result.flags.numpy()[0])
+        if flags:  # rather than particles that stand still for no reason that is seen
+            raise RuntimeError(f"{ccd.LaunchFlag(flags)!r}; reserve more")
         wp.copy(self.start, wished)
 
 
@@ -321,11 +322,10 @@ def intersecting_pairs(mesh: ccd.CollisionMesh, vertices: NDArray[np.float64]) -
     return len(found[2])
 
 
-def stretch(model: newton.Model, vertices: NDArray[np.float64]) -> float:
+def stretch(mesh: ccd.CollisionMesh, vertices: NDArray[np.float64]) -> float:
     """Length of an edge of the cloth as a multiple of that at rest: of 99 in 100 at most."""
-    rest = collision_mesh(model)
-    edges = rest.edges[rest.edge_body == 0]
-    lengths = [np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) for x in (rest.vertices, vertices)]
+    edges = mesh.edges[mesh.edge_body == 0]
+    lengths = [np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) for x in (mesh.vertices, vertices)]
     return float(np.quantile(lengths[1] / lengths[0], 0.99))
 
 
@@ -348,7 +348,7 @@ def main() -> None:
     for k, vertices in enumerate(throw.frames(options.steps)):
         seconds.append(time.perf_counter() - begin)
         below, pairs = vertices_below_plate(throw.mesh, vertices), intersecting_pairs(throw.mesh, vertices)
-        last_stretch = stretch(throw.model, vertices)
+        last_stretch = stretch(throw.mesh, vertices)
         worst_below, worst_pairs, num_bad = max(worst_below, below), max(worst_pairs, pairs), num_bad + (pairs > 0)
         worst_stretch = max(worst_stretch, last_stretch)
         speed = np.linalg.norm(throw.state.particle_qd.numpy(), axis=1)

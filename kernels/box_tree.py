@@ -120,6 +120,13 @@ def vertex_record(
     return vec8f(lower[0], lower[1], lower[2], zero, -upper[0], -upper[1], -upper[2], zero)
 
 
+@wp.func
+def write_record(records: wp.array[wp.float32], place: int, record: vec8f):
+    """Put a record in its place."""
+    for k in range(RECORD):
+        records[place * RECORD + k] = record[k]
+
+
 @wp.kernel
 def fill_records(
     begin: int,
@@ -146,8 +153,7 @@ def fill_records(
             record = vertex_record(
                 v, vertex_world, world_shift, x_t0[v], x_t1[v], t_end, inflation, frame, num_frames, n
             )
-        for k in range(RECORD):
-            records[(v * num_frames + n) * RECORD + k] = record[k]
+        write_record(records, v * num_frames + n, record)
 
 
 @wp.func
@@ -251,6 +257,23 @@ def apply_order(
             block_corners[b * BLOCK_CORNERS + lane + k * WIDTH] = c[k]
 
 
+@wp.func
+def fill_block(records: wp.array[wp.float32], num_corners: int, tree: BoxTree, b: int):
+    """Fill block b of level 0 from the records of its vertices, and its union on level 1."""
+    write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+    unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
+
+
+@wp.func
+def unite_from(tree: BoxTree, first_level: int, count: int):
+    """All levels from one of so many boxes on."""
+    n = wp.int32(count)
+    for level in range(first_level, tree.num_levels):
+        for k in range(n):
+            unite(tree, level, k, n)
+        n = (n + WIDTH - 1) / WIDTH
+
+
 @wp.kernel
 def fill_blocks(
     begin: int,
@@ -260,10 +283,8 @@ def fill_blocks(
     # out
     tree: BoxTree,
 ):
-    """Fill a block of level 0 from the records of its vertices, and its union on level 1."""
-    b = begin + wp.tid()
-    write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
-    unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
+    """`fill_block` for every block."""
+    fill_block(records, num_corners, tree, begin + wp.tid())
 
 
 @wp.kernel
@@ -289,8 +310,4 @@ def unite_levels(
     tree: BoxTree,
 ):
     """All levels from one on in a single thread: there is little left of them, and a launch costs more."""
-    n = wp.int32(count)
-    for level in range(first_level, tree.num_levels):
-        for k in range(n):
-            unite(tree, level, k, n)
-        n = (n + WIDTH - 1) / WIDTH
+    unite_from(tree, first_level, count)

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .atomics import lower_to
-from .box_tree import RECORD, WIDTH, BoxTree, Frame, unite, vertex_record
-from .lanes import write_leaves
+from .box_tree import WIDTH, BoxTree, Frame, fill_block, unite_from, vertex_record, write_record
 from .minima import INVALID_INPUT, Minima, flag_world, world_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -141,8 +140,7 @@ def refresh_records(
                 record = vertex_record(
                     v, vertex_world, world_shift, x[v], x[v], wp.float64(1.0), inflation, frame, num_frames, n
                 )
-                for i in range(RECORD):
-                    records[(v * num_frames + n) * RECORD + i] = record[i]
+                write_record(records, v * num_frames + n, record)
 
 
 @wp.kernel
@@ -160,8 +158,7 @@ def refresh_blocks(
         count = (tree.num_boxes + WIDTH - 1) / WIDTH
         first = (begin + wp.tid()) * CHUNK
         for b in range(first, wp.min(first + CHUNK, count)):
-            write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
-            unite(tree, 1, b, count)
+            fill_block(records, num_corners, tree, b)
 
 
 @wp.kernel
@@ -175,11 +172,7 @@ def refresh_levels(
 ):
     """`unite_levels`, likewise; a single item."""
     if is_moved[0] != 0:
-        n = wp.int32(count)
-        for level in range(2, tree.num_levels):
-            for k in range(n):
-                unite(tree, level, k, n)
-            n = (n + WIDTH - 1) / WIDTH
+        unite_from(tree, 2, count)
 
 
 @cache

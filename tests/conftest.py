@@ -1,6 +1,8 @@
 """Set-up of the test suite: the installed package, a quiet Warp, and the fixtures every module shares."""
 
+import importlib.util
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 # After a plain `pip install .`, `python -m pytest` at the root would find ./ccd_warp, which lacks the kernels there.
@@ -11,6 +13,17 @@ import pytest  # noqa: E402
 import warp as wp  # noqa: E402
 
 wp.config.log_level = wp.LOG_WARNING
+
+
+@contextmanager
+def loaded_example(name: str):
+    """An example as a module; Warp looks up the source of its kernels among the modules."""
+    spec = importlib.util.spec_from_file_location(name, _ROOT / "examples" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[name]
 
 
 def _devices() -> list[str]:

@@ -1,25 +1,17 @@
 """The cloth of the example stays where it is with CCD, and does not without, as CGAL sees it."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from conftest import loaded_example
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "cloth_drop.py"
 RESOLUTION, NUM_FRAMES = 21, 15
 
 
 @pytest.fixture(scope="module")
 def cloth_drop():
     pytest.importorskip("igl.copyleft.cgal", reason="the extra examples is not installed")
-    spec = importlib.util.spec_from_file_location("cloth_drop", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # Warp looks up the source of kernels there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with loaded_example("cloth_drop") as module:
+        yield module
 
 
 def _counts(module, with_ccd: bool) -> tuple[list[int], np.ndarray]:

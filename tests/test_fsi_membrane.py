@@ -1,27 +1,19 @@
 """The particles of the example stay on their side with CCD, and do not without, by the winding number."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from conftest import loaded_example
 
 import ccd_warp as ccd
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "fsi_membrane.py"
 NUM_PARTICLES, RESOLUTION, NUM_FRAMES = 600, 16, 60
 
 
 @pytest.fixture(scope="module")
 def fsi_membrane():
     pytest.importorskip("igl", reason="the extra examples is not installed")
-    spec = importlib.util.spec_from_file_location("fsi_membrane", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # Warp looks up the source of kernels there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with loaded_example("fsi_membrane") as module:
+        yield module
 
 
 def run(module, with_ccd):

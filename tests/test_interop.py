@@ -144,7 +144,7 @@ class WithoutADevice:
 def test_array_that_does_not_say_where_it_is_is_named():
     with pytest.raises(ValueError, match="x_t0 is a WithoutADevice that cannot be shared: deleted"):
         ccd.CollisionPipeline(MESH, device="cpu").launch(WithoutADevice(), END)
-    with pytest.raises(ValueError, match="vertices_t0 is a WithoutADevice that cannot be read: deleted"):
+    with pytest.raises(ValueError, match="vertices_t0 is a WithoutADevice that cannot be shared: deleted"):
         ccd.mesh_ccd(MESH, WithoutADevice(), END)
 
 

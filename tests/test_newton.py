@@ -3,29 +3,21 @@
 Optional: `pip install -e '.[test,newton]'`.
 """
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from conftest import loaded_example
 
 pytest.importorskip("newton", reason="the extra newton is not installed")
 
 import ccd_warp as ccd
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "newton_cloth.py"
 RESOLUTION, NUM_STEPS = 16, 6
 
 
 @pytest.fixture(scope="module")
 def newton_cloth():
-    spec = importlib.util.spec_from_file_location("newton_cloth", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with loaded_example("newton_cloth") as module:
+        yield module
 
 
 def _integers(vertices: np.ndarray) -> np.ndarray:
