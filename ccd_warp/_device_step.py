@@ -178,18 +178,18 @@ class DeviceStep:
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
         """Lay trees out, and fill those of static bodies: kinds of primitives, and whether they rest."""
-        sets = [(self.topology.primitives(*end), end[1]) for end in dict.fromkeys(wanted)]
-        if any(is_static for _, is_static in sets):
+        sets = [self.topology.primitives(*end) for end in dict.fromkeys(wanted)]
+        if any(primitives.is_static for primitives in sets):
             self._execution.launch(
                 box_tree.fill_records,
                 len(self.topology.static_vertices),
                 inputs=self._record_inputs(self.topology.static_vertices, self._active, self._start, self._end, 1.0),
                 outputs=[self._records],
             )
-        for primitives, is_static in sets:
+        for primitives in sets:
             tree = new_tree(primitives, _NUM_FRAMES, lambda n: self._empty(n, wp.float32))
             tree.arrays.primitive, tree.arrays.corners = self._order(primitives)
-            if is_static:
+            if primitives.is_static:
                 fill_tree(tree, self._records, self._execution)
             self._trees[primitives.name] = tree
 

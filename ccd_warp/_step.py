@@ -319,8 +319,10 @@ class Step:
         }
         self.finish_timings()
         scene = float(contacts.toi.min()) if len(contacts) else math.inf
-        world_toi = np.full(mesh.num_worlds, np.inf)
-        np.minimum.at(world_toi, mesh.vertex_world, gathered.vertex_toi)
+        world_toi = np.full(mesh.num_worlds, scene)
+        if mesh.num_worlds > 1:
+            world_toi[:] = np.inf
+            np.minimum.at(world_toi, mesh.vertex_world, gathered.vertex_toi)
         return MeshResult(
             scene,
             gathered.vertex_toi,
