@@ -11,7 +11,7 @@ from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
 from ccd_warp._pair_search import Found
 from ccd_warp._results import Contacts
-from ccd_warp._status import PairKind
+from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._topology import CORNER_ARRAYS
 from ccd_warp.kernels import contacts as kernels
 
@@ -67,8 +67,9 @@ class ContactStore:
         self._execution = execution
         self._largest = largest
 
-    def solve(self, step: "Step", kernel: Any, batch: list[Found], room: int, options: Any) -> None:
+    def solve(self, step: "Step", kernel: Any, batch: list[Found], room: int, max_iterations: int) -> None:
         """Run the narrow phase on a batch that lies in so much room, and keep the pairs with a finite toi."""
+        options = step.options.for_kernel(step.length_scale, max_iterations, step.workspace.flag.array)
         scratch = kernels.Contacts()
         for name, dtype in _FIELDS.items():
             setattr(scratch, name, self._buffers.get(f"contact {name}", room, dtype))
@@ -78,12 +79,31 @@ class ContactStore:
         step.launch_on_pairs(
             kernel,
             parts,
-            lambda part, slot: [options, slot, part.found.begin + part.first],
-            [counts, scratch],
+            lambda part, slot: ([options, slot, part.found.begin + part.first], [counts, scratch]),
         )
         host = counts.numpy()[:, 0]
         for slot, part in enumerate(parts):
             self._keep(part.found.kind, scratch, part.found.begin + part.first, int(host[slot]))
+
+    def solve_open(self, step: "Step", kernel: Any) -> None:
+        """The second round: solve the pairs that the first has left open, each with its share of ``max_work``."""
+        for kind in sorted(self.count) if self.is_complete else ():
+            count = self.count[kind]
+            arrays = {
+                name: self._buffers.get(f"{kind.name} contact {name}", 0, dtype) for name, dtype in _FIELDS.items()
+            }
+            is_open = arrays["status"].numpy()[:count] == CCDStatus.ITERATION_LIMIT
+            num_open = int(np.count_nonzero(is_open))
+            share = step.options.share_of_work(num_open)
+            if num_open == 0 or share <= step.options.first_iterations:
+                continue
+            pairs = self._buffers.get("open keys", num_open, wp.int64)
+            pairs[:num_open].assign(arrays["pair"].numpy()[:count][is_open])
+            self.count[kind] = count - num_open
+            for array in arrays.values():
+                if self.count[kind]:
+                    array[: self.count[kind]].assign(array.numpy()[:count][~is_open])
+            self.solve(step, kernel, [Found(kind, pairs, 0, num_open)], num_open, share)
 
     def _keep(self, kind: PairKind, scratch: Any, begin: int, count: int) -> None:
         kept = self.count.get(kind, 0)

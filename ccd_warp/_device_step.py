@@ -12,14 +12,15 @@ from ccd_warp._interop import as_positions
 from ccd_warp._launch import Execution, Recording, Slot
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
-from ccd_warp._pair_search import Join, joins_of
+from ccd_warp._pair_search import WORTH_WAITING, Join, joins_of
 from ccd_warp._results import DeviceContacts, LaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
-from ccd_warp._step import half_up, moves_alone, possible_kinds
+from ccd_warp._step import WORTH_WAITING_PAIRS, half_up, moves_alone, possible_kinds
 from ccd_warp._step_boxes import Tree, fill_tree, new_tree
+from ccd_warp._threads import StopFlag
 from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
 from ccd_warp.kernels import box_tree, contacts, device_step
-from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.minima import FOUND, OPEN, Minima
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import HELD, NUM_COUNTS, make_pair_search
 
@@ -41,6 +42,9 @@ _PER = {
     "body": int(device_step.PER_BODY),
     "vertex": int(device_step.PER_VERTEX),
 }
+_SAFETY = Slot("safety")
+# Recordings that are kept, as many as a loop has kinds of calls.
+_MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
 _ROUNDS_BY_TOI = 2
 
@@ -61,20 +65,24 @@ class Capacities:
 
 @dataclass(frozen=True)
 class LineSearch:
-    """Options of :meth:`ccd_warp.CollisionPipeline.launch_line_search`."""
+    """Which launches a line search consists of; ``safety`` is an argument of theirs."""
 
     per: str
-    safety: float
-    num_rounds: int
+    num_rounds: int  # 0 where it does not count
 
-    def stages(self) -> list[tuple[str, float]]:
+    @staticmethod
+    def of(per: str, num_rounds: int) -> "LineSearch":
+        """The line search of :meth:`ccd_warp.CollisionPipeline.launch_line_search`."""
+        return LineSearch(per, 0 if per in ("scene", "world") else num_rounds)
+
+    def stages(self) -> list[tuple[str, Any]]:
         """What a vertex may move by after each check: whose toi, and the share of it."""
         if self.per in ("scene", "world"):
-            return [(self.per, self.safety), ("world", 0.0)]
+            return [(self.per, _SAFETY), ("world", 0.0)]
         # what is stopped may stop others in turn; what is left one fraction of the world settles
         by_toi = min(_ROUNDS_BY_TOI, self.num_rounds)
-        shares = [self.safety] * by_toi + [0.0] * (self.num_rounds - by_toi)
-        return [*((self.per, share) for share in shares), ("world", self.safety), ("world", 0.0)]
+        shares = [_SAFETY] * by_toi + [0.0] * (self.num_rounds - by_toi)
+        return [*((self.per, share) for share in shares), ("world", _SAFETY), ("world", 0.0)]
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,25 @@ class _Form:
     t1_by_vertex: bool
     is_displacement: bool = False
     line_search: LineSearch | None = None
+
+
+@dataclass(frozen=True)
+class PreparedLaunch:
+    """The checked arguments of a launch.
+
+    Attributes:
+        form: Which launches it consists of.
+        x_t0: Start positions.
+        x_t1: End positions, or displacements.
+        safety: Share of a toi that a line search keeps.
+        places_static: Whether it says where static bodies are.
+    """
+
+    form: _Form
+    x_t0: wp.array
+    x_t1: wp.array
+    safety: float
+    places_static: bool
 
 
 class DeviceStep:
@@ -108,7 +135,8 @@ class DeviceStep:
         self._mesh = mesh = topology.mesh
         _ = topology.corners, topology.rules  # made now, not when a graph is captured
         self._options = options
-        self._execution = Execution(topology.device, options.threads)
+        self._flag = StopFlag(topology.device)
+        self._execution = Execution(topology.device, options.threads, self._flag)
         self._vertices = vertices
         self._length_scale = options.length_scale or _longest_side(vertices)
         self._separation = options.separation(self._length_scale)
@@ -124,7 +152,7 @@ class DeviceStep:
             self._place(at_rest)
         self._joins = joins_of(self, possible_kinds(mesh, options), moves_alone(mesh))
         self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
-        self._recordings: dict[_Form, Recording] = {}
+        self._recordings: dict[_Form, Recording] = {}  # the one that was used last is the last
         self.result = self._new_result(capacities.max_contacts)
         self._minima = self._new_minima()
         self._contacts = contacts.ContactList()
@@ -210,7 +238,7 @@ class DeviceStep:
         of_vertices = self.topology.of_vertices(active)
         return [vertices, *of_vertices, start, end, t_end, self._inflation, self._frame, _NUM_FRAMES]
 
-    def launch(
+    def prepare(
         self,
         x_t0: Any,
         x_t1: Any,
@@ -218,8 +246,9 @@ class DeviceStep:
         name_t1: str = "x_t1",
         is_displacement: bool = False,
         line_search: LineSearch | None = None,
-    ) -> None:
-        """Launch a step; the arguments are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
+        safety: float = 1.0,
+    ) -> "PreparedLaunch":
+        """Check the arguments of a launch, which are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
         mesh, device = self._mesh, self.topology.device
         rows = {mesh.num_vertices: "one a vertex"}
         if mesh.static.any():
@@ -231,18 +260,27 @@ class DeviceStep:
         real = wp.float64 if start.dtype is wp.vec3d else wp.float32
         count = mesh.num_vertices
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
-        recording = self._recordings.get(form)
+        if form not in self._recordings and device.is_capturing and device.is_cuda:
+            raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
+        return PreparedLaunch(form, start, end, safety, form.t0_by_vertex and bool(mesh.static.any()))
+
+    def launch(self, prepared: "PreparedLaunch") -> None:
+        """Launch a step. If this raises, the step is half-made and is not to be used again."""
+        form, start, end = prepared.form, prepared.x_t0, prepared.x_t1
+        recording = self._recordings.pop(form, None)
         if recording is None:
-            if device.is_capturing and device.is_cuda:
-                raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
-            recording = self._recordings[form] = self._record(form, start, end)
+            recording = self._record(form, start, end)
+        self._recordings[form] = recording
+        if len(self._recordings) > _MOST_RECORDINGS:
+            self._recordings.pop(next(iter(self._recordings)))
         recording.bind("x_t0", start)
         recording.bind("x_t1", end)
+        recording.bind(_SAFETY.name, prepared.safety)
         recording.play()
 
     def _record(self, form: _Form, x_t0: wp.array, x_t1: wp.array) -> Recording:
         """All launches of a step, or of as many as a line search looks at."""
-        recording = Recording(self._execution, {"x_t0": x_t0, "x_t1": x_t1})
+        recording = Recording(self._execution, {"x_t0": x_t0, "x_t1": x_t1, _SAFETY.name: 1.0})
         if form.line_search is None:
             self._record_step(recording, form)
             return recording
@@ -317,10 +355,9 @@ class DeviceStep:
             device_step.reset,
             max(mesh.num_bodies, mesh.num_worlds),
             inputs=[kept_flags],
-            outputs=[minima, self._counts, self.result.contacts.count, self._is_moved],
+            outputs=[minima, self._counts, self.result.contacts.count, self._flag.array],
         )
-        with_static = form.t0_by_vertex and mesh.static.any()
-        if with_static:
+        if form.t0_by_vertex and mesh.static.any():
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // _CHUNK),
@@ -343,11 +380,11 @@ class DeviceStep:
             outputs=[self._start, self._end, minima],
         )
         recording.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[minima])
-        if with_static:
-            self._record_refresh(recording)
+        # an earlier launch may have been interrupted after it read where they are
+        self._record_refresh(recording)
 
     def _record_refresh(self, recording: Recording) -> None:
-        """Make the boxes of static bodies anew, where the input says that they are elsewhere."""
+        """Make the boxes of static bodies anew, where they are not those of the positions."""
         topology = self.topology
         trees = [tree for tree in self._trees.values() if tree.primitives.is_static]
         if not trees:
@@ -380,12 +417,14 @@ class DeviceStep:
                 recording.launch(
                     device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
                 )
+        recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
 
     def _record_search(self, recording: Recording, join: Join, start: Any, end: Any) -> None:
         """Look for the pairs of a join, a block of queries an item, on CUDA a query."""
         level = 0 if recording.is_cuda else 1
         keys = self._keys[join.kind]
-        rules = join.rules(self._options.t_max, self._inflation, self._separation)
+        rules = join.rules(self._options.t_max, self._inflation, self._separation, self._flag.array)
+        is_long = join.num_tests > WORTH_WAITING
         recording.launch(
             make_pair_search(HELD).search_pairs,
             join.query.primitives.count if level == 0 else join.query.levels[0],
@@ -405,6 +444,7 @@ class DeviceStep:
             outputs=[self._counts, keys, self._minima],
             grain=64,
             parts_per_thread=_PARTS_PER_THREAD,
+            is_long=lambda: is_long,
         )
 
     def _record_narrow_phase(
@@ -416,23 +456,30 @@ class DeviceStep:
         if not recording.is_cuda:
             solvers = self._execution.num_threads if self._mesh.num_vertices > _WORTH_THREADS else 1
         corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
-        recording.launch(
-            make_narrow_phase(self._options.real).pairs_minima,
-            solvers,
-            inputs=[
+        options = self._options.for_kernel(self._length_scale, stop=self._flag.array)
+        found = self._counts.numpy()[kind]  # on the CPU what a launch has found by then
+
+        for is_second in (False, True):
+            recording.launch(
+                make_narrow_phase(self._options.real).pairs_minima,
                 solvers,
-                int(kind),
-                self._counts,
-                keys,
-                *corners,
-                start,
-                end,
-                self._options.for_kernel(self._length_scale),
-                int(only_moving),
-            ],
-            outputs=[self._minima, self._contacts],
-            grain=1,
-        )
+                inputs=[
+                    solvers,
+                    int(kind),
+                    self._counts,
+                    keys,
+                    *corners,
+                    start,
+                    end,
+                    options,
+                    int(only_moving),
+                    int(is_second),
+                ],
+                outputs=[self._minima, self._contacts],
+                grain=1,
+                is_needed=(lambda: bool(found[OPEN])) if is_second else None,
+                is_long=lambda: bool(found[FOUND] > WORTH_WAITING_PAIRS or found[OPEN]),
+            )
 
 
 def _worlds_are_apart(mesh: CollisionMesh) -> bool:

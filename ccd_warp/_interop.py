@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._launch import start_warp
+
 # Device types of DLPack: CUDA; and the CPU, and host memory that CUDA has pinned or manages.
 _CUDA = 2
 _HOST_MEMORY = (1, 3, 13)
@@ -24,6 +26,7 @@ def as_warp(value: Any, name: str) -> wp.array:
     """
     if isinstance(value, wp.array):
         return value
+    start_warp()
     if isinstance(value, np.ndarray):
         if not value.flags.c_contiguous:
             raise ValueError(f"{name} has strides {value.strides}; expected a contiguous array, which needs no copy")

@@ -8,9 +8,10 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ccd_warp._interop import as_warp, is_device_array
-from ccd_warp._launch import Execution
+from ccd_warp._launch import Execution, load
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._status import PairKind
+from ccd_warp._threads import StopFlag
 from ccd_warp.kernels.contacts import lift
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
@@ -20,7 +21,8 @@ class PairResult:
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
     Warp arrays on the same device for arrays of Warp, or of a library that speaks DLPack (PyTorch, JAX, CuPy): those
-    are read where they are, and what comes back goes the same way, as in ``torch.from_dlpack(result.toi)``.
+    are read where they are, and what comes back goes the same way, as in ``torch.from_dlpack(result.toi)``. A call with
+    such arrays can be captured in a graph, which writes to the result's arrays: keep the result as long as the graph.
 
     Attributes:
         toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
@@ -327,6 +329,8 @@ class PairArrays:
         return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
+# Pairs from which on a call may take long: with the default limit of iterations most of a second if all are hard.
+_WORTH_WAITING = 1 << 6
 # Points a pair, and the dimensions that a kind is defined in.
 _POINTS = {
     PairKind.VERTEX_FACE: (4, (3,)),
@@ -353,6 +357,11 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
             raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
     else:
         device = resolve_device(options.device)
+        if device.is_capturing:
+            raise RuntimeError(
+                "a graph is being captured, and the results of NumPy arrays would be read before it is replayed; "
+                "pass Warp arrays, and keep the result as long as the graph"
+            )
         a = _validated_points(kind, points_t0, "points_t0")
         b = _validated_points(kind, points_t1, "points_t1")
         if b.shape != a.shape:
@@ -361,11 +370,14 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
 
     count = x_t0.shape[0]
     out = PairArrays.empty(count, device)
-    Execution(device, options.threads).launch(
+    is_long = count > _WORTH_WAITING
+    flag = StopFlag(device) if is_long and not device.is_capturing else None
+    Execution(device, options.threads, flag).launch(
         make_narrow_phase(options.real).points_toi,
         count,
-        inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale)],
+        inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale, stop=flag and flag.array)],
         outputs=out.as_list(),
+        is_long=is_long,
     )
     if on_device:
         return PairResult(*out.as_list())
@@ -410,6 +422,7 @@ def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
             return points
         if points.dtype == wp.vec2d and 2 in dimensions:
             lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
+            load(lift, points.device)
             wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=points.device)
             return lifted
     if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:

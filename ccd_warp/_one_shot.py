@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from ccd_warp._candidates import Candidates
 from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options
+from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_MAX_WORK, DEFAULT_TOLERANCE, Options
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
@@ -81,6 +81,7 @@ def mesh_ccd(
     start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    max_work: int = DEFAULT_MAX_WORK,
     length_scale: float | None = None,
     precision: str = "float64",
     method: str = "clipping",
@@ -104,6 +105,9 @@ def mesh_ccd(
             the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
         t_max: End of the step that is checked, in [0, 1].
         max_iterations: Limit of the work on a pair; at the limit its toi is early, never late.
+        max_work: Limit of the work on a step: iterations that the pairs of a kind may take in all once each has had
+            its first 256. Where they would take more, all that are still open get an equal share, and those that reach
+            it are marked as at ``max_iterations``. The share depends on the pairs alone, so results stay the same.
         length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
             motion.
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
@@ -136,6 +140,7 @@ def mesh_ccd(
         start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
+        max_work=max_work,
         length_scale=length_scale,
         precision=precision,
         method=method,
@@ -158,6 +163,7 @@ def collision_free_step(
     start_gap_fraction: float | None = None,
     t_max: float = 1.0,
     max_iterations: int = DEFAULT_MAX_ITERATIONS,
+    max_work: int = DEFAULT_MAX_WORK,
     length_scale: float | None = None,
     precision: str = "float64",
     method: str = "clipping",
@@ -178,6 +184,7 @@ def collision_free_step(
             positive where the minimum separation alone would make it 0.
         t_max: End of the step that is checked.
         max_iterations: Limit of the work on a pair.
+        max_work: Limit of the work on a step.
         length_scale: Length that the two multiples refer to.
         precision: ``"float64"`` or ``"float32"``.
         method: ``"clipping"`` or ``"bisection"``.
@@ -206,6 +213,7 @@ def collision_free_step(
         start_gap_fraction=start_gap_fraction,
         t_max=t_max,
         max_iterations=max_iterations,
+        max_work=max_work,
         length_scale=length_scale,
         precision=precision,
         method=method,

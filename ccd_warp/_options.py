@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ccd_warp._launch import default_num_threads
+from ccd_warp._launch import start_warp
 from ccd_warp._status import PairKind
+from ccd_warp._threads import default_num_threads
 from ccd_warp.kernels import narrow_phase
 
 DEFAULT_TOLERANCE = 1e-6
 DEFAULT_MAX_ITERATIONS = 10_000
+DEFAULT_MAX_WORK = 5_000_000
 
 _PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 _METHODS = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
+# Iterations of every pair in the first round of a step. Contacts take 2 in the mean; a box of the bisection is cheaper.
+_FIRST_ITERATIONS = {"clipping": 256, "bisection": 4096}
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class Options:
     start_gap_fraction: float | None = None
     t_max: float = 1.0
     max_iterations: int = DEFAULT_MAX_ITERATIONS
+    max_work: int = DEFAULT_MAX_WORK
     length_scale: float | None = None
     precision: str = "float64"
     method: str = "clipping"
@@ -45,6 +50,7 @@ class Options:
             _check_real("start_gap_fraction", self.start_gap_fraction, expected, lambda x: 0 < x < 1)
         _check_real("t_max", self.t_max, "a number in [0, 1]", lambda x: 0 <= x <= 1)
         check_count("max_iterations", self.max_iterations, 2**31 - 1)
+        check_count("max_work", self.max_work, 2**63 - 1)
         if self.length_scale is not None:
             _check_real("length_scale", self.length_scale, "a finite length above 0, or None", lambda x: x > 0)
         if self.precision not in _PRECISIONS:
@@ -87,8 +93,25 @@ class Options:
             rounded = np.nextafter(rounded, np.float32(2))
         return float(rounded)
 
-    def for_kernel(self, length_scale: float | None) -> Any:
-        """The options as the struct that the kernels take; without a length scale each pair has its own."""
+    @property
+    def first_iterations(self) -> int:
+        """Iterations of every pair in the first round of a step."""
+        return min(_FIRST_ITERATIONS[self.method], int(self.max_iterations))
+
+    def share_of_work(self, num_open: int) -> int:
+        """Iterations of each pair that the first round left open; ``share_of_work`` in the kernels is the same."""
+        return min(max(int(self.max_work) // max(num_open, 1), self.first_iterations), int(self.max_iterations))
+
+    def for_kernel(
+        self, length_scale: float | None, max_iterations: int | None = None, stop: wp.array | None = None
+    ) -> Any:
+        """The options as the struct that the kernels take.
+
+        Args:
+            length_scale: Unit of the lengths; without one each pair has its own.
+            max_iterations: Limit in place of the option's.
+            stop: Flag that ends the kernel.
+        """
         options = narrow_phase.make_narrow_phase(self.real).Options()
         options.tolerance = self.tolerance
         options.minimum_separation = self.minimum_separation
@@ -96,8 +119,12 @@ class Options:
         options.length_scale = 0.0 if length_scale is None else length_scale
         options.t_max = self.t_max
         options.t_end = self.rounded_up(self.t_max)
-        options.max_iterations = self.max_iterations
+        options.first_iterations = self.first_iterations
+        options.max_iterations = self.max_iterations if max_iterations is None else max_iterations
+        options.max_work = self.max_work
         options.method = _METHODS[self.method]
+        if stop is not None:
+            options.stop = stop
         return options
 
     @property
@@ -108,6 +135,7 @@ class Options:
 
 def resolve_device(device: Any, of_arrays: Any = None) -> Any:
     """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one."""
+    start_warp()
     if device is None:
         return wp.get_device() if of_arrays is None else of_arrays
     try:

@@ -24,6 +24,8 @@ _NUM_COUNTS = int(kernels.NUM_COUNTS)
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
+# Tests of pairs of boxes from which on a search may take long: some 50 ms if all of them meet.
+WORTH_WAITING = 1 << 19
 
 
 class Trees(Protocol):
@@ -55,7 +57,12 @@ class Join:
         """Whether the pairs are those of one set."""
         return self.query is self.target
 
-    def rules(self, t_end: float, inflation: float, separation: float) -> Any:
+    @property
+    def num_tests(self) -> int:
+        """Pairs of boxes, most of which the tree parts at once."""
+        return self.query.primitives.count * self.target.primitives.count
+
+    def rules(self, t_end: float, inflation: float, separation: float, stop: wp.array) -> Any:
         """The join as the kernel takes it."""
         rules = kernels.Join()
         rules.kind = int(self.kind)
@@ -65,6 +72,7 @@ class Join:
         rules.num_query_corners = self.query.primitives.num_corners
         rules.num_target_corners = self.target.primitives.num_corners
         rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
+        rules.stop = stop
         return rules
 
 
@@ -168,6 +176,8 @@ class PairSearch:
         self.num_batches = self.room = 0
         self._made_progress = True
         self._boxes = boxes
+        assert execution.flag
+        self._flag = execution.flag
         self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
         self._with_cull = with_cull
         self._t_end, self._separation = t_end, separation
@@ -188,6 +198,7 @@ class PairSearch:
         if not pending:
             return
         load(self._kernel, self.execution.device)
+        is_long = sum(join.num_tests for join in joins) > WORTH_WAITING
         # Room for all partners of one query is enough, and is what a thread needs.
         least = max(join.target.primitives.count for join in joins)
         wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
@@ -197,7 +208,9 @@ class PairSearch:
         while pending:
             self.buffers.get("keys", room, wp.int64)
             self.room = room
-            regions = self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room)
+            regions = (
+                self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room, is_long)
+            )
             self.num_batches += 1
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
@@ -221,7 +234,7 @@ class PairSearch:
     def _record(self, join: Join) -> wp.Launch:
         """The launch of a join, whose items and room are set by :meth:`_launch`: packing the trees once is cheaper."""
         boxes = self._boxes
-        rules = join.rules(self._t_end, boxes.inflation, self._separation)
+        rules = join.rules(self._t_end, boxes.inflation, self._separation, self._flag.array)
         trees = [join.query.arrays, join.target.arrays]
         return wp.launch(
             self._kernel,
@@ -251,7 +264,7 @@ class PairSearch:
         else:
             region.found.append(Found(part.join.kind, self.buffers.get("keys", 0, wp.int64), begin, count))
 
-    def _cpu_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
+    def _cpu_batch(self, pending: deque[_Part], room: int, is_long: bool) -> list[_Region]:
         """Threads take parts until there are none left or their room is full."""
         bounds = [room * k // self._num_workers for k in range(self._num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
@@ -271,6 +284,8 @@ class PairSearch:
                 command = commands.get(id(part.join)) or self._record(part.join)
                 commands[id(part.join)] = command
                 self._launch(command, part, region.slot, begin, region.end - begin)
+                if self._flag.is_set:
+                    return  # the kernel has left out what it likes
                 with lock:
                     if counts[_FOUND] <= region.end - begin:
                         self._keep(region, part, begin, counts)
@@ -280,7 +295,7 @@ class PairSearch:
                     else:
                         pending.extendleft(part.split())
 
-        self.execution.run([lambda r=r: work(r) for r in regions])  # type: ignore[misc]
+        self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
         return regions
 
     def _cuda_batch(self, pending: deque[_Part], room: int) -> list[_Region]:

@@ -1,15 +1,24 @@
 """The object to hold in a time loop: a mesh, options, and all that does not change from step to step."""
 
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
-from ccd_warp._device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep, LineSearch
+from ccd_warp._device_step import (
+    MOST_CONTACTS,
+    MOST_PAIRS,
+    Capacities,
+    DeviceStep,
+    LineSearch,
+    PreparedLaunch,
+)
 from ccd_warp._interop import check_writable
 from ccd_warp._line_search import (
     DEFAULT_MAX_ROUNDS,
@@ -20,7 +29,14 @@ from ccd_warp._line_search import (
     search_step,
 )
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, check_count, resolve_device
+from ccd_warp._options import (
+    DEFAULT_MAX_ITERATIONS,
+    DEFAULT_MAX_WORK,
+    DEFAULT_TOLERANCE,
+    Options,
+    check_count,
+    resolve_device,
+)
 from ccd_warp._results import LaunchResult, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
@@ -28,6 +44,30 @@ from ccd_warp._workspace import Workspace
 
 DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100
+
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """Where static bodies are after a launch that did not end.
+
+    Attributes:
+        of: The step that was launched, or None where all is well.
+        is_half: Whether the launch may have placed some of the bodies.
+    """
+
+    of: DeviceStep | None = None
+    is_half: bool = False
+
+    def check(self, prepared: PreparedLaunch) -> None:
+        """Refuse a launch that relies on where static bodies are, where that is open."""
+        if self.is_half and not prepared.places_static:
+            raise RuntimeError(
+                "a launch was interrupted while it placed static bodies; "
+                "pass x_t0 with a row for every vertex, or call reserve(vertices=...)"
+            )
 
 
 class CollisionPipeline:
@@ -53,6 +93,7 @@ class CollisionPipeline:
         start_gap_fraction: float | None = None,
         t_max: float = 1.0,
         max_iterations: int = DEFAULT_MAX_ITERATIONS,
+        max_work: int = DEFAULT_MAX_WORK,
         length_scale: float | None = None,
         precision: str = "float64",
         method: str = "clipping",
@@ -74,6 +115,7 @@ class CollisionPipeline:
             start_gap_fraction=start_gap_fraction,
             t_max=t_max,
             max_iterations=max_iterations,
+            max_work=max_work,
             length_scale=length_scale,
             precision=precision,
             method=method,
@@ -90,11 +132,14 @@ class CollisionPipeline:
         self.counts: dict[str, int] = {}
         self.timings: dict[str, float] = {}
         self._options = options
-        self._workspace = workspace
+        self._topology = workspace.topology
+        # both are away while a call uses them, and come back from one that ended well: nothing half-made is used again
+        self._workspace: Workspace | None = workspace
+        self._device_step: DeviceStep | None = None
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh.vertices
-        self._device_step: DeviceStep | None = None
+        self._placement = _Placement()
 
     @classmethod
     @contextmanager
@@ -111,19 +156,27 @@ class CollisionPipeline:
         try:
             yield pipeline
         finally:
-            idle.append(workspace)
+            if pipeline._workspace is not None:
+                idle.append(pipeline._workspace)
 
-    @contextmanager
-    def _step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> Iterator[Step]:
-        if self._workspace.topology.device.is_capturing:
+    def _on_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, work: Callable[[Step], _T]) -> _T:
+        """What ``work`` makes of a step."""
+        if self._topology.device.is_capturing:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
-            step = Step(self._workspace, vertices_t0, vertices_t1, self._options)
-            yield step
+            begin = time.perf_counter()
+            frames = self.mesh.frames(vertices_t0, vertices_t1)
+            workspace, self._workspace = self._workspace, None
+            if workspace is None:
+                workspace = Workspace(self.mesh, self._topology.device)
+            step = Step(workspace, frames, self._options, checking_seconds=time.perf_counter() - begin)
+            result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
             self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
+            self._workspace = workspace
+        return result
 
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self._capacities
@@ -161,16 +214,25 @@ class CollisionPipeline:
             RuntimeError: While a graph is captured.
         """
         with self._lock:
-            topology = self._workspace.topology
-            if topology.device.is_capturing:
+            if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; call reserve() before the capture")
             capacities = self._with_capacities(max_pairs, max_contacts)
-            layout = self._layout if vertices is None else self.mesh.frame(vertices, "vertices").copy()
-            before = self._device_step
-            at_rest = layout if vertices is not None or before is None else before.at_rest()
-            step = DeviceStep(topology, self._options, capacities, layout, at_rest)
-            self._capacities, self._layout, self._device_step = capacities, layout, step
-            return step.result
+            layout = None if vertices is None else self.mesh.frame(vertices, "vertices").copy()
+            self._reserve(capacities, layout)
+            assert self._device_step
+            return self._device_step.result
+
+    def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
+        """Make the step on the device, at other positions if they are given."""
+        before = self._device_step or self._placement.of
+        placed = self._layout if before is None else before.at_rest()
+        if layout is not None:
+            placed = layout
+        layout = self._layout if layout is None else layout
+        step = DeviceStep(self._topology, self._options, capacities, layout, placed)
+        if placed is layout:
+            self._placement = _Placement()
+        self._capacities, self._layout, self._device_step = capacities, layout, step
 
     def launch(self, x_t0: Any, x_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
         """Look at a step on the device, without waiting for it.
@@ -208,12 +270,9 @@ class CollisionPipeline:
         if (x_t1 is None) == (displacements is None):
             given = "both" if x_t1 is not None else "neither"
             raise ValueError(f"{given} of x_t1 and displacements is given; expected one of them")
-        with self._held_step() as step:
-            if displacements is None:
-                step.launch(x_t0, x_t1)
-            else:
-                step.launch(x_t0, displacements, name_t1="displacements", is_displacement=True)
-            return step.result
+        if displacements is None:
+            return self._launch(x_t0, x_t1)
+        return self._launch(x_t0, displacements, name_t1="displacements", is_displacement=True)
 
     def launch_line_search(
         self,
@@ -263,25 +322,30 @@ class CollisionPipeline:
         check_line_search(per, safety)
         check_count("num_rounds", num_rounds, _MOST_ROUNDS)
         check_step_is_whole(self._options.t_max)
-        with self._held_step() as step:
-            step.launch(x_t0, x_t1, line_search=LineSearch(per, float(safety), int(num_rounds)))
-            return step.result
+        return self._launch(x_t0, x_t1, line_search=LineSearch.of(per, int(num_rounds)), safety=float(safety))
 
-    @contextmanager
-    def _held_step(self) -> Iterator[DeviceStep]:
-        """What :meth:`reserve` made, or makes now."""
-        if self._device_step is None:
-            if self._workspace.topology.device.is_capturing:
-                raise RuntimeError("nothing is reserved; call reserve() before the capture")
-            self.reserve()
+    def _launch(self, x_t0: Any, x_t1: Any, **arguments: Any) -> LaunchResult:
+        """Launch on what :meth:`reserve` made, or makes now."""
         with self._lock:
-            assert self._device_step is not None
-            yield self._device_step
+            if self._device_step is None:
+                if self._topology.device.is_capturing:
+                    raise RuntimeError("nothing is reserved; call reserve() before the capture")
+                self._reserve(self._capacities, None)
+            step = self._device_step
+            assert step
+            prepared = step.prepare(x_t0, x_t1, **arguments)
+            self._placement.check(prepared)
+            self._placement = _Placement(step, self._placement.is_half or prepared.places_static)
+            self._device_step = None
+            step.launch(prepared)
+            self._device_step = step
+            self._placement = _Placement()
+            return step.result
 
     @property
     def num_allocations(self) -> int:
         """Device arrays that were allocated so far."""
-        return self._workspace.buffers.num_allocations
+        return self._workspace.buffers.num_allocations if self._workspace else 0
 
     def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
         """Like :func:`ccd_warp.find_candidates`.
@@ -300,8 +364,7 @@ class CollisionPipeline:
         Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair.
         """
         inflation = validated_inflation(inflation)
-        with self._step(vertices_t0, vertices_t1) as step:
-            return sorted_candidates(step, inflation)
+        return self._on_step(vertices_t0, vertices_t1, lambda step: sorted_candidates(step, inflation))
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
         """Like :func:`ccd_warp.mesh_ccd`.
@@ -318,8 +381,7 @@ class CollisionPipeline:
 
         Guarantee: as there; no toi is late and no contact is missed.
         """
-        with self._step(vertices_t0, vertices_t1) as step:
-            return step.contacts()
+        return self._on_step(vertices_t0, vertices_t1, Step.contacts)
 
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
         """Like :func:`ccd_warp.collision_free_step`.
@@ -336,8 +398,7 @@ class CollisionPipeline:
 
         Guarantee: as there; no pair touches before the returned fraction.
         """
-        with self._step(vertices_t0, vertices_t1) as step:
-            return step.bound()
+        return self._on_step(vertices_t0, vertices_t1, Step.bound)
 
     def line_search(
         self,

@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ccd_warp._bodies import bodies_near
 from ccd_warp._buffers import Buffers
@@ -32,9 +32,57 @@ DEFAULT_PAIR_BYTES = 1 << 30
 # The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
 _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
+# Pairs from which on a launch of the narrow phase may take long.
+WORTH_WAITING_PAIRS = 1 << 10
 _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
 _MOST_PAIRS = np.iinfo(np.int32).max
+
+
+class OpenPairs:
+    """Pairs of a step that the first round of the narrow phase leaves open, and the toi that they have by then.
+
+    Attributes:
+        arrays: Keys and toi by kind of pair.
+    """
+
+    def __init__(self) -> None:
+        self.arrays: dict[PairKind, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
+
+    def add(self, kind: PairKind, keys: NDArray[np.int64], toi: NDArray[np.float64]) -> None:
+        """Keep the pairs of a batch."""
+        if len(keys):
+            before = self.arrays.get(kind, (keys[:0], toi[:0]))
+            self.arrays[kind] = (np.concatenate([before[0], keys]), np.concatenate([before[1], toi]))
+
+
+class _OpenList:
+    """Device arrays that a launch writes open pairs of a kind to; they grow where there are more."""
+
+    def __init__(self, buffers: Buffers, kind: PairKind) -> None:
+        self._buffers = buffers
+        self._name = f"{kind.name} open"
+        self.count = buffers.get(f"{self._name} pair count", 1, wp.int32)
+        self._size = 1 << 10
+
+    @property
+    def arrays(self) -> list[wp.array]:
+        """Count, keys and toi, as the kernel takes them."""
+        keys = self._buffers.get(f"{self._name} keys", self._size, wp.int64)
+        return [self.count, keys, self._buffers.get(f"{self._name} pair toi", len(keys), wp.float64)]
+
+    def has_held_all(self) -> bool:
+        """Whether there was capacity for all; if not, there is now."""
+        count = int(self.count.numpy()[0])
+        is_held = count <= len(self.arrays[1])
+        self._size = max(self._size, count)
+        return is_held
+
+    def found(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Copies of the keys and the toi."""
+        count = int(self.count.numpy()[0])
+        _, keys, toi = self.arrays
+        return keys.numpy()[:count].copy(), toi.numpy()[:count].copy()
 
 
 @dataclass(frozen=True)
@@ -52,11 +100,12 @@ class Step:
     def __init__(
         self,
         workspace: Workspace,
-        vertices_t0: ArrayLike,
-        vertices_t1: ArrayLike,
+        host: tuple[NDArray[np.float64], NDArray[np.float64]],
         options: Options,
+        checking_seconds: float = 0.0,
     ) -> None:
-        self.timings: dict[str, float] = {}
+        """Begin a step between two frames, which checking has taken some time for."""
+        self.timings: dict[str, float] = {"input": checking_seconds}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.options = options
         self.workspace = workspace
@@ -64,12 +113,11 @@ class Step:
         self.mesh = workspace.topology.mesh
         self.buffers = workspace.buffers
         self.boxes = workspace.boxes
-        self.execution = Execution(workspace.topology.device, options.threads)
+        self.execution = Execution(workspace.topology.device, options.threads, workspace.flag)
         self.counts: Counter[str] = Counter()
         with self.timed("input"):
-            self.host = self.mesh.frames(vertices_t0, vertices_t1)
             device = self.execution.device
-            start, end = self.host
+            self.host = start, end = host
             self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
             self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
 
@@ -200,16 +248,20 @@ class Step:
             parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
         return parts
 
-    def launch_on_pairs(self, kernel: Any, parts: list["_PairPart"], rest: Any, outputs: list) -> None:
-        """Launch a kernel on each part, in a slot of its own; ``rest(part, slot)`` gives the inputs after the pairs."""
+    def launch_on_pairs(
+        self, kernel: Any, parts: list["_PairPart"], arguments: Callable[["_PairPart", int], tuple[list, list]]
+    ) -> None:
+        """Launch a kernel on each part; ``arguments(part, number)`` gives inputs, after those of pairs, and outputs."""
         load(kernel, self.execution.device)
 
         def launch(slot: int) -> None:
             part = parts[slot]
-            inputs = [0, *self.pair_inputs(part.found, part.first), *rest(part, slot)]
+            rest, outputs = arguments(part, slot)
+            inputs = [0, *self.pair_inputs(part.found, part.first), *rest]
             wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
 
-        self.execution.run([lambda k=k: launch(k) for k in range(len(parts))])  # type: ignore[misc]
+        is_long = sum(part.count for part in parts) > WORTH_WAITING_PAIRS
+        self.execution.run([lambda k=k: launch(k) for k in range(len(parts))], is_long=is_long)  # type: ignore[misc]
 
     def bound(self) -> float:
         """Earliest toi of all pairs, or t_max.
@@ -230,30 +282,72 @@ class Step:
                 search = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
                 batches = search.batches(self.joins, 0, stride)
             least = best
+            open_pairs = OpenPairs()
             while True:
                 with self.timed("pairs"):
                     batch = next(batches, None)
                 if batch is None:
                     break
                 with self.timed("narrow phase"):
-                    least = min(least, self.least_toi(batch, best))
+                    least = self.least_toi(batch, least, open_pairs)
                 if least <= 0.0:
                     return 0.0
+            with self.timed("narrow phase"):
+                least = self.least_open_toi(least, open_pairs)
             best = least
             self.count_pairs(search)
         return best
 
-    def least_toi(self, batch: list[Found], bound: float) -> float:
-        """Earliest toi of the pairs of a batch, or the bound."""
+    def least_toi(self, batch: list[Found], bound: float, open_pairs: "OpenPairs | None") -> float:
+        """Earliest toi of the pairs of a batch, or the bound.
+
+        Args:
+            batch: The pairs.
+            bound: A toi that was found before, or the end of the step.
+            open_pairs: Where those go that the first round leaves open; None in the second round.
+        """
         if not batch:
             return bound
         kernel = make_narrow_phase(self.options.real).pairs_bound
-        options = self.options.for_kernel(self.length_scale)
-        parts = self.parts_of(batch)
-        bits = self.buffers.rows("pair bits", len(parts), 8, wp.int64)
+        cap = self.options.first_iterations
+        if open_pairs is None:
+            cap = self.options.share_of_work(sum(found.count for found in batch))
+        options = self.options.for_kernel(self.length_scale, cap, self.workspace.flag.array)
+        # at the limit of the pair itself there is no other round
+        is_first = int(open_pairs is not None and cap < self.options.max_iterations)
+        parts = self.parts_of(batch, grain=256 if is_first else 16)
+        bits = self.buffers.get("pair bits", 1, wp.int64)
         bits.fill_(int(np.array(bound).view(np.int64)))
-        self.launch_on_pairs(kernel, parts, lambda _part, slot: [options, slot], [bits])
-        return float(bits.numpy()[:, 0].min().view(np.float64))
+        lists = {found.kind: _OpenList(self.buffers, found.kind) for found in batch}
+        while True:
+            for each in lists.values():
+                each.count.zero_()
+            self.launch_on_pairs(
+                kernel, parts, lambda part, _slot: ([options, is_first], [bits, *lists[part.found.kind].arrays])
+            )
+            if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
+                break
+        if open_pairs is not None:
+            for kind, each in lists.items():
+                open_pairs.add(kind, *each.found())
+        return float(bits.numpy()[:1].view(np.float64)[0])
+
+    def least_open_toi(self, bound: float, open_pairs: "OpenPairs") -> float:
+        """The second round: earliest toi of the pairs that the first has left open, or the bound."""
+        closed = bound
+        for kind, (keys, toi) in open_pairs.arrays.items():
+            # which are earlier than all closed ones depends on the pairs alone, and so does their share of the work
+            is_earlier = toi < closed
+            keys, toi = keys[is_earlier], toi[is_earlier]
+            if len(keys) == 0:
+                continue
+            if self.options.share_of_work(len(keys)) <= self.options.first_iterations:
+                bound = min(bound, float(toi.min()))
+                continue
+            pairs = self.buffers.get("open keys", len(keys), wp.int64)
+            pairs[: len(keys)].assign(keys)
+            bound = self.least_toi([Found(kind, pairs, 0, len(keys))], bound, None)
+        return bound
 
     def count_pairs(self, search: PairSearch) -> None:
         """Add what a search did to the counts."""
@@ -273,7 +367,6 @@ class Step:
             batches = search.batches(self.joins)
             store = ContactStore(self.buffers, self.execution, self.largest_contacts())
         kernel = make_narrow_phase(self.options.real).pairs_contacts
-        options = self.options.for_kernel(self.length_scale)
         while True:
             with self.timed("pairs"):
                 batch = next(batches, None)
@@ -283,7 +376,9 @@ class Step:
                 for found in batch:
                     survivors[found.kind] += found.count
                 if batch:
-                    store.solve(self, kernel, batch, search.room, options)
+                    store.solve(self, kernel, batch, search.room, self.options.first_iterations)
+        with self.timed("narrow phase"):
+            store.solve_open(self, kernel)
         self.count_pairs(search)
         if not store.is_complete:
             total = sum(store.count.values())

@@ -145,9 +145,10 @@ class StepBoxes:
             at_rest = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
             key = _StaticKey(at_rest, frame, inflation, num_frames)
             if not key.same(self._static_key):
-                self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
+                self._static_key = None
                 self._static_trees.clear()
                 self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
+                self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
         self.t_end = t_end
         self._fill_records(self.topology.moving_vertices, self.active, t_end)
 

@@ -7,15 +7,20 @@ import numpy as np
 from ccd_warp._buffers import Buffers
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._step_boxes import StepBoxes
+from ccd_warp._threads import StopFlag
 from ccd_warp._topology import Topology
 
 
 class Workspace:
-    """A mesh's own on a device; used by one step at a time."""
+    """A mesh's own on a device; used by one step at a time.
+
+    A step that does not end well leaves it half-made: it is dropped then, and the next step makes one anew.
+    """
 
     def __init__(self, mesh: CollisionMesh, device: Any) -> None:
         self.topology = Topology.of(mesh, device)
         self.buffers = Buffers(device)
+        self.flag = StopFlag(device)
         self.boxes = StepBoxes(self.topology, self.buffers)
         self._body_hull: Workspace | None = None
 

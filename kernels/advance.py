@@ -9,7 +9,6 @@ Two clips alternate, each a lower bound of the earliest contact by itself:
 Together they are Newton's iteration on the gap, from below: near a simple contact quadratic, and every iterate certain.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
@@ -18,6 +17,7 @@ from .closest_point import make_closest_point
 from .contact_test import make_contact_test
 from .facets import make_facets
 from .inclusion import make_inclusion
+from .once import once
 from .patch import make_patch
 from .volume import make_volume
 
@@ -32,7 +32,7 @@ _UNDECIDED = wp.constant(-1)
 _PATIENCE = wp.constant(3)
 
 
-@cache
+@once
 def make_advance(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

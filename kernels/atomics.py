@@ -39,7 +39,7 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
 
 @wp.func_native(
     """
-    long long* p = (long long*)((char*)values.data + (long long)row * values.strides[0]);
+    long long* p = (long long*)((char*)values.data + (long long)row * values.strides[0]) + column;
 #if defined(__CUDA_ARCH__)
     return (wp::int64)atomicAdd((unsigned long long*)p, 1ULL);
 #else
@@ -47,8 +47,8 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
 #endif
 """
 )
-def claim(values: wp.array2d[wp.int64], row: int) -> wp.int64:
-    """values[row, 0] before one is added to it: a place of its own for each thread."""
+def claim(values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
+    """values[row, column] before one is added to it: a place of its own for each thread."""
     ...
 
 

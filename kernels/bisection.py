@@ -12,12 +12,13 @@ Differs from Wang et al. 2021, section 4:
 4. The widest parameter is the one that moves a corner most, in units of the tolerance.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
 from .facets import make_facets
+from .interrupts import is_stopped
+from .once import once
 from .patch import make_patch
 from .rounding import MAX_SPLITS, MOVING
 from .subdivide import (
@@ -30,7 +31,7 @@ from .subdivide import (
 )
 
 
-@cache
+@once
 def make_bisection(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -64,7 +65,9 @@ def make_bisection(real) -> SimpleNamespace:
         return wp.max(wp.cw_div(wp.abs(a - b), delta))
 
     @wp.func
-    def bisect(kind: int, root: Patch, problem: Problem, t_max: real, max_iterations: int) -> Answer:
+    def bisect(
+        kind: int, root: Patch, problem: Problem, t_max: real, max_iterations: int, stop: wp.array[wp.int32]
+    ) -> Answer:
         """Earliest contact of a patch on [0, t_max].
 
         Invariant: every contact lies in a box of the stack, or not before ``answer.toi``.
@@ -78,7 +81,7 @@ def make_bisection(real) -> SimpleNamespace:
         stack[3] = real(1.0)
         stack[5] = real(1.0)
         top = int(1)
-        while top > 0:
+        while top > 0 and not is_stopped(stop):
             top -= 1
             t0 = stack[6 * top]
             t1 = stack[6 * top + 1]

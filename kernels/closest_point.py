@@ -5,13 +5,14 @@ corner. What matters is that the difference vector keeps its direction when the 
 than the patch; therefore it is made orthogonal to its feature a second time, after the cancellation.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
+from .once import once
 
-@cache
+
+@once
 def make_closest_point(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

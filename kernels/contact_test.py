@@ -6,18 +6,18 @@ what is left, if anything, are points of the patch, each off by no more than the
 closest point, this stays accurate for slivers.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
+from .once import once
 from .patch import make_patch
 
 # Four corners, and at most one more a side.
 _MAX_VERTICES = 10
 
 
-@cache
+@once
 def make_contact_test(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

@@ -4,14 +4,14 @@ Nothing here knows sizes that the device finds out: results have a place for eve
 capacity, and what does not fit lowers a toi to 0 and sets a flag.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
 from .atomics import lower_to
 from .box_tree import WIDTH, BoxTree, Frame, fill_block, unite_from, vertex_record, write_record
-from .minima import INVALID_INPUT, Minima, flag_world, world_of
+from .minima import FOUND, INVALID_INPUT, OPEN, Minima, flag_world, world_of
+from .once import once
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -37,7 +37,7 @@ def reset(
     m: Minima,
     counts: wp.array2d[wp.int64],
     num_contacts: wp.array[wp.int32],
-    is_moved: wp.array[wp.int32],
+    stop: wp.array[wp.int32],
 ):
     """Nothing touches yet; flags go but those of looks before that concern this one."""
     i = begin + wp.tid()
@@ -51,9 +51,10 @@ def reset(
         if m.world.shape[0] > 1:  # else the flags of the world are those of the scene
             m.flags[0] = m.flags[0] & kept_flags
         num_contacts[0] = 0
-        is_moved[0] = 0
+        stop[0] = 0  # a launch before may have been ended by it
         for k in range(counts.shape[0]):
-            counts[k, 0] = wp.int64(0)
+            counts[k, FOUND] = wp.int64(0)
+            counts[k, OPEN] = wp.int64(0)
 
 
 @wp.kernel
@@ -175,7 +176,17 @@ def refresh_levels(
         unite_from(tree, 2, count)
 
 
-@cache
+@wp.kernel
+def settle(
+    begin: int,
+    # out
+    is_moved: wp.array[wp.int32],
+):
+    """The boxes of static bodies are where their positions are; a single item, after all that makes them."""
+    is_moved[begin + wp.tid()] = 0
+
+
+@once
 def make_input(real) -> SimpleNamespace:
     """Kernels that read positions of one precision."""
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -234,9 +245,9 @@ def make_input(real) -> SimpleNamespace:
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
             elif not (a == start[v]):
+                is_moved[0] = 1  # until all boxes are where the positions are: `settle`
                 start[v] = a
                 end[v] = a
-                is_moved[0] = 1
 
     @wp.kernel(module=module)
     def shorten(

@@ -7,16 +7,16 @@ contact one of them does. The axes stand still, the sides crossed with the axes 
 however fast the pair turns, in a common plane too, where the volume vanishes.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
+from .once import once
 from .patch import make_patch
 from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 
 
-@cache
+@once
 def make_facets(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

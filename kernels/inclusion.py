@@ -5,16 +5,16 @@ a corner, so the test is exact up to the rounding bound of `rounding`, for every
 a box it is a clip: it gives the whole interval of time in which d separates the patch from the origin.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
+from .once import once
 from .patch import make_patch
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
 
 
-@cache
+@once
 def make_inclusion(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

@@ -9,6 +9,10 @@ PAIRS_OVERFLOW = wp.constant(1)
 CONTACTS_OVERFLOW = wp.constant(2)
 INVALID_INPUT = wp.constant(4)
 
+# Places in the counts of a kind of pair: those found, and those that the first round of the narrow phase leaves open.
+FOUND = wp.constant(0)
+OPEN = wp.constant(1)
+
 _ZERO_BITS = wp.constant(wp.int64(0))
 
 

@@ -4,18 +4,19 @@ A thread forms the corners of its pair's patch (differences first, in float64), 
 and advances the whole patch; only a pair whose advance is slow goes on to the stack.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
 from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
-from .atomics import claim_int
+from .atomics import claim, claim_int, lower_to
 from .bisection import make_bisection
 from .closest_point import make_closest_point
 from .contacts import CONTACTS, ContactList, Contacts, normal_at
 from .facets import make_facets
-from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
+from .interrupts import is_stopped
+from .minima import CONTACTS_OVERFLOW, FOUND, OPEN, Minima, flag_world, lower_pair
+from .once import once
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
 from .points import Points, corners, is_at_rest, longest_side, magnitude, pair_of, points_of, row_points, scaled, total
@@ -48,7 +49,7 @@ _FAR = wp.constant(wp.float64(2.0**60))
 vec3d = wp.vec3d
 
 
-@cache
+@once
 def make_narrow_phase(real) -> SimpleNamespace:
     """Kernels for one floating-point type of the iteration; positions are float64 always."""
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -94,8 +95,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
         length_scale: wp.float64  # 0 stands for the pair's own
         t_max: wp.float64
         t_end: real  # t_max rounded up
+        first_iterations: int  # of a pair in the first round of a step
         max_iterations: int
+        max_work: wp.int64  # iterations of all pairs of a kind that the first round leaves open
         method: int
+        stop: wp.array[wp.int32]  # set where the host wants the kernel to end
 
     @wp.struct
     class Outcome:
@@ -201,7 +205,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         return vec3(real(1.0), real(1.0), real(1.0))
 
     @wp.func
-    def solve(kind: int, n: Normalised, options: Options) -> Outcome:
+    def solve(kind: int, n: Normalised, options: Options, max_iterations: int) -> Outcome:
         """Earliest toi of one pair, inf if none."""
         outcome = Outcome()
         outcome.toi = wp.float64(wp.inf)
@@ -217,14 +221,14 @@ def make_narrow_phase(real) -> SimpleNamespace:
             if options.method == BISECTION:
                 n.problem.error = patch_error
                 n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
-                answer = bisect(kind, n.patch, n.problem, options.t_end, options.max_iterations)
+                answer = bisect(kind, n.patch, n.problem, options.t_end, max_iterations, options.stop)
             else:
-                reached = advance(n.patch, n.problem, real(0.0), options.t_end, options.max_iterations)
+                reached = advance(n.patch, n.problem, real(0.0), options.t_end, max_iterations)
                 if reached.outcome == SLOW:
                     n.problem.error = patch_error
                     n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
-                    left = options.max_iterations - reached.iterations
-                    answer = subdivide(kind, n.patch, n.problem, reached.t, options.t_end, left)
+                    left = max_iterations - reached.iterations
+                    answer = subdivide(kind, n.patch, n.problem, reached.t, options.t_end, left, options.stop)
                     answer.iterations += reached.iterations
                 else:
                     answer.toi = reached.t
@@ -265,6 +269,12 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 outcome.gap = gap_of(answer.point, n)
         return outcome
 
+    @wp.func
+    def share_of_work(options: Options, num_open: wp.int64) -> int:
+        """Iterations of each pair that the first round left open; ``Options.share_of_work`` on the host is the same."""
+        share = wp.max(options.max_work / num_open, wp.int64(options.first_iterations))
+        return wp.int32(wp.min(share, wp.int64(options.max_iterations)))
+
     def own_module(name: str):
         """A Warp module a kernel, so that a scene compiles only the one that it launches."""
         module = wp.get_module(f"ccd_warp.{name}.{real.__name__}")
@@ -289,7 +299,10 @@ def make_narrow_phase(real) -> SimpleNamespace:
     ):
         """Pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
         i = begin + wp.tid()
-        outcome = solve(kind, normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options), options)
+        if is_stopped(options.stop):
+            return
+        n = normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options)
+        outcome = solve(kind, n, options, options.max_iterations)
         toi[i] = outcome.toi
         status[i] = outcome.status
         parameters[i] = outcome.parameters
@@ -316,13 +329,15 @@ def make_narrow_phase(real) -> SimpleNamespace:
         contacts: Contacts,
     ):
         """Solve pairs of primitives of a mesh and write those with a finite toi, in any order, from a place on."""
+        if is_stopped(options.stop):
+            return
         key = pairs[first_pair + begin + wp.tid()]
         pair = pair_of(key)
         first = first_corners[pair[0]]
         second = second_corners[pair[1]]
         a = points_of(kind, first, second, x_t0)
         b = points_of(kind, first, second, x_t1)
-        outcome = solve(kind, normalise(kind, a, b, options), options)
+        outcome = solve(kind, normalise(kind, a, b, options), options, options.max_iterations)
         if outcome.status != STATUS_NO_COLLISION:
             n = first_contact + wp.int32(wp.atomic_add(counts, slot, CONTACTS, wp.int64(1)))
             contacts.pair[n] = key
@@ -346,16 +361,33 @@ def make_narrow_phase(real) -> SimpleNamespace:
         x_t1: wp.array[vec3d],
         options: Options,
         only_moving: int,  # 1: a pair that rests may touch
+        is_second: int,  # 1: the round of those that the first has marked as open
         # out
         minima: Minima,
         contacts: ContactList,
     ):
-        """Solve every ``stride``-th of the pairs, as many as the device knows of; lower minima, list contacts."""
-        count = wp.min(counts[kind, 0], wp.int64(pairs.shape[0]))
-        k = wp.int64(begin + wp.tid())
-        while k < count:
-            pair = pair_of(pairs[k])
+        """Solve every ``stride``-th of the pairs, as many as the device knows of; lower minima, list contacts.
+
+        The first round marks what it leaves open by the complement of its key.
+        """
+        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        cap = wp.min(options.first_iterations, options.max_iterations)
+        if is_second != 0:
+            num_open = counts[kind, OPEN]
+            if num_open == wp.int64(0):
+                return
+            cap = share_of_work(options, num_open)
+        k = wp.int64(begin + wp.tid()) - wp.int64(stride)
+        while k + wp.int64(stride) < count:
             k += wp.int64(stride)
+            if is_stopped(options.stop):
+                return
+            key = pairs[k]
+            if is_second != 0:
+                key = ~key
+                if key < wp.int64(0):
+                    continue
+            pair = pair_of(key)
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
             a = points_of(kind, first, second, x_t0)
@@ -363,8 +395,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
             outcome = Outcome()
             outcome.status = STATUS_NO_COLLISION
             if only_moving == 0 or not is_at_rest(a, b):
-                outcome = solve(kind, normalise(kind, a, b, options), options)
-            if outcome.status != STATUS_NO_COLLISION:
+                outcome = solve(kind, normalise(kind, a, b, options), options, cap)
+            if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                pairs[k] = ~key
+                claim(counts, kind, OPEN)
+            elif outcome.status != STATUS_NO_COLLISION:
                 lower_pair(minima, first, second, wp.cast(outcome.toi, wp.int64))
                 n = claim_int(contacts.count, 0)
                 if n < contacts.toi.shape[0]:
@@ -391,25 +426,38 @@ def make_narrow_phase(real) -> SimpleNamespace:
         x_t0: wp.array[vec3d],
         x_t1: wp.array[vec3d],
         options: Options,
-        slot: int,
+        is_first: int,  # 1: pairs that reach the limit are listed, and do not count yet
         # out
-        least_bits: wp.array2d[wp.int64],
+        least_bits: wp.array[wp.int64],
+        open_count: wp.array[wp.int32],
+        open_pairs: wp.array[wp.int64],
+        open_toi: wp.array[wp.float64],
     ):
         """Lower the least toi to that of a pair, unless the first step of its advance shows that it is no less.
 
         The step is the one that the solution of the pair begins with, so the least toi is that of all pairs, whatever
         their order. As integers the bits of two numbers that are not negative compare as the numbers do.
         """
-        pair = pair_of(pairs[first_pair + begin + wp.tid()])
+        if is_stopped(options.stop):
+            return
+        key = pairs[first_pair + begin + wp.tid()]
+        pair = pair_of(key)
         first = first_corners[pair[0]]
         second = second_corners[pair[1]]
         n = normalise(kind, points_of(kind, first, second, x_t0), points_of(kind, first, second, x_t1), options)
         is_later = bool(False)
         if n.is_valid and options.method == CLIPPING:
             reached = advance(n.patch, n.problem, real(0.0), options.t_end, 1)
-            is_later = reached.outcome == FREE or wp.cast(wp.float64(reached.t), wp.int64) >= least_bits[slot, 0]
+            is_later = reached.outcome == FREE or wp.cast(wp.float64(reached.t), wp.int64) >= least_bits[0]
         if not is_later:
-            wp.atomic_min(least_bits, slot, 0, wp.cast(solve(kind, n, options).toi, wp.int64))
+            outcome = solve(kind, n, options, options.max_iterations)
+            if outcome.status == STATUS_ITERATION_LIMIT and is_first != 0:
+                m = claim_int(open_count, 0)
+                if m < open_pairs.shape[0]:
+                    open_pairs[m] = key
+                    open_toi[m] = outcome.toi
+            else:
+                lower_to(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
     return SimpleNamespace(
         Options=Options,

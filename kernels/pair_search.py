@@ -11,7 +11,6 @@ the room tells the caller to search the items again in smaller parts, so nothing
 (`HELD`), the toi of a pair beyond the room is lowered to 0.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
@@ -20,8 +19,11 @@ from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
 from .boxes import swept_lower
 from .cull import is_free
+from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask, tied_sides
+from .minima import FOUND as FOUND_BY_ALL
 from .minima import Minima, drop_pair
+from .once import once
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 
@@ -66,6 +68,7 @@ class Join:
     t_end: wp.float64
     inflation: wp.float64
     separation: wp.float64
+    stop: wp.array[wp.int32]  # set where the host wants the search to end
 
 
 @wp.func
@@ -134,7 +137,7 @@ CULL = "cull"  # with those that the cull leaves open
 HELD = "held"  # with those that there is room for; the others count as touching
 
 
-@cache
+@once
 def make_pair_search(end: str) -> SimpleNamespace:
     """The search, by where it ends."""
     with_cull = end != BOXES
@@ -203,7 +206,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 if is_free(join.kind, c0, c1, join.separation, join.t_end):
                     return 1
         if wp.static(is_held):
-            n = claim(counts, slot)  # threads share a row
+            n = claim(counts, slot, FOUND_BY_ALL)  # threads share a row
             if n < wp.int64(room):
                 keys[n] = pair_key(i, j)
             else:
@@ -267,6 +270,8 @@ def make_pair_search(end: str) -> SimpleNamespace:
                     node[level] = child
                     pending[level] = ahead(mask, join.within, query_block, level, child)
                 else:
+                    if is_stopped(join.stop):
+                        return
                     queries = wp.uint32(1) << wp.uint32(item_lane)
                     if item_level == 1:
                         parent = target.block_begin[1] + node[1]

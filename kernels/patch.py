@@ -14,10 +14,11 @@ The sides are q = w01 − w00 and r = w10 − w00. In two dimensions the third c
 from w*0 to w*1; a triangle is the patch whose side u = 1 has shrunk to a point.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
+
+from .once import once
 
 # Pair kinds; ccd_warp.PairKind mirrors these.
 VERTEX_FACE = wp.constant(0)
@@ -26,7 +27,7 @@ POINT_SEGMENT = wp.constant(2)
 POINT_POINT = wp.constant(3)
 
 
-@cache
+@once
 def make_patch(real) -> SimpleNamespace:
     """Structs and functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

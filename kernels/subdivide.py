@@ -1,11 +1,12 @@
 """Bisection of a patch in (u, v) with a stack of fixed depth: the backbone where single directions clip little."""
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
+from .interrupts import is_stopped
+from .once import once
 from .patch import POINT_SEGMENT, VERTEX_FACE, make_patch
 from .rounding import MAX_SPLITS
 
@@ -20,7 +21,7 @@ STATUS_RESOLUTION_LIMIT = wp.constant(4)
 STATUS_INVALID = wp.constant(5)
 
 
-@cache
+@once
 def make_subdivide(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -71,7 +72,15 @@ def make_subdivide(real) -> SimpleNamespace:
         return c + wp.float64(wb) * (b01 - c) + wp.float64(wc) * (b10 - c)
 
     @wp.func
-    def subdivide(kind: int, root: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Answer:
+    def subdivide(
+        kind: int,
+        root: Patch,
+        problem: Problem,
+        t_start: real,
+        t_max: real,
+        max_iterations: int,
+        stop: wp.array[wp.int32],
+    ) -> Answer:
         """Earliest contact of a patch that is free on [0, t_start).
 
         Invariant: every contact lies on a patch of the stack, or not before ``toi``. A patch is halved across its
@@ -87,7 +96,7 @@ def make_subdivide(real) -> SimpleNamespace:
         stack[3] = real(0.0)
         stack[4] = real(1.0)
         top = int(1)
-        while top > 0:
+        while top > 0 and not is_stopped(stop):
             top -= 1
             t = stack[5 * top]
             u0 = stack[5 * top + 1]

@@ -8,16 +8,16 @@ and misses collisions, this one only skips times at which f is certainly not zer
 in one plane) it skips nothing, and the directions of `inclusion` do the work.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import warp as wp
 
+from .once import once
 from .patch import make_patch
 from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
 
 
-@cache
+@once
 def make_volume(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)

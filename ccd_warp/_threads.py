@@ -1,0 +1,238 @@
+"""Python threads that stay, and jobs that end on all of them before an exception leaves.
+
+Warp runs a CPU kernel on the thread that launches it and releases the GIL meanwhile. A job is a list of tasks that
+threads share. It is **over** when no thread runs a part of it, and only then does :func:`run` return or raise: a task
+that raises, or an interrupt of the caller, sets the job's stop flag, which long kernels read (`kernels.interrupts`),
+and the caller waits for those that still run. Nothing here is held by a lock of Python's library that an interrupt
+could leave locked: queues and lists, each operation of which is atomic, carry all that threads tell each other.
+"""
+
+import _thread
+import os
+import threading
+from collections.abc import Callable, Sequence
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+_TICK = 0.1  # seconds between two looks at the progress of a job
+
+
+class StopFlag:
+    """What long kernels look at.
+
+    Attributes:
+        array: The flag, int32, shape [1]; 1: end.
+    """
+
+    def __init__(self, device: Any) -> None:
+        self.array: wp.array = wp.zeros(1, dtype=wp.int32, device=device)
+        self._host = np.zeros(1, dtype=np.int32) if device.is_cuda else self.array.numpy()
+
+    def set(self) -> None:
+        """Let the kernels that read the flag end; what they wrote is not used, nor the flag again unless cleared."""
+        self._host[0] = 1
+
+    @property
+    def is_set(self) -> bool:
+        """Whether kernels are to end."""
+        return bool(self._host[0])
+
+
+class _Job:
+    """Tasks that threads share, each taken by one of them."""
+
+    def __init__(self, tasks: Sequence[Callable[[], Any]], flag: StopFlag | None) -> None:
+        self.results: list[Any] = [None] * len(tasks)
+        self._tasks: Sequence[Callable[[], Any]] = tasks
+        self._flag = flag
+        self._outer: _Job | None = getattr(_this_thread, "job", None)
+        self._is_stopped = False
+        self._errors: list[BaseException] = []
+        self._pending = iter(range(len(tasks)))
+        # threads append to these; a job is over when as many have left as have entered
+        self._done: list[int] = []
+        self._entered: list[None] = []
+        self._left: list[None] = []
+        self._news: SimpleQueue[None] = SimpleQueue()
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether nothing more is to be begun."""
+        return self._is_stopped or (self._outer is not None and self._outer.is_stopped)
+
+    def stop(self) -> None:
+        """Begin nothing more, and let kernels end."""
+        self._is_stopped = True
+        if self._flag is not None:
+            self._flag.set()
+
+    def work(self) -> None:
+        """Take tasks until there are none left."""
+        for k in self._pending:
+            if self.is_stopped:
+                return
+            self.results[k] = self._tasks[k]()
+            self._done.append(k)
+
+    def serve(self) -> None:
+        """Work on a thread of the pool; an error is for the caller of the job."""
+        self._entered.append(None)
+        outer, _this_thread.job = getattr(_this_thread, "job", None), self
+        try:
+            self.work()
+        except BaseException as error:
+            self._errors.append(error)
+            self.stop()
+        finally:
+            _this_thread.job = outer
+            self._left.append(None)
+            self._news.put(None)
+
+    def wait(self, tick: Callable[[], None] | None) -> None:
+        """Wait until all tasks are done, or one has raised."""
+        while len(self._done) < len(self.results) and not self.is_stopped:
+            try:
+                self._news.get(timeout=None if tick is None else _TICK)
+            except Empty:
+                assert tick
+                tick()
+
+    def end(self) -> None:
+        """Wait until no thread runs a task, whatever interrupts come meanwhile; the last of them is raised then."""
+        self._is_stopped = True
+        interrupt: BaseException | None = None
+        while True:
+            try:
+                while len(self._left) < len(self._entered):
+                    self._news.get()
+                break
+            except BaseException as error:
+                interrupt = error
+                self.stop()
+        self._tasks = ()
+        if interrupt is not None:
+            raise interrupt
+
+    def checked_results(self) -> list[Any]:
+        """What the tasks returned.
+
+        Raises:
+            BaseException: The first error of a task.
+        """
+        if self._errors:
+            raise self._errors[0]
+        if len(self._done) < len(self.results):
+            raise _EndedError
+        return self.results
+
+
+class _EndedError(BaseException):
+    """Raised in a part of a job that was stopped from outside; the job's caller raises the reason."""
+
+
+class _Pool:
+    """Threads that serve jobs; more are started as they are asked for, up to one a core."""
+
+    def __init__(self) -> None:
+        self._jobs: SimpleQueue[_Job] = SimpleQueue()
+        self._size = 0
+        self._lock = threading.Lock()
+
+    def submit(self, job: _Job, count: int) -> None:
+        """Let up to ``count`` threads serve a job."""
+        count = min(count, max(1, os.cpu_count() or 1))
+        with self._lock:
+            while self._size < count:
+                _thread.start_new_thread(self._serve, ())
+                self._size += 1
+        for _ in range(count):
+            self._jobs.put(job)
+
+    def _serve(self) -> None:
+        while True:
+            job = self._jobs.get()
+            job.serve()
+            del job  # or it would be kept, with its buffers, until the next one comes
+
+
+_this_thread = threading.local()
+_pool = _Pool()
+
+
+def _renew() -> None:
+    """A child of a fork has none of the threads, and whatever they held stays held."""
+    global _pool, _this_thread
+    _pool = _Pool()
+    _this_thread = threading.local()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew)
+
+
+def default_num_threads() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run(
+    tasks: Sequence[Callable[[], Any]],
+    num_threads: int,
+    flag: StopFlag | None = None,
+    *,
+    is_long: bool = False,
+    tick: Callable[[], None] | None = None,
+) -> list[Any]:
+    """Call the tasks, at most ``num_threads`` at a time; their results in order.
+
+    Args:
+        tasks: What to call; which thread takes which is open.
+        num_threads: Threads that share them.
+        flag: What to set when the job is to end early.
+        is_long: Whether a task may take longer than a person would wait for an answer to an interrupt: then the
+            calling thread only waits. Else it takes its part, which saves waking another.
+        tick: Called ten times a second while the calling thread waits.
+
+    Raises:
+        BaseException: What a task raised, or an interrupt of the caller, after every task has ended.
+    """
+    is_here = getattr(_this_thread, "job", None) is not None  # on a thread of the pool, which can work as well as wait
+    if not is_long and (num_threads == 1 or len(tasks) == 1):
+        return [task() for task in tasks]
+    takes_part = is_here or not is_long
+    job = _Job(tasks, flag)
+    try:
+        if len(tasks) > 1 or not takes_part:
+            _pool.submit(job, min(num_threads, len(tasks)) - (1 if takes_part else 0))
+        if takes_part:
+            job.work()
+        job.wait(tick)
+    except BaseException:
+        job.stop()
+        job.end()
+        raise
+    job.end()
+    return job.checked_results()
+
+
+def run_aside(task: Callable[[], Any]) -> None:
+    """Call a task on a thread of its own and wait for it; an interrupt ends the waiting and leaves the task running."""
+    outcome: SimpleQueue[BaseException | None] = SimpleQueue()
+
+    def call() -> None:
+        try:
+            task()
+        except BaseException as error:
+            outcome.put(error)
+        else:
+            outcome.put(None)
+
+    _thread.start_new_thread(call, ())
+    error = outcome.get()
+    if error is not None:
+        raise error

@@ -1,0 +1,31 @@
+"""Makes functions, kernels and structs once for each set of arguments, by one thread at a time.
+
+Warp's registry of modules is not made for threads: two that define the same kernel at once leave one of them with a
+kernel that no module knows. What was made is kept only when it is complete: a builder that was interrupted runs again.
+"""
+
+import os
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+# Held while kernels are defined or compiled. A fork waits for it, so that no child inherits a half-made registry.
+building = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=building.acquire, after_in_parent=building.release, after_in_child=building.release)
+
+
+def once(make: Callable[..., Any]) -> Callable[..., Any]:
+    """Like :func:`functools.cache`, but safe among threads and after an exception."""
+    made: dict[tuple[Any, ...], Any] = {}
+
+    @wraps(make)
+    def get(*arguments: Any) -> Any:
+        if arguments not in made:
+            with building:
+                if arguments not in made:
+                    made[arguments] = make(*arguments)
+        return made[arguments]
+
+    return get
