@@ -80,6 +80,7 @@ class ContactStore:
             kernel,
             parts,
             lambda part, slot: ([options, slot, part.found.begin + part.first], [counts, scratch]),
+            is_long=max_iterations > step.options.first_iterations,
         )
         host = counts.numpy()[:, 0]
         for slot, part in enumerate(parts):

@@ -1,7 +1,7 @@
 """A step whose input and results stay on the device: launches of known sizes, recorded once, and repeated."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -12,10 +12,10 @@ from ccd_warp._interop import as_positions
 from ccd_warp._launch import Execution, Recording, Slot
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
-from ccd_warp._pair_search import WORTH_WAITING, Join, joins_of
+from ccd_warp._pair_search import LONG_SEARCH, Join, joins_of
 from ccd_warp._results import DeviceContacts, LaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
-from ccd_warp._step import WORTH_WAITING_PAIRS, half_up, moves_alone, possible_kinds
+from ccd_warp._step import LONG_PART, half_up, moves_alone, possible_kinds
 from ccd_warp._step_boxes import Tree, fill_tree, new_tree
 from ccd_warp._threads import StopFlag
 from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
@@ -32,6 +32,7 @@ _CHUNK = int(device_step.CHUNK)
 # Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
 _MOST_SOLVERS = 1 << 17
 _PARTS_PER_THREAD = 8
+_SMALLEST_SEARCH = 64
 # Flags that a look of a line search passes on: what one did not see, the others do not undo.
 _KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
 # Vertices from which on waking threads for the narrow phase costs less than they save.
@@ -85,8 +86,7 @@ class LineSearch:
         return [*((self.per, share) for share in shares), ("world", _SAFETY), ("world", 0.0)]
 
 
-@dataclass(frozen=True)
-class _Form:
+class _Form(NamedTuple):
     """What a recording depends on, beside the arrays."""
 
     real: Any
@@ -96,8 +96,7 @@ class _Form:
     line_search: LineSearch | None = None
 
 
-@dataclass(frozen=True)
-class PreparedLaunch:
+class PreparedLaunch(NamedTuple):
     """The checked arguments of a launch.
 
     Attributes:
@@ -152,7 +151,7 @@ class DeviceStep:
             self._place(at_rest)
         self._joins = joins_of(self, possible_kinds(mesh, options), moves_alone(mesh))
         self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
-        self._recordings: dict[_Form, Recording] = {}  # the one that was used last is the last
+        self._recordings: dict[_Form, Recording] = {}  # the one made last is the last
         self.result = self._new_result(capacities.max_contacts)
         self._minima = self._new_minima()
         self._contacts = contacts.ContactList()
@@ -267,12 +266,12 @@ class DeviceStep:
     def launch(self, prepared: "PreparedLaunch") -> None:
         """Launch a step. If this raises, the step is half-made and is not to be used again."""
         form, start, end = prepared.form, prepared.x_t0, prepared.x_t1
-        recording = self._recordings.pop(form, None)
+        recording = self._recordings.get(form)
         if recording is None:
             recording = self._record(form, start, end)
-        self._recordings[form] = recording
-        if len(self._recordings) > _MOST_RECORDINGS:
-            self._recordings.pop(next(iter(self._recordings)))
+            if len(self._recordings) == _MOST_RECORDINGS:
+                self._recordings.pop(next(iter(self._recordings)))
+            self._recordings[form] = recording
         recording.bind("x_t0", start)
         recording.bind("x_t1", end)
         recording.bind(_SAFETY.name, prepared.safety)
@@ -422,12 +421,14 @@ class DeviceStep:
     def _record_search(self, recording: Recording, join: Join, start: Any, end: Any) -> None:
         """Look for the pairs of a join, a block of queries an item, on CUDA a query."""
         level = 0 if recording.is_cuda else 1
+        count = join.query.primitives.count if level == 0 else join.query.levels[0]
+        num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
+        is_long = join.query.primitives.count * join.target.primitives.count > LONG_SEARCH * num_parts
         keys = self._keys[join.kind]
         rules = join.rules(self._options.t_max, self._inflation, self._separation, self._flag.array)
-        is_long = join.num_tests > WORTH_WAITING
         recording.launch(
             make_pair_search(HELD).search_pairs,
-            join.query.primitives.count if level == 0 else join.query.levels[0],
+            count,
             inputs=[
                 1,
                 level,
@@ -442,7 +443,7 @@ class DeviceStep:
                 end,
             ],
             outputs=[self._counts, keys, self._minima],
-            grain=64,
+            grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,
             is_long=lambda: is_long,
         )
@@ -478,7 +479,7 @@ class DeviceStep:
                 outputs=[self._minima, self._contacts],
                 grain=1,
                 is_needed=(lambda: bool(found[OPEN])) if is_second else None,
-                is_long=lambda: bool(found[FOUND] > WORTH_WAITING_PAIRS or found[OPEN]),
+                is_long=lambda: bool(found[FOUND] > LONG_PART * solvers or found[OPEN]),
             )
 
 

@@ -205,4 +205,7 @@ class Recording:
                     command.launch()
             elif group.is_needed is None or group.is_needed():
                 is_long = group.is_long is not None and group.is_long()
-                self.execution.run([command.launch for command in group.commands], is_long=is_long)
+                if is_long or len(group.commands) > 1:
+                    self.execution.run([command.launch for command in group.commands], is_long=is_long)
+                else:
+                    group.commands[0].launch()

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ccd_warp._interop import as_warp, is_device_array
 from ccd_warp._launch import Execution, load
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
-from ccd_warp._status import PairKind
+from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._threads import StopFlag
 from ccd_warp.kernels.contacts import lift
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
@@ -329,8 +329,10 @@ class PairArrays:
         return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
-# Pairs from which on a call may take long: with the default limit of iterations most of a second if all are hard.
-_WORTH_WAITING = 1 << 6
+_LIMIT = int(CCDStatus.ITERATION_LIMIT)
+# Pairs from which on a part may take long: some 0.2 s if all of them reach the limit of the first round.
+_LONG_PART = 1 << 10
+_WORTH_A_THREAD = 1 << 10
 # Points a pair, and the dimensions that a kind is defined in.
 _POINTS = {
     PairKind.VERTEX_FACE: (4, (3,)),
@@ -368,20 +370,51 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
         x_t0, x_t1 = (wp.array(_in_3d(x), dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
 
-    count = x_t0.shape[0]
-    out = PairArrays.empty(count, device)
-    is_long = count > _WORTH_WAITING
-    flag = StopFlag(device) if is_long and not device.is_capturing else None
-    Execution(device, options.threads, flag).launch(
-        make_narrow_phase(options.real).points_toi,
-        count,
-        inputs=[int(kind), x_t0, x_t1, options.for_kernel(options.length_scale, stop=flag and flag.array)],
-        outputs=out.as_list(),
-        is_long=is_long,
-    )
+    out = _solve(kind, x_t0, x_t1, options, device)
     if on_device:
         return PairResult(*out.as_list())
     return PairResult(*(array.numpy() for array in out.as_list()))
+
+
+def _solve(kind: PairKind, x_t0: wp.array, x_t1: wp.array, options: Options, device: Any) -> PairArrays:
+    """Launch the solver; on the CPU in two rounds, the second for the pairs that take more than a few iterations."""
+    is_one_round = device.is_cuda or device.is_capturing  # neither the host nor a graph knows which those are
+    first = int(options.max_iterations) if is_one_round else options.first_iterations
+    out = _launch(kind, x_t0, x_t1, options, first, device)
+    if first < options.max_iterations:
+        is_open = out.status.numpy() == _LIMIT
+        if is_open.any():
+            open_t0: wp.array = wp.array(x_t0.numpy()[is_open], dtype=wp.vec3d, device=device)
+            open_t1: wp.array = wp.array(x_t1.numpy()[is_open], dtype=wp.vec3d, device=device)
+            solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
+            for array, new in zip(out.as_list(), solved.as_list(), strict=True):
+                array.numpy()[is_open] = new.numpy()
+    return out
+
+
+def _launch(
+    kind: PairKind,
+    x_t0: wp.array,
+    x_t1: wp.array,
+    options: Options,
+    max_iterations: int,
+    device: Any,
+) -> PairArrays:
+    count = x_t0.shape[0]
+    out = PairArrays.empty(count, device)
+    is_first = max_iterations == options.first_iterations
+    is_long = not is_first or count > _LONG_PART * options.threads
+    stop = StopFlag(device) if is_long and not device.is_capturing else None
+    packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
+    Execution(device, options.threads, stop).launch(
+        make_narrow_phase(options.real).points_toi,
+        count,
+        inputs=[int(kind), x_t0, x_t1, packed],
+        outputs=out.as_list(),
+        grain=_WORTH_A_THREAD if is_first else 1,
+        is_long=is_long,
+    )
+    return out
 
 
 def _in_3d(points: np.ndarray) -> np.ndarray:

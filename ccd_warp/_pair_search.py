@@ -24,8 +24,8 @@ _NUM_COUNTS = int(kernels.NUM_COUNTS)
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
-# Tests of pairs of boxes from which on a search may take long: some 50 ms if all of them meet.
-WORTH_WAITING = 1 << 19
+# Tests of pairs of boxes from which on a part of a search may take long: some 0.3 s if all of them meet.
+LONG_SEARCH = 1 << 22
 
 
 class Trees(Protocol):
@@ -57,11 +57,6 @@ class Join:
         """Whether the pairs are those of one set."""
         return self.query is self.target
 
-    @property
-    def num_tests(self) -> int:
-        """Pairs of boxes, most of which the tree parts at once."""
-        return self.query.primitives.count * self.target.primitives.count
-
     def rules(self, t_end: float, inflation: float, separation: float, stop: wp.array) -> Any:
         """The join as the kernel takes it."""
         rules = kernels.Join()
@@ -85,6 +80,11 @@ class _Part:
     first: int
     stride: int
     count: int
+
+    @property
+    def num_tests(self) -> int:
+        """Pairs of boxes, most of which the tree parts at once."""
+        return self.count * WIDTH**self.level * self.join.target.primitives.count
 
     def split(self) -> list["_Part"]:
         """Smaller parts of the same items."""
@@ -198,7 +198,7 @@ class PairSearch:
         if not pending:
             return
         load(self._kernel, self.execution.device)
-        is_long = sum(join.num_tests for join in joins) > WORTH_WAITING
+        is_long = max(part.num_tests for part in pending) > LONG_SEARCH
         # Room for all partners of one query is enough, and is what a thread needs.
         least = max(join.target.primitives.count for join in joins)
         wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride

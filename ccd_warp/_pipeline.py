@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +17,6 @@ from ccd_warp._device_step import (
     Capacities,
     DeviceStep,
     LineSearch,
-    PreparedLaunch,
 )
 from ccd_warp._interop import check_writable
 from ccd_warp._line_search import (
@@ -47,27 +46,6 @@ _MOST_ROUNDS = 100
 
 
 _T = TypeVar("_T")
-
-
-@dataclass(frozen=True)
-class _Placement:
-    """Where static bodies are after a launch that did not end.
-
-    Attributes:
-        of: The step that was launched, or None where all is well.
-        is_half: Whether the launch may have placed some of the bodies.
-    """
-
-    of: DeviceStep | None = None
-    is_half: bool = False
-
-    def check(self, prepared: PreparedLaunch) -> None:
-        """Refuse a launch that relies on where static bodies are, where that is open."""
-        if self.is_half and not prepared.places_static:
-            raise RuntimeError(
-                "a launch was interrupted while it placed static bodies; "
-                "pass x_t0 with a row for every vertex, or call reserve(vertices=...)"
-            )
 
 
 class CollisionPipeline:
@@ -139,7 +117,8 @@ class CollisionPipeline:
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh.vertices
-        self._placement = _Placement()
+        self._interrupted: DeviceStep | None = None  # the step of a launch that did not end
+        self._is_placing = False  # whether that may have placed some of the static bodies
 
     @classmethod
     @contextmanager
@@ -224,14 +203,14 @@ class CollisionPipeline:
 
     def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
         """Make the step on the device, at other positions if they are given."""
-        before = self._device_step or self._placement.of
+        before = self._device_step or self._interrupted
         placed = self._layout if before is None else before.at_rest()
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
         step = DeviceStep(self._topology, self._options, capacities, layout, placed)
         if placed is layout:
-            self._placement = _Placement()
+            self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step
 
     def launch(self, x_t0: Any, x_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
@@ -334,12 +313,16 @@ class CollisionPipeline:
             step = self._device_step
             assert step
             prepared = step.prepare(x_t0, x_t1, **arguments)
-            self._placement.check(prepared)
-            self._placement = _Placement(step, self._placement.is_half or prepared.places_static)
+            if self._is_placing and not prepared.places_static:
+                raise RuntimeError(
+                    "a launch was interrupted while it placed static bodies; "
+                    "pass x_t0 with a row for every vertex, or call reserve(vertices=...)"
+                )
+            self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
             step.launch(prepared)
             self._device_step = step
-            self._placement = _Placement()
+            self._interrupted, self._is_placing = None, False
             return step.result
 
     @property

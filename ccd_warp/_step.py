@@ -32,8 +32,8 @@ DEFAULT_PAIR_BYTES = 1 << 30
 # The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
 _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
-# Pairs from which on a launch of the narrow phase may take long.
-WORTH_WAITING_PAIRS = 1 << 10
+# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
+LONG_PART = 1 << 10
 _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
 _MOST_PAIRS = np.iinfo(np.int32).max
@@ -249,9 +249,16 @@ class Step:
         return parts
 
     def launch_on_pairs(
-        self, kernel: Any, parts: list["_PairPart"], arguments: Callable[["_PairPart", int], tuple[list, list]]
+        self,
+        kernel: Any,
+        parts: list["_PairPart"],
+        arguments: Callable[["_PairPart", int], tuple[list, list]],
+        is_long: bool,
     ) -> None:
-        """Launch a kernel on each part; ``arguments(part, number)`` gives inputs, after those of pairs, and outputs."""
+        """Launch a kernel on each part; ``arguments(part, number)`` gives inputs, after those of pairs, and outputs.
+
+        ``is_long`` where pairs may take more than the iterations of a first round.
+        """
         load(kernel, self.execution.device)
 
         def launch(slot: int) -> None:
@@ -260,7 +267,7 @@ class Step:
             inputs = [0, *self.pair_inputs(part.found, part.first), *rest]
             wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
 
-        is_long = sum(part.count for part in parts) > WORTH_WAITING_PAIRS
+        is_long = is_long or max(part.count for part in parts) > LONG_PART
         self.execution.run([lambda k=k: launch(k) for k in range(len(parts))], is_long=is_long)  # type: ignore[misc]
 
     def bound(self) -> float:
@@ -323,7 +330,10 @@ class Step:
             for each in lists.values():
                 each.count.zero_()
             self.launch_on_pairs(
-                kernel, parts, lambda part, _slot: ([options, is_first], [bits, *lists[part.found.kind].arrays])
+                kernel,
+                parts,
+                lambda part, _slot: ([options, is_first], [bits, *lists[part.found.kind].arrays]),
+                is_long=open_pairs is None,
             )
             if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
                 break
