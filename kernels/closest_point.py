@@ -1,8 +1,13 @@
-"""Closest point of a convex patch to the origin: the direction that clips time best.
+"""Closest point of a convex patch to the origin: the direction that clips time best, and the parameters reported.
 
 Nothing here carries a guarantee: a direction only has to be good, never exact, because `inclusion` tests it at every
 corner. What matters is that the difference vector keeps its direction when the gap is many orders of magnitude smaller
 than the patch; therefore it is made orthogonal to its feature a second time, after the cancellation.
+
+`closest_on_patch` finds that vector, once a step of an advance. Its weights are quotients of products of four lengths:
+they lose twice the digits that a sliver has in its aspect. `closest_weights` finds the weights that are reported, once
+a pair, and gives up the direction for them: the point that they name is as close as the closest point to within some
+roundings of the size of the patch, whatever its shape.
 """
 
 from types import SimpleNamespace
@@ -47,7 +52,8 @@ def make_closest_point(real) -> SimpleNamespace:
         if d6 >= real(0.0) and d5 <= d6:
             return c, real(0.0), real(1.0)
         vc = d1 * d4 - d3 * d2
-        if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0):
+        # d1 - d3 is the square of the side: where it has no length, the other sides are the triangle
+        if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0) and d1 > d3:
             q, w = closest_on_edge(a, ab)
             return q, w, real(0.0)
         vb = d5 * d2 - d1 * d6
@@ -83,4 +89,73 @@ def make_closest_point(real) -> SimpleNamespace:
                 from_w11 = True
         return q, wb, wc, from_w11
 
-    return SimpleNamespace(closest_on_patch=closest_on_patch)
+    @wp.func
+    def closest_weights(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):
+        """Weights of the closest point of a triangle or parallelogram of any shape, as `closest_on_patch` gives them.
+
+        The shorter side is split along and across the longer one (Gram and Schmidt), so a rounding moves the foot of
+        the perpendicular along a sliver by a rounding only. Where the foot lies outside, the closest point is on one of
+        the edges that separate it from the patch; a patch without area has its edges alone.
+        """
+        q = w01 - w00
+        r = w10 - w00
+        longer = q
+        shorter = r
+        is_swapped = wp.dot(r, r) > wp.dot(q, q)
+        if is_swapped:
+            longer = r
+            shorter = q
+        length_squared = wp.dot(longer, longer)
+        is_flat = bool(True)
+        v = real(0.0)
+        u = real(0.0)
+        if length_squared > real(0.0):
+            lean = wp.dot(shorter, longer) / length_squared
+            across = shorter - lean * longer
+            width_squared = wp.dot(across, across)
+            if width_squared > real(0.0):
+                is_flat = False
+                v = -wp.dot(w00, longer) / length_squared
+                u = -wp.dot(w00 + v * longer, across) / width_squared
+                v = v - lean * u
+                if is_swapped:
+                    u, v = v, u
+        # beyond v = 1 lies the edge w01-w11 of a parallelogram, in its place w01-w10 of a triangle
+        third = w11
+        beyond = v - real(1.0)
+        if is_triangle:
+            third = w10
+            beyond = u + v - real(1.0)
+        is_before_u = is_flat or u < real(0.0)
+        is_before_v = is_flat or v < real(0.0)
+        is_beyond_v = is_flat or beyond > real(0.0)
+        is_beyond_u = not is_triangle and (is_flat or u > real(1.0))
+        least = real(wp.inf)
+        if is_before_u:
+            d, w = closest_on_edge(w00, q)
+            least = wp.dot(d, d)
+            v = w
+            u = real(0.0)
+        if is_before_v:
+            d, w = closest_on_edge(w00, r)
+            if wp.dot(d, d) < least:
+                least = wp.dot(d, d)
+                v = real(0.0)
+                u = w
+        if is_beyond_v:
+            d, w = closest_on_edge(w01, third - w01)
+            if wp.dot(d, d) < least:
+                least = wp.dot(d, d)
+                v = wp.where(is_triangle, real(1.0) - w, real(1.0))
+                u = w
+        if is_beyond_u:
+            d, w = closest_on_edge(w10, w11 - w10)
+            if wp.dot(d, d) < least:
+                v = w
+                u = real(1.0)
+        from_w11 = not is_triangle and u + v > real(1.0)
+        if from_w11:
+            u, v = real(1.0) - v, real(1.0) - u
+        return v, u, from_w11
+
+    return SimpleNamespace(closest_on_patch=closest_on_patch, closest_weights=closest_weights)

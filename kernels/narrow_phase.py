@@ -60,7 +60,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
     advance = make_advance(real).advance
     with_volume = make_volume(real).with_volume
     point_of = make_advance(real).point_of
-    closest_on_patch = make_closest_point(real).closest_on_patch
+    closest_weights = make_closest_point(real).closest_weights
     corners_at = make_facets(real).corners_at
     bisect = make_bisection(real).bisect
     Answer = make_subdivide(real).Answer
@@ -254,7 +254,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                     # separation, which need not be the closest
                     c = corners_at(n.patch, answer.toi)
                     s = to_lengths(n)
-                    _d, wb, wc, from_w11 = closest_on_patch(
+                    wb, wc, from_w11 = closest_weights(
                         wp.cw_mul(s, c.w00),
                         wp.cw_mul(s, c.w01),
                         wp.cw_mul(s, c.w10),
