@@ -12,7 +12,6 @@ import operator
 import signal
 import sys
 import threading
-import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +31,12 @@ _OF_WARP = [
     *((wp.array, name) for name in ("__init__", "assign", "fill_", "zero_", "numpy")),
     (wp.Launch, "launch"),
 ]
+_WARP = (wp, wp.array, wp.Launch)
 _OF_THREADS = [(ThreadPoolExecutor, "submit"), (threading.Thread, "start")]
+# Lines of callers by which two uses are told apart.
+_DEPTH = 3
+# Events of a call that are chosen beside, where many uses come from one line, as those of a recording do.
+_FEWEST = 20
 # Files between whose bytecodes interrupts arrive, beside the library's: what it waits and cleans up with.
 _STANDARD = ("/contextlib.py", "/threading.py", "/concurrent/futures/")
 
@@ -88,6 +92,15 @@ class Findings:
 _watch = threading.local()
 
 
+def _lines(frame: Any) -> Iterator[int]:
+    """Lines of a frame and of those that called it."""
+    for _ in range(_DEPTH):
+        if frame is None:
+            return
+        yield frame.f_lineno
+        frame = frame.f_back
+
+
 @contextmanager
 def unwatched() -> Iterator[None]:
     """What the test itself does meanwhile does not count."""
@@ -107,6 +120,7 @@ class Event:
         self.count = 0
         self.has_happened = False
         self.what = ""
+        self.sites: dict[tuple[Any, ...], int] = {}
         self._lock = threading.Lock()
 
     def __str__(self) -> str:
@@ -117,7 +131,7 @@ class Event:
         """Stand between the caller and Warp."""
         self._originals = [(owner, name, getattr(owner, name)) for owner, name in (*_OF_WARP, *_OF_THREADS)]
         for owner, name, original in self._originals:
-            setattr(owner, name, self._watched(original, name, (owner, name) in _OF_THREADS))
+            setattr(owner, name, self._watched(original, f"{owner.__name__}.{name}", owner not in _WARP))
 
     def stop(self) -> None:
         """Step aside."""
@@ -133,6 +147,7 @@ class Event:
             with self._lock:
                 self.count += 1
                 is_now = self.count == self.n
+                self.sites.setdefault((name, *_lines(sys._getframe(1))), self.count)
                 if is_now:
                     self.has_happened, self.what = True, name
             if is_now and not self.is_after:
@@ -334,25 +349,31 @@ def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
     return truth
 
 
-def _counted(scenario: Scenario, fault: Any) -> int:
+def _undisturbed(scenario: Scenario, fault: Any) -> Any:
+    """A fault that has counted and does not happen."""
     objects = scenario.fresh()
     scenario.before(objects)
     error, _ = _disturbed(fault, lambda: scenario.call(objects))
     assert error is None, repr(error)
-    return fault.count
+    assert fault.count > 0, "the call has no events"
+    return fault
 
 
-def inject_events(scenario: Scenario, stride: int = 1, every_error: bool = False) -> Findings:
-    """A fault at every event (or every ``stride``-th), before and after it; the errors take turns, or each at each."""
+def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_error: bool = False) -> Findings:
+    """A fault at the first event from each line (and its callers') and some more, or at every event, before it and directly after.
+
+    The errors take turns, unless each is to happen at each event.
+    """
     truth = truth_of(scenario)
     findings = Findings()
-    count = _counted(scenario, Event())
-    if count == 0:
-        warnings.warn("the call has no events", stacklevel=2)
-    for n in range(1, count + 1, stride):
-        for is_after in (False, True):
-            chosen = ERRORS if every_error else (ERRORS[(n + is_after) % len(ERRORS)],)
-            for error in chosen:
+    counted = _undisturbed(scenario, Event())
+    name_of = {n: site[0] for site, n in counted.sites.items()}
+    every = range(1, counted.count + 1)
+    chosen = every if at_every_event else sorted({*name_of, *every[:: max(1, counted.count // _FEWEST)]})
+    for k, n in enumerate(chosen):
+        # to read is to leave all as it is: directly after is as before
+        for is_after in (False,) if name_of.get(n) in ("array.numpy", "warp.load_module") else (False, True):
+            for error in ERRORS if every_error else (ERRORS[(k + is_after) % len(ERRORS)],):
                 findings += inject(scenario, Event(n, is_after, error), truth)
     return findings
 
@@ -360,7 +381,7 @@ def inject_events(scenario: Scenario, stride: int = 1, every_error: bool = False
 def inject_interrupts(scenario: Scenario, name: str, num_samples: int, folders: tuple[str, ...]) -> Findings:
     """Interrupts at places drawn over all bytecodes of the call, of which every third is followed by another."""
     truth = truth_of(scenario)
-    count = _counted(scenario, Interrupt(folders))
+    count = _undisturbed(scenario, Interrupt(folders)).count
     findings = Findings()
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     for k in range(num_samples):
