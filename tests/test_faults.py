@@ -1,6 +1,6 @@
 """Calls that fail half-way, and the same calls made again: what an interrupted cell of a notebook leaves behind.
 
-`python tests/test_faults.py [--samples N] [--every-error] [NAME …]` injects more, each scenario in a process of its own.
+`python tests/test_faults.py [--samples N] [--every-event] [--every-error] [NAME …]` injects more, each scenario in a process of its own.
 """
 
 import argparse
@@ -323,7 +323,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(SCENARIOS))
     parser.add_argument("--samples", type=int, default=200, help="interrupts a scenario")
+    parser.add_argument("--every-event", action="store_true", help="not only the first event from each line")
     parser.add_argument("--every-error", action="store_true", help="each error at each event")
+    parser.add_argument("--timeout", type=float, default=900.0, help="seconds after which a scenario is taken to hang")
     parser.add_argument("--one", action="store_true", help="in this process, as JSON")
     arguments = parser.parse_args()
     wp.config.log_level = wp.LOG_ERROR
@@ -332,7 +334,9 @@ def main():
         for kind in ("events", "interrupts"):
             for name in arguments.names:
                 if kind == "events":
-                    found = inject_events(SCENARIOS[name], at_every_event=True, every_error=arguments.every_error)
+                    found = inject_events(
+                        SCENARIOS[name], at_every_event=arguments.every_event, every_error=arguments.every_error
+                    )
                 else:
                     found = inject_interrupts(SCENARIOS[name], name, arguments.samples, FOLDERS)
                 seconds = time.perf_counter() - begin
@@ -341,10 +345,11 @@ def main():
         return
     total = [0, 0]
     for name in arguments.names:
-        options = ["--one", "--samples", str(arguments.samples), *["--every-error"] * arguments.every_error]
+        options = ["--one", "--samples", str(arguments.samples)]
+        options += ["--every-event"] * arguments.every_event + ["--every-error"] * arguments.every_error
         try:
             done = subprocess.run(
-                [sys.executable, __file__, *options, name], capture_output=True, text=True, check=False, timeout=900
+                [sys.executable, __file__, *options, name], capture_output=True, text=True, check=False, timeout=arguments.timeout
             )
             output, ended = done.stdout, done.returncode
         except subprocess.TimeoutExpired as expired:
