@@ -138,16 +138,13 @@ class _Pool:
 
     def __init__(self) -> None:
         self._jobs: SimpleQueue[_Job] = SimpleQueue()
-        self._size = 0
-        self._lock = threading.Lock()
+        self._threads: list[int] = []
 
     def submit(self, job: _Job, count: int) -> None:
         """Let up to ``count`` threads serve a job."""
         count = min(count, max(1, os.cpu_count() or 1))
-        with self._lock:
-            while self._size < count:
-                _thread.start_new_thread(self._serve, ())
-                self._size += 1
+        while len(self._threads) < count:  # two callers at once may start one too many, which waits like the others
+            self._threads.append(_thread.start_new_thread(self._serve, ()))
         for _ in range(count):
             self._jobs.put(job)
 
