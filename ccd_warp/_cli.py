@@ -83,7 +83,9 @@ def _make_parser() -> argparse.ArgumentParser:
         description="Every vertex moves on a straight line from its place in START to its place in END. Exit status: "
         "0 for a finished run, with a collision or without; 2 for bad input.",
     )
-    run.add_argument("start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB, …")
+    run.add_argument(
+        "start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB or an archive"
+    )
     run.add_argument("end", metavar="END", help="mesh at its end, with the same faces")
     run.add_argument(
         "--static", metavar="FILE", nargs="+", action="extend", default=[], help="obstacles that do not move"
@@ -100,7 +102,7 @@ def _make_parser() -> argparse.ArgumentParser:
         "--max-bytes",
         type=int,
         metavar="BYTES",
-        help="what an archive of meshes (ZIP, …) may unpack to (1 GiB)",
+        help="what an archive of meshes (ZIP, …) may unpack to (256 MiB)",
     )
     run.add_argument(
         "--picture", metavar="FILE", type=Path, help="draw the step at its start, toi and end as .png (extra 'viz')"

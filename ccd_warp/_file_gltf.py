@@ -9,7 +9,15 @@ from ccd_warp._messages import InputError
 
 _GLB_HEADER = 12  # bytes: magic, version, length
 # Extensions that a file may require and that say nothing of where its triangles are.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_", "MSFT_texture_")
+_HARMLESS = (
+    "KHR_mesh_quantization",
+    "KHR_materials_",
+    "KHR_texture_",
+    "KHR_lights_",
+    "EXT_texture_",
+    "EXT_lights_",
+    "MSFT_texture_",
+)
 _READ_MODES = (0, 1, 4, 5)  # points, lines, triangles, strips; trimesh passes over the others
 
 
@@ -76,6 +84,9 @@ def _check_tree(tree: dict[str, Any], binary: bytes, fetch: Callable[[str], byte
             mode = primitive.get("mode", 4)
             if mode not in _READ_MODES:
                 raise InputError(f"mesh {k} has primitives of mode {mode}, which is not read; export it as triangles")
-            for index in (primitive["attributes"].get("POSITION"), primitive.get("indices")):
+            position = primitive["attributes"].get("POSITION")
+            if position is not None and accessors[position].get("normalized"):
+                raise InputError(f"mesh {k} has positions in normalized integers, which are not read; export floats")
+            for index in (position, primitive.get("indices")):
                 if index is not None and ("sparse" in accessors[index] or "bufferView" not in accessors[index]):
                     raise InputError(f"mesh {k} is compressed or sparse, which is not read; export it without that")

@@ -43,13 +43,17 @@ def _read_ascii(data: bytes) -> np.ndarray:
             end = beginnings.index(b"endsolid", at)
         except ValueError:
             raise InputError(f"ends without 'endsolid'; {CUT}") from None
+        wrong = []
         for k, expected in enumerate(_LINES):
             found = beginnings[at + 1 + k : end : len(_LINES)]
             if found.count(expected) != len(found):
-                j = at + 1 + k + len(_LINES) * next(i for i, begin in enumerate(found) if begin != expected)
-                raise InputError(
-                    f"line {rows.lines[j]} begins with {shown(beginnings[j])}; expected {expected.decode()}: {CUT}"
-                )
+                i = next(i for i, beginning in enumerate(found) if beginning != expected)
+                wrong.append((at + 1 + k + len(_LINES) * i, expected))
+        if wrong:
+            j, expected = min(wrong)
+            raise InputError(
+                f"line {rows.lines[j]} begins with {shown(beginnings[j])}; expected {expected.decode()}: {CUT}"
+            )
         if (end - at - 1) % len(_LINES):
             raise InputError(f"line {rows.lines[end]} ends the solid within a facet; {CUT}")
         for k in (2, 3, 4):
