@@ -11,7 +11,7 @@ from ccd_warp._messages import InputError
 # Ends of names, and 3MF, which is a ZIP archive by another name.
 ARCHIVES = (".zip", ".tar.gz", ".tar.bz2", ".bz2", ".3mf")
 # What an archive may unpack to if nothing else is said, 256 MiB: four million triangles in text, eight in binary PLY.
-# Text takes about nine times its size while it is read.
+# Text of short numbers takes up to thirteen times its size while it is read.
 MAX_BYTES = 1 << 28
 _CHUNK = 1 << 20  # bytes that are unpacked at a time
 

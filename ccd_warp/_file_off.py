@@ -50,4 +50,4 @@ def _vertices(rows: Rows) -> np.ndarray:
     if bad.size:
         k = int(bad[0])
         raise InputError(f"line {rows.lines[k]} holds {rows.counts[k]} numbers; expected {length}, a vertex: {CUT}")
-    return rows.numbers(float).reshape(len(rows), length)[:, :3]
+    return np.concatenate([block.numbers(float).reshape(-1, length)[:, :3] for block in rows.blocks()])

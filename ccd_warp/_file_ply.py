@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ccd_warp._file_text import CUT, Rows, check_last_index, counted_polygons, fan, shown, text_rows
+from ccd_warp._file_text import CUT, NO_INDICES, Tokens, check_last_index, counted_polygons, fan, shown, text_rows
 from ccd_warp._messages import InputError
 
 _TYPES = {
@@ -133,7 +133,7 @@ def _check_elements(elements: list[_Element]) -> None:
 
 def _read_ascii(text: bytes, first_line: int, elements: list[_Element]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows = text_rows(text, first_line)
-    vertices, corners, counts = np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    vertices, corners, counts = np.zeros((0, 3)), NO_INDICES, NO_INDICES
     last_index = None
     at = 0
     for element in elements:
@@ -148,21 +148,17 @@ def _read_ascii(text: bytes, first_line: int, elements: list[_Element]) -> tuple
             corners, counts = counted_polygons(part)
             last_index = int(corners[-1])
             continue
-        if element.name == b"vertex" and not element.count_types:
-            _check_lengths(part, len(element.types))
-            names = list(element.types)
-            values = part.numbers(float).reshape(element.count, -1)
-            vertices = values[:, [names.index(axis) for axis in (b"x", b"y", b"z")]]
-            continue
-        columns = _columns(element, part)
         if element.name == b"vertex":
-            vertices = np.column_stack([columns[axis].numbers(float) for axis in (b"x", b"y", b"z")])
-        elif element.name == b"face":
-            lists = columns[element.corners()]
-            corners, counts = lists.numbers(int), lists.counts
+            vertices = np.concatenate([_vertices(element, block) for block in part.blocks()])
+            continue
+        blocks = [_columns(element, block) for block in part.blocks()]
+        if element.name == b"face":
+            lists = [columns[element.corners()] for columns in blocks]
+            corners = np.concatenate([block.numbers(int) for block in lists])
+            counts = np.concatenate([block.counts for block in lists])
             if (counts < 3).any():
                 k = int(np.argmax(counts < 3))
-                raise InputError(f"line {lists.lines[k]} is a face of {counts[k]} corners; expected 3 or more: {CUT}")
+                raise InputError(f"line {part.lines[k]} is a face of {counts[k]} corners; expected 3 or more: {CUT}")
     if at < len(rows):
         raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
     check_last_index(text, last_index, len(vertices))
@@ -175,10 +171,20 @@ def _refuse_count(element: _Element, found: int) -> None:
     )
 
 
-def _columns(element: _Element, rows: Rows) -> dict[bytes, Rows]:
+def _vertices(element: _Element, rows: Tokens) -> np.ndarray:
+    if element.count_types:
+        columns = _columns(element, rows)
+        return np.column_stack([columns[axis].numbers(float) for axis in (b"x", b"y", b"z")])
+    _check_lengths(rows, len(element.types))
+    names = list(element.types)
+    values = rows.numbers(float).reshape(-1, len(names))
+    return values[:, [names.index(axis) for axis in (b"x", b"y", b"z")]]
+
+
+def _columns(element: _Element, rows: Tokens) -> dict[bytes, Tokens]:
     """The tokens of each property of an element; a row of them for each row of the element."""
-    columns: dict[bytes, Rows] = {}
-    end = np.zeros(len(rows), dtype=np.int64)
+    columns: dict[bytes, Tokens] = {}
+    end = np.zeros(len(rows.counts), dtype=np.int64)
     for name in element.types:
         length: int | np.ndarray = 1
         if name in element.count_types:
@@ -191,7 +197,7 @@ def _columns(element: _Element, rows: Rows) -> dict[bytes, Rows]:
     return columns
 
 
-def _check_lengths(rows: Rows, lengths: int | np.ndarray, *, at_least: bool = False) -> None:
+def _check_lengths(rows: Tokens, lengths: int | np.ndarray, *, at_least: bool = False) -> None:
     lengths = np.broadcast_to(lengths, rows.counts.shape)
     bad = np.flatnonzero(rows.counts < lengths if at_least else rows.counts != lengths)
     if bad.size:
@@ -204,7 +210,7 @@ def _check_lengths(rows: Rows, lengths: int | np.ndarray, *, at_least: bool = Fa
 def _read_binary(
     data: bytes, start: int, elements: list[_Element], order: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    vertices, corners, counts = np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    vertices, corners, counts = np.zeros((0, 3)), NO_INDICES, NO_INDICES
     for element in elements:
         if not element.count:
             continue

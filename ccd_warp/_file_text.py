@@ -1,6 +1,6 @@
 """Rows of numbers in text formats, read strictly: each token is one number, and a line that was cut is refused."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -10,13 +10,17 @@ import numpy as np
 from ccd_warp._messages import InputError
 
 CUT = "the file is damaged or cut short; copy or export it again"
+NO_INDICES = np.zeros(0, dtype=np.int64)
 _IS_SPACE = np.zeros(256, dtype=bool)
 _IS_SPACE[list(b" \t\n\r\v\f")] = True  # as bytes.split
 
 
+_BLOCK = 1 << 15  # rows that are tokens at a time, which take some ten times the memory of their text
+
+
 @dataclass(frozen=True)
-class Rows:
-    """The lines of a text that are not empty, as tokens; one flat list, because many short ones take longer.
+class Tokens:
+    """Rows as tokens; one flat list, because many short ones take longer.
 
     Attributes:
         tokens: Of all rows, one row after another.
@@ -28,9 +32,6 @@ class Rows:
     counts: np.ndarray
     lines: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.counts)
-
     @property
     def first(self) -> np.ndarray:
         """Where each row begins among the tokens, shape [n]."""
@@ -40,28 +41,18 @@ class Rows:
         """The first token of each row."""
         return [self.tokens[k] for k in self.first.tolist()]
 
-    def row(self, k: int) -> list[bytes]:
-        """The tokens of one row."""
-        at = int(self.counts[:k].sum())
-        return self.tokens[at : at + int(self.counts[k])]
-
-    def part(self, begin: int, end: int | None = None) -> "Rows":
-        """Rows ``begin`` to ``end``."""
-        first, last = int(self.counts[:begin].sum()), int(self.counts[:end].sum())
-        return Rows(self.tokens[first:last], self.counts[begin:end], self.lines[begin:end])
-
-    def pick(self, rows: np.ndarray) -> "Rows":
+    def pick(self, rows: np.ndarray) -> "Tokens":
         """The rows for which ``rows`` is true."""
         tokens = list(compress(self.tokens, np.repeat(rows, self.counts).tolist()))
-        return Rows(tokens, self.counts[rows], self.lines[rows])
+        return Tokens(tokens, self.counts[rows], self.lines[rows])
 
-    def columns(self, begin: int | np.ndarray, end: int | np.ndarray | None = None) -> "Rows":
+    def columns(self, begin: int | np.ndarray, end: int | np.ndarray | None = None) -> "Tokens":
         """Tokens ``begin`` to ``end`` of each row; both may differ from row to row."""
         begin = np.minimum(begin, self.counts)
         end = self.counts if end is None else np.clip(end, begin, self.counts)
         column = np.arange(len(self.tokens)) - np.repeat(self.first, self.counts)
         keep = (column >= np.repeat(begin, self.counts)) & (column < np.repeat(end, self.counts))
-        return Rows(list(compress(self.tokens, keep.tolist())), end - begin, self.lines)
+        return Tokens(list(compress(self.tokens, keep.tolist())), end - begin, self.lines)
 
     def numbers(self, kind: Callable[[bytes], Any]) -> np.ndarray:
         """All tokens as one array.
@@ -84,18 +75,54 @@ class Rows:
             raise InputError(f"line {line} holds {shown(self.tokens[k])}; expected {expected}: {CUT}") from None
 
 
+@dataclass(frozen=True)
+class Rows:
+    """The lines of a text that are not empty.
+
+    Attributes:
+        text: All of it.
+        begins: Where each row begins in it, and where the last one ends, shape [n + 1].
+        counts: Number of tokens of each row, shape [n].
+        lines: Number of the line of each row in the file, shape [n].
+    """
+
+    text: bytes
+    begins: np.ndarray
+    counts: np.ndarray
+    lines: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def row(self, k: int) -> list[bytes]:
+        """The tokens of one row."""
+        return self.text[self.begins[k] : self.begins[k + 1]].split()
+
+    def part(self, begin: int, end: int | None = None) -> "Rows":
+        """Rows ``begin`` to ``end``."""
+        end = len(self) if end is None else min(end, len(self))
+        return Rows(self.text, self.begins[begin : end + 1], self.counts[begin:end], self.lines[begin:end])
+
+    def blocks(self) -> Iterator[Tokens]:
+        """All rows as tokens, some thousands at a time."""
+        for k in range(0, len(self), _BLOCK):
+            part = self.part(k, k + _BLOCK)
+            yield Tokens(self.text[part.begins[0] : part.begins[-1]].split(), part.counts, part.lines)
+
+
 def text_rows(text: bytes, first_line: int = 1) -> Rows:
     """Split a text into rows; ``first_line`` is the number of its first line in the file."""
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     characters = np.frombuffer(text, dtype=np.uint8)
     is_space = _IS_SPACE[characters]
-    begins = ~is_space
-    begins[1:] &= is_space[:-1]
-    line_ends = np.append(np.flatnonzero(characters == ord("\n")), len(text))
-    counts = np.diff(np.searchsorted(np.flatnonzero(begins), line_ends), prepend=0)
+    begins_token = ~is_space
+    begins_token[1:] &= is_space[:-1]
+    line_begins = np.append(0, np.flatnonzero(characters == ord("\n")) + 1)
+    line_begins = line_begins[line_begins < len(text)]
+    counts = np.add.reduceat(begins_token, line_begins, dtype=np.int64) if len(text) else np.zeros(0, dtype=np.int64)
     filled = np.flatnonzero(counts)
-    return Rows(text.split(), counts[filled], filled + first_line)
+    return Rows(text, np.append(line_begins[filled], len(text)), counts[filled], filled + first_line)
 
 
 def _is_bad(token: bytes, kind: Callable[[bytes], Any]) -> bool:
@@ -139,17 +166,21 @@ def counted_polygons(rows: Rows, *, most_behind: int = 0) -> tuple[np.ndarray, n
     Raises:
         InputError: If a row has another length than it says, or a token is no number.
     """
-    counts = rows.columns(0, 1).numbers(int)
-    bad = np.flatnonzero((counts < 3) | (rows.counts < counts + 1) | (rows.counts > counts + 1 + most_behind))
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(
-            f"line {rows.lines[k]} says {counts[k]} corners and holds {rows.counts[k] - 1} numbers behind that; "
-            f"expected a face of 3 corners or more, and as many indices: {CUT}"
-        )
-    if (rows.counts > counts + 1).any():
-        rows.numbers(float)
-    return rows.columns(1, counts + 1).numbers(int), counts
+    corners, counts = [NO_INDICES], [NO_INDICES]
+    for block in rows.blocks():
+        stated = block.columns(0, 1).numbers(int)
+        bad = np.flatnonzero((stated < 3) | (block.counts < stated + 1) | (block.counts > stated + 1 + most_behind))
+        if bad.size:
+            k = int(bad[0])
+            raise InputError(
+                f"line {block.lines[k]} says {stated[k]} corners and holds {block.counts[k] - 1} numbers behind that; "
+                f"expected a face of 3 corners or more, and as many indices: {CUT}"
+            )
+        if (block.counts > stated + 1).any():
+            block.numbers(float)
+        corners.append(block.columns(1, stated + 1).numbers(int))
+        counts.append(stated)
+    return np.concatenate(corners), np.concatenate(counts)
 
 
 def fan(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:

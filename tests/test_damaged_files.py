@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ccd_warp import datasets
+from ccd_warp import _file_text, datasets
 from ccd_warp._cli import main
 from ccd_warp._file_archive import MAX_BYTES
 from ccd_warp._files import InputError, read_frames, read_static, write_mesh
@@ -272,6 +272,15 @@ def test_polygons_become_fans_in_the_order_of_the_file(tmp_path):
     )
     for name in ("a.ply", "a.off", "a.obj"):
         assert read_static(tmp_path / name).faces.tolist() == expected
+
+
+@pytest.mark.parametrize("name", ["ascii.ply", "coloured.ply", "text.off", "commented.off", "ascii.stl", "a.obj"])
+def test_nothing_shows_where_a_long_file_is_cut_into_blocks(tmp_path, monkeypatch, name):
+    data = WHOLE.get(name, OBJ.replace(b"f 10 2 11\n", b"v 1 2 3\nf -4 2 11\n"))
+    whole = _read(tmp_path, name, data)
+    for rows in (1, 3, 5):
+        monkeypatch.setattr(_file_text, "_BLOCK", rows)
+        assert _same(_read(tmp_path, name, data), whole)
 
 
 def test_negative_index_counts_from_the_vertices_above_its_face(tmp_path):
