@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 # NumPy, Warp and trimesh are imported where they are used, so that --help answers at once.
 from ccd_warp import __version__
+from ccd_warp._messages import printable
 
 if TYPE_CHECKING:
     from ccd_warp._files import Body
@@ -58,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = _make_parser().parse_args(argv)
         return arguments.command(arguments)
     except ValueError as error:  # of the library's own checks, too: each message names the argument and the finding
-        _say(f"ccd-warp: error: {' '.join(str(error).split())}")
+        _say(f"ccd-warp: error: {printable(str(error))}")
         return 2
     except BrokenPipeError:  # the reader of a pipe has seen enough; Python would fail again when it flushes stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -82,7 +83,9 @@ def _make_parser() -> argparse.ArgumentParser:
         description="Every vertex moves on a straight line from its place in START to its place in END. Exit status: "
         "0 for a finished run, with a collision or without; 2 for bad input.",
     )
-    run.add_argument("start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB, …")
+    run.add_argument(
+        "start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB or an archive"
+    )
     run.add_argument("end", metavar="END", help="mesh at its end, with the same faces")
     run.add_argument(
         "--static", metavar="FILE", nargs="+", action="extend", default=[], help="obstacles that do not move"
@@ -94,6 +97,12 @@ def _make_parser() -> argparse.ArgumentParser:
         type=Path,
         help="write contacts and the toi of every vertex as .npz, .json or .csv (two files: NAME.csv holds the "
         "contacts, NAME_vertices.csv the vertices)",
+    )
+    run.add_argument(
+        "--max-bytes",
+        type=int,
+        metavar="BYTES",
+        help="what an archive of meshes (ZIP, …) may unpack to (256 MiB)",
     )
     run.add_argument(
         "--picture", metavar="FILE", type=Path, help="draw the step at its start, toi and end as .png (extra 'viz')"
@@ -171,6 +180,7 @@ def _given_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from ccd_warp._file_archive import MAX_BYTES
     from ccd_warp._files import read_frames, read_static
     from ccd_warp._output import check_output_path, write_result
 
@@ -180,8 +190,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         _check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
-    bodies = [read_frames(arguments.start, arguments.end)]
-    bodies += [read_static(path) for path in arguments.static]
+    max_bytes = MAX_BYTES if arguments.max_bytes is None else arguments.max_bytes
+    bodies = [read_frames(arguments.start, arguments.end, max_bytes=max_bytes)]
+    bodies += [read_static(path, max_bytes=max_bytes) for path in arguments.static]
     read_seconds = time.perf_counter() - begin
 
     options = _given_options(arguments)
@@ -200,7 +211,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _print_report(f"{arguments.start} -> {arguments.end}", bodies, mesh, result, timings, options)
         for path in written:
-            print(f"wrote {path}")
+            print(f"wrote {printable(str(path))}")
     return 0
 
 
@@ -245,9 +256,9 @@ def _demo(arguments: argparse.Namespace) -> int:
                 write_mesh(folder / f"{scene.name}_{body.name}_t1.ply", body.vertices_t1, body.faces)
         write_result(folder / f"{scene.name}.json", scene.bodies, mesh, result)
     if folder is not None and not arguments.quiet:
-        print(f"\nwrote the meshes and results to {folder}")
+        print(f"\nwrote the meshes and results to {printable(str(folder))}")
     if pictures is not None and not arguments.quiet:
-        print(f"\nwrote the pictures to {pictures}")
+        print(f"\nwrote the pictures to {printable(str(pictures))}")
     return 0
 
 

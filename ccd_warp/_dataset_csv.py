@@ -6,6 +6,7 @@ every other coordinate is compared with its rational in Python integers.
 
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from itertools import repeat
 from pathlib import Path
@@ -18,6 +19,9 @@ ROWS = 8  # rows of a query: four points at the start, four at the end
 _BLOCK = 1 << 20  # bytes; larger blocks spend their time on fresh memory
 _QUERIES = 1 << 12  # queries that are written at a time
 _DIGITS = 512  # below any limit that Python may be told to set on the digits of an int
+# A float64 in lowest terms has a numerator of at most 309 digits and a denominator of at most 324, that of 2**-1074.
+# The rest is for common factors; without a limit, two numbers of ten million digits take a minute.
+_MOST_DIGITS = 10_000
 # Denominators of float64: the last is that of the subnormals.
 _EXPONENTS = {str(1 << k).encode(): k for k in range(1075)}
 
@@ -126,6 +130,8 @@ def _floats(path: Path, line: int, numerators: list[bytes], denominators: list[b
     """Rationals as float64, three a row, each of them exactly."""
     exponents = np.fromiter(map(_EXPONENTS.get, denominators, repeat(-1)), np.int32, len(denominators))
     try:
+        if not 0 < sys.get_int_max_str_digits() <= _MOST_DIGITS and max(map(len, numerators), default=0) > _MOST_DIGITS:
+            raise ValueError("too many digits for int() to read them at once, and it may")
         values = np.fromiter(map(int, numerators), np.float64, len(numerators))
     except (ValueError, OverflowError):  # no integer, too many digits for int(), or beyond float64
         values = np.full(len(numerators), np.inf)
@@ -157,7 +163,9 @@ def exact_float(numerator: bytes, denominator: bytes) -> float:
 
 
 def _integer(text: bytes) -> int:
-    """A decimal integer of any length."""
+    """A decimal integer of as many digits as a coordinate may have."""
+    if len(text) > _MOST_DIGITS + text.startswith(b"-"):
+        raise ValueError(f"{_shown(text)} is too long; expected an integer of at most {_MOST_DIGITS:,} digits")
     if not re.fullmatch(rb"-?[0-9]+", text):
         raise ValueError(f"{_quoted(text)} is not an integer; expected decimal digits")
     if text.startswith(b"-"):

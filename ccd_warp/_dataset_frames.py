@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ccd_warp._dataset_paths import DEPTHS, replacing, root_folder, scene_name
+from ccd_warp._file_archive import MAX_BYTES
 from ccd_warp._files import read_frames, write_mesh
 
 
@@ -24,24 +25,25 @@ class SimulationStep:
     faces: np.ndarray
 
 
-def read_step(start_path: str | Path, end_path: str | Path) -> SimulationStep:
+def read_step(start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES) -> SimulationStep:
     """Read the two frames of a step.
 
     Args:
-        start_path: PLY file of the start positions; other formats that trimesh reads will do.
+        start_path: PLY file of the start positions; OBJ, STL, OFF, GLB and archives of them will do.
         end_path: PLY file of the end positions, with the same faces.
+        max_bytes: What a file that is an archive may unpack to.
 
     Returns:
         The mesh at both ends, vertices and faces as the files number them.
 
     Raises:
-        ValueError: If a file is missing or unreadable, holds no triangles or non-finite vertices, or the two differ in
-            their faces.
+        ValueError: If a file is missing, damaged or cut short, unpacks to more than the limit, holds no triangles or
+            non-finite vertices, or the two differ in their faces.
 
     References:
         Belgrod et al. 2023.
     """
-    body = read_frames(start_path, end_path)
+    body = read_frames(start_path, end_path, max_bytes=max_bytes)
     return SimulationStep(body.vertices_t0, body.vertices_t1, body.faces.astype(np.int32))
 
 

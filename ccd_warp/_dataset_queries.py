@@ -97,8 +97,9 @@ def read_queries(
 
     Args:
         path: CSV file without a header, 8 rows a query, ``xn,xd,yn,yd,zn,zd`` or ``xn,xd,yn,yd,zn,zd,truth``: decimal
-            integers, each coordinate the rational n/d with d > 0. Line ends may be LF or CRLF; an empty file holds no
-            query.
+            integers of at most 10,000 digits, each coordinate the rational n/d with d > 0. Line ends may be LF or CRLF;
+            an empty file holds no query. Some published files have no line end at their end, so it is not asked for,
+            and a file cut within its very last number is not told from a whole one.
         kind: "vertex-face" or "edge-edge". None takes it from the file's folder, if that has one of these names, or
             from the end of the file's name, "vf" or "ee".
         truth: JSON file of the truth of queries of 6 columns, see `read_truth`.
@@ -108,8 +109,9 @@ def read_queries(
         The queries; their truth is None where neither a column nor ``truth`` states it.
 
     Raises:
-        ValueError: If a line is malformed, a rational is not exactly a float64, the rows make no whole queries, or one
-            query has two truths, with file and line; if the kind is unknown or the truth does not match.
+        ValueError: If a line is malformed, an integer is too long, a rational is not exactly a float64, the rows make
+            no whole queries, or one query has two truths, with file and line; if the kind is unknown or the truth does
+            not match.
         OSError: If a file cannot be read.
         ImportError: If ``progress`` is asked for without tqdm.
 

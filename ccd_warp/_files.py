@@ -1,24 +1,15 @@
-"""Read mesh frames in any format that trimesh reads, in full precision."""
+"""Read mesh frames in full precision, merge what their format splits, and write frames."""
 
-import io
-import re
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
-# How a format stores a vertex that several faces share.
-#   indexed: once; the file's own vertices are taken as they are.
-#   split:   once per normal, texture coordinate or material (glTF), so one vertex may appear several times.
-#   soup:    once per face corner (STL).
-Sharing = Literal["indexed", "split", "soup"]
-_SHARING: dict[str, Sharing] = {".stl": "soup", ".stl_ascii": "soup", ".glb": "split", ".gltf": "split"}
+from ccd_warp._file_archive import MAX_BYTES, validated_max_bytes
+from ccd_warp._file_mesh import read_mesh
+from ccd_warp._messages import InputError
 
-
-class InputError(ValueError):
-    """Bad input of the command line; the message is one line that says what is wrong and what to do."""
+__all__ = ["Body", "InputError", "make_body", "read_frames", "read_static", "write_mesh"]
 
 
 @dataclass(frozen=True)
@@ -51,30 +42,24 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
 
 
-@dataclass(frozen=True)
-class _Mesh:
-    """One file as it stands: vertices in double precision, nothing merged or reordered."""
-
-    path: Path
-    vertices: np.ndarray
-    faces: np.ndarray
-    sharing: Sharing
-
-
-def read_frames(start_path: str | Path, end_path: str | Path) -> Body:
+def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
     """Read the two ends of a step.
 
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces.
+        max_bytes: What a file that is an archive may unpack to.
 
     Returns:
         A moving body.
 
     Raises:
-        InputError: If a file is missing, unreadable, not finite, or the two differ in topology.
+        InputError: If a file is missing, damaged, not finite, unpacks to more than the limit, or the two differ in
+            topology.
+        ValueError: If ``max_bytes`` is not a positive integer.
     """
-    start, end = _read_mesh(Path(start_path)), _read_mesh(Path(end_path))
+    max_bytes = validated_max_bytes(max_bytes)
+    start, end = read_mesh(Path(start_path), max_bytes), read_mesh(Path(end_path), max_bytes)
     if start.sharing != end.sharing:
         raise InputError(
             f"{start.path} and {end.path} store shared vertices in different ways; "
@@ -125,19 +110,21 @@ def read_frames(start_path: str | Path, end_path: str | Path) -> Body:
     )
 
 
-def read_static(path: str | Path) -> Body:
+def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
     """Read an obstacle that does not move.
 
     Args:
         path: Mesh file.
+        max_bytes: What it may unpack to if it is an archive.
 
     Returns:
         A static body.
 
     Raises:
-        InputError: If the file is missing, unreadable or not finite.
+        InputError: If the file is missing, damaged or not finite, or unpacks to more than the limit.
+        ValueError: If ``max_bytes`` is not a positive integer.
     """
-    mesh = _read_mesh(Path(path))
+    mesh = read_mesh(Path(path), validated_max_bytes(max_bytes))
     if mesh.sharing == "indexed":
         return make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
     source_index, merged = _merge(mesh.vertices)
@@ -161,80 +148,6 @@ def _merge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return first[order], rank[inverse.reshape(-1)]
-
-
-def _read_mesh(path: Path) -> _Mesh:
-    """Load one file with trimesh, every part of a scene in its place, nothing merged, reordered or rounded."""
-    import trimesh
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
-    suffix = path.suffix.lower()
-    # `process` would merge and drop vertices; the others keep textures from doing it.
-    keep: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
-    if suffix == ".ply":
-        keep["fix_texture"] = False
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if suffix == ".obj":
-                stripped = io.BytesIO(_strip_obj(path.read_bytes()))
-                scene = trimesh.load_scene(stripped, file_type="obj", **keep)
-            else:
-                scene = trimesh.load_scene(str(path), **keep)
-            parts = _flatten(scene)
-    except Exception as error:  # the loaders raise whatever their parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(
-            f"{path}: trimesh cannot read it as a mesh ({reason}); save it as PLY, OBJ, STL, OFF or GLB"
-        ) from error
-    if not parts:
-        raise InputError(f"{path}: holds no triangles; give a triangle mesh")
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
-    vertices = np.vstack([vertices for vertices, _ in parts])
-    faces = np.vstack([faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)])
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        k = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
-        raise InputError(
-            f"{path}: face {k} is {faces[k].tolist()}, but the file has {len(vertices)} vertices; repair the file"
-        )
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(
-            f"{path}: vertex {k} is {vertices[k].tolist()} ({bad.size} of {len(vertices)} vertices are not finite); "
-            "every coordinate must be finite"
-        )
-    return _Mesh(path, vertices, faces, _SHARING.get(suffix, "indexed"))
-
-
-def _flatten(scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and faces of every mesh of a scene, moved to where the scene puts it."""
-    parts = []
-    for node in scene.graph.nodes_geometry:
-        matrix, name = scene.graph[node]
-        mesh = scene.geometry[name]
-        faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
-        if faces.size == 0:
-            continue
-        vertices = np.array(mesh.vertices, dtype=np.float64)
-        # Compared exactly: trimesh's own flattening leaves out a motion that is nearly nothing.
-        if not np.array_equal(matrix, np.eye(4)):
-            vertices = vertices @ np.asarray(matrix)[:3, :3].T + np.asarray(matrix)[:3, 3]
-        parts.append((vertices, faces.reshape(-1, 3)))
-    return parts
-
-
-def _strip_obj(text: bytes) -> bytes:
-    """An OBJ file's vertices and faces alone.
-
-    trimesh splits the vertices of an OBJ file at every seam of its texture or normals and sorts faces by material;
-    with those left out it keeps the vertices and the faces of the file.
-    """
-    joined = text.replace(b"\r\n", b"\n").replace(b"\\\n", b" ")
-    lines = [line.strip() for line in joined.split(b"\n")]
-    kept = [re.sub(rb"/\S*", b"", line) for line in lines if line.startswith((b"v ", b"v\t", b"f ", b"f\t"))]
-    return b"\n".join(kept)
 
 
 def write_mesh(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

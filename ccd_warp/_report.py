@@ -7,6 +7,7 @@ import numpy as np
 
 from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._files import Body
+from ccd_warp._messages import printable
 
 
 def format_toi(toi: float) -> str:
@@ -37,12 +38,12 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
     Returns:
         Several lines without a final newline.
     """
-    lines = [title, ""]
+    lines = [printable(title), ""]
     lines += format_table(
         ("body", "", "vertices", "faces", "earliest toi"),
         [
             (
-                body.name,
+                printable(body.name),
                 "static" if body.is_static else "moving",
                 f"{len(body.vertices_t0):,}",
                 f"{len(body.faces):,}",
@@ -52,7 +53,9 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
         ],
         align="<<>><",
     )
-    lines += [f"  ({body.merged:,} vertices of {body.name} merged by position)" for body in bodies if body.merged]
+    lines += [
+        f"  ({body.merged:,} vertices of {printable(body.name)} merged by position)" for body in bodies if body.merged
+    ]
     lines.append("")
     if math.isfinite(result.toi):
         lines.append(f"scene toi  {format_toi(result.toi)}   (of the step; no pair touches before it)")
@@ -89,7 +92,8 @@ def describe_contact(bodies: Sequence[Body], mesh, result) -> str:
     k = int(np.argmin(np.asarray(contacts.toi)))
     first_vertex = np.cumsum([0] + [len(body.vertices_t0) for body in bodies])
     vertices = contact_vertices(mesh, contacts)[k].tolist()
-    names = [bodies[int(np.searchsorted(first_vertex, v, side="right")) - 1].name for v in (vertices[0], vertices[3])]
+    touching = [bodies[int(np.searchsorted(first_vertex, v, side="right")) - 1] for v in (vertices[0], vertices[3])]
+    names = [printable(body.name) for body in touching]
     if int(np.asarray(contacts.kind)[k]) == 0:
         face = int(np.asarray(contacts.primitives)[k, 1])
         pair = f"vertex {vertices[0]} of {names[0]} and face {face} of {names[1]}"
