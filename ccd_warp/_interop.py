@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._arguments import check_unmasked
+
 # Device types of DLPack: CUDA; and the CPU, and host memory that CUDA has pinned or manages.
 _CUDA = 2
 _HOST_MEMORY = (1, 3, 13)
@@ -25,6 +27,7 @@ def as_warp(value: Any, name: str) -> wp.array:
     if isinstance(value, wp.array):
         return value
     if isinstance(value, np.ndarray):
+        check_unmasked(name, value)
         if not value.flags.c_contiguous:
             raise ValueError(f"{name} has strides {value.strides}; expected a contiguous array, which needs no copy")
         if value.dtype not in (np.float32, np.float64):

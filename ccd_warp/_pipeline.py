@@ -4,10 +4,11 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike
 
+from ccd_warp._arguments import check_choice, check_count, check_instance, check_real
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
 from ccd_warp._device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep, LineSearch
 from ccd_warp._interop import check_writable
@@ -15,12 +16,11 @@ from ccd_warp._line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
-    check_line_search,
     check_step_is_whole,
     search_step,
 )
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, check_count, resolve_device
+from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
 from ccd_warp._results import LaunchResult, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
@@ -28,6 +28,7 @@ from ccd_warp._workspace import Workspace
 
 DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100
+_PER = ("scene", "world", "body", "vertex")
 
 
 class CollisionPipeline:
@@ -82,6 +83,7 @@ class CollisionPipeline:
             device=device,
             num_threads=num_threads,
         )
+        check_instance("mesh", mesh, CollisionMesh)
         self._hold(options, Workspace(mesh, resolve_device(device)))
         self._capacities = self._with_capacities(max_pairs, max_contacts)
 
@@ -100,6 +102,7 @@ class CollisionPipeline:
     @contextmanager
     def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
         """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
+        check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
         idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
         try:
@@ -112,6 +115,13 @@ class CollisionPipeline:
             yield pipeline
         finally:
             idle.append(workspace)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: what it holds is on a device, and of this process."""
+        raise TypeError(
+            "a CollisionPipeline cannot be copied or pickled; copy or pickle its mesh and its options, "
+            "and build another: CollisionPipeline(mesh, **options)"
+        )
 
     @contextmanager
     def _step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> Iterator[Step]:
@@ -128,11 +138,9 @@ class CollisionPipeline:
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self._capacities
         if max_pairs is not None:
-            check_count("max_pairs", max_pairs, MOST_PAIRS)
-            capacities = replace(capacities, max_pairs=int(max_pairs))
+            capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
         if max_contacts is not None:
-            check_count("max_contacts", max_contacts, MOST_CONTACTS)
-            capacities = replace(capacities, max_contacts=int(max_contacts))
+            capacities = replace(capacities, max_contacts=check_count("max_contacts", max_contacts, MOST_CONTACTS))
         return capacities
 
     def reserve(
@@ -260,11 +268,11 @@ class CollisionPipeline:
         very positions, as they are rounded, and where its toi was not inf the vertices do not move.
         """
         check_writable(x_t1, "x_t1")
-        check_line_search(per, safety)
-        check_count("num_rounds", num_rounds, _MOST_ROUNDS)
+        per, safety = _validated_line_search(per, safety)
+        num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
         check_step_is_whole(self._options.t_max)
         with self._held_step() as step:
-            step.launch(x_t0, x_t1, line_search=LineSearch(per, float(safety), int(num_rounds)))
+            step.launch(x_t0, x_t1, line_search=LineSearch(per, safety, num_rounds))
             return step.result
 
     @contextmanager
@@ -366,6 +374,16 @@ class CollisionPipeline:
         Guarantee: as there; no pair with a vertex that moves touches on the way to the end positions.
         """
         check_step_is_whole(self._options.t_max)
+        per, safety = _validated_line_search(per, safety)
+        max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
         return search_step(
             self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
         )
+
+
+def _validated_line_search(per: str, safety: float) -> tuple[str, float]:
+    """What moves together and how far, or a ValueError."""
+    return (
+        check_choice("per", per, _PER),
+        check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),
+    )
