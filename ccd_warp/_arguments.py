@@ -26,6 +26,11 @@ def shown(value: Any) -> str:
         text = str(value) if isinstance(value, np.dtype) else _repr.repr(value)
     except Exception:  # whatever a __repr__ of the caller raises
         text = f"a {type(value).__name__}"
+    return on_one_line(text)
+
+
+def on_one_line(text: str) -> str:
+    """A text as a message can hold it."""
     text = " ".join(text.split())
     return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..."
 
@@ -121,7 +126,7 @@ def check_path(name: str, value: Any) -> Path:
         ValueError: If it is none.
     """
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
-    if not isinstance(text, str) or "\0" in text:
+    if not isinstance(text, str) or not text or "\0" in text:
         raise ValueError(f"{name} is {shown(value)}; expected a path, as text or a pathlib.Path")
     return Path(text)
 

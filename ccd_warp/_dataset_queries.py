@@ -12,13 +12,12 @@ from ccd_warp._arguments import (
     check_choice,
     check_count,
     check_flag,
-    check_instance,
     check_items,
     check_path,
     check_unmasked,
     shown,
 )
-from ccd_warp._array_input import as_array
+from ccd_warp._array_input import as_array, as_float64
 from ccd_warp._dataset_csv import read_csv, write_csv
 from ccd_warp._dataset_json import read_truth
 from ccd_warp._dataset_paths import DEPTHS, root_folder, scene_name
@@ -49,6 +48,8 @@ class Queries:
     sources: tuple[tuple[str, int], ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name is {shown(self.name)}; expected a text")
         _check_kind(self.kind)
         _check_points(self.points_t0, self.points_t1, self.truth)
         counted = _counted(self.sources)
@@ -60,8 +61,11 @@ class Queries:
 
     def id(self, i: int) -> str:
         """Where query ``i`` is from, "file:number", both counted from 0."""
-        if not isinstance(i, numbers.Integral):
+        is_index = isinstance(i, numbers.Integral) and not isinstance(i, (bool, np.bool_))
+        if not is_index:
             raise ValueError(f"i is {shown(i)}; expected the index of a query")
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"i is {shown(i)}; expected an index of {len(self)} queries")
         number = range(len(self))[i]
         for label, count in self.sources:
             if number < count:
@@ -85,7 +89,8 @@ class Queries:
         """
         parts = check_items("parts", parts, "sets of queries")
         for part in parts:
-            check_instance("a part", part, cls)
+            if not isinstance(part, cls):
+                raise ValueError(f"parts holds {shown(part)}; expected sets of queries")
         kinds = sorted({part.kind for part in parts})
         if len(kinds) != 1:
             raise ValueError(f"parts of {name} are of the kinds {kinds}; expected one or more parts of one kind")
@@ -168,7 +173,8 @@ def write_queries(
     start, end = as_array(points_t0, "points_t0", expected), as_array(points_t1, "points_t1", expected)
     known = None if truth is None else as_array(truth, "truth", "bool of shape (n,)")
     _check_points(start, end, known)
-    for name, points in (("points_t0", start), ("points_t1", end)):
+    for name, points, given in (("points_t0", start, points_t0), ("points_t1", end, points_t1)):
+        as_float64(points, name, given, row_name="query")
         bad = np.argwhere(~np.isfinite(points))
         if len(bad):
             query, point, axis = bad[0].tolist()
@@ -258,8 +264,8 @@ def _check_kind(kind: str) -> str:
 def _counted(sources: tuple[tuple[str, int], ...]) -> int:
     """How many queries the sources count, or a ValueError."""
     try:
-        return sum(check_count("a count of sources", count, 2**63 - 1, least=0) for _, count in sources)
-    except TypeError:
+        return sum(check_count("count", count, 2**63 - 1, least=0) for _, count in sources)
+    except (TypeError, ValueError):
         raise ValueError(f"sources is {shown(sources)}; expected pairs (label of a file, its queries)") from None
 
 

@@ -318,7 +318,8 @@ class CollisionMesh:
                 vertices only, in the order of ``moving_vertices``, shape [V_moving, 3].
 
         Returns:
-            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both.
+            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both. The arrays
+            themselves where they are that already; every other call returns memory of its own.
 
         Raises:
             ValueError: If a shape does not match or a value that is read is not finite.

@@ -87,7 +87,7 @@ def vertex_face_ccd(
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
         method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
         device: Warp device; by default that of the arrays, or Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
