@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._arguments import check_real
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 
@@ -63,7 +64,4 @@ def sorted_candidates(step: Step, inflation: float) -> Candidates:
 
 def validated_inflation(value: float) -> float:
     """The inflation as a float, or a ValueError."""
-    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not real or not 0 <= value <= sys.float_info.max:
-        raise ValueError(f"inflation is {value!r}; expected a finite length that is not negative")
-    return float(value)
+    return check_real("inflation", value, "a finite length that is not negative", lambda x: x >= 0)

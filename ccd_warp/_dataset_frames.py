@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ccd_warp._arguments import check_instance, check_path, shown
+from ccd_warp._array_input import as_array, as_float64
 from ccd_warp._dataset_paths import DEPTHS, replacing, root_folder, scene_name
 from ccd_warp._file_archive import MAX_BYTES
 from ccd_warp._files import read_frames, write_mesh
@@ -43,7 +45,8 @@ def read_step(start_path: str | Path, end_path: str | Path, *, max_bytes: int = 
     References:
         Belgrod et al. 2023.
     """
-    body = read_frames(start_path, end_path, max_bytes=max_bytes)
+    start, end = check_path("start_path", start_path), check_path("end_path", end_path)
+    body = read_frames(start, end, max_bytes=max_bytes)
     return SimulationStep(body.vertices_t0, body.vertices_t1, body.faces.astype(np.int32))
 
 
@@ -56,8 +59,8 @@ def write_step(start_path: str | Path, end_path: str | Path, step: SimulationSte
         step: The mesh at both ends.
 
     Raises:
-        ValueError: If a path does not end in .ply, the frames differ in shape, a vertex is not finite, or a face names
-            a vertex that is not there.
+        ValueError: If a path does not end in .ply, the frames differ in shape, a vertex is not finite or no float64,
+            or a face names a vertex that is not there.
         OSError: If a file cannot be written.
 
     References:
@@ -65,25 +68,32 @@ def write_step(start_path: str | Path, end_path: str | Path, step: SimulationSte
 
     Guarantee: `read_step` gives the same numbers back; after an error neither file is half-written.
     """
-    start, end = Path(start_path), Path(end_path)
+    start, end = check_path("start_path", start_path), check_path("end_path", end_path)
+    check_instance("step", step, SimulationStep)
     for name, path in (("start_path", start), ("end_path", end)):
         if path.suffix.lower() != ".ply":
             raise ValueError(f"{name} is {path}; expected a name that ends in .ply")
-    shape = (len(step.vertices_t0), 3)
-    for name, vertices in (("vertices_t0", step.vertices_t0), ("vertices_t1", step.vertices_t1)):
+    frames: list[np.ndarray] = []
+    for name in ("vertices_t0", "vertices_t1"):
+        given = getattr(step, name)
+        vertices = as_array(given, name, "shape (V, 3)")
+        shape = (len(frames[0] if frames else vertices), 3)
         if vertices.shape != shape:
             raise ValueError(f"{name} has shape {vertices.shape}; expected {shape}")
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        frames.append(as_float64(vertices, name, given))
+        bad = np.flatnonzero(~np.isfinite(frames[-1]).all(axis=1))
         if bad.size:
-            raise ValueError(f"{name}[{bad[0]}] is {vertices[bad[0]].tolist()}; expected finite positions")
-    faces = step.faces
+            raise ValueError(f"{name}[{bad[0]}] is {frames[-1][bad[0]].tolist()}; expected finite positions")
+    faces = as_array(step.faces, "faces", "integers of shape (F, 3)")
+    if faces.dtype.kind not in "iu":
+        raise ValueError(f"faces has dtype {shown(faces.dtype)}; expected integers")
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ValueError(f"faces has shape {faces.shape}; expected (F, 3) with one face or more")
     if faces.min() < 0 or faces.max() >= shape[0]:
         raise ValueError(f"faces holds indices from {faces.min()} to {faces.max()}; expected 0 to {shape[0] - 1}")
     with replacing(start) as unfinished_start, replacing(end) as unfinished_end:
-        write_mesh(unfinished_start, step.vertices_t0, faces)
-        write_mesh(unfinished_end, step.vertices_t1, faces)
+        write_mesh(unfinished_start, frames[0], faces)
+        write_mesh(unfinished_end, frames[1], faces)
 
 
 def find_steps(folder: str | Path) -> dict[str, tuple[Path, Path]]:

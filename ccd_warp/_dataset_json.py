@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ccd_warp._arguments import check_path, shown
+from ccd_warp._array_input import as_array
 from ccd_warp._dataset_paths import replacing
 
 
@@ -25,7 +27,7 @@ def read_truth(path: str | Path) -> np.ndarray:
     References:
         Belgrod et al. 2023.
     """
-    entries = _read_json_list(Path(path))
+    entries = _read_json_list(check_path("path", path))
     for i, entry in enumerate(entries):
         if type(entry) is not bool:
             raise ValueError(f"{path}: entry {i} is {_shown(entry)}; expected true or false")
@@ -48,10 +50,11 @@ def write_truth(path: str | Path, truth: np.ndarray) -> None:
 
     Guarantee: after an error the file is as it was.
     """
-    truth = np.asarray(truth)
+    path = check_path("path", path)
+    truth = as_array(truth, "truth", "bool of shape (n,)")
     if truth.dtype != np.bool_ or truth.ndim != 1:
-        raise ValueError(f"truth is {truth.dtype} of shape {truth.shape}; expected bool of shape (n,)")
-    _write_json(Path(path), truth.tolist())
+        raise ValueError(f"truth is {shown(truth.dtype)} of shape {truth.shape}; expected bool of shape (n,)")
+    _write_json(path, truth.tolist())
 
 
 def read_boxes(path: str | Path) -> np.ndarray:
@@ -71,7 +74,7 @@ def read_boxes(path: str | Path) -> np.ndarray:
     References:
         Belgrod et al. 2023.
     """
-    entries = _read_json_list(Path(path))
+    entries = _read_json_list(check_path("path", path))
     for i, pair in enumerate(entries):
         if not (type(pair) is list and len(pair) == 2 and all(type(x) is int and 0 <= x < 1 << 63 for x in pair)):
             raise ValueError(f"{path}: entry {i} is {_shown(pair)}; expected two ids, integers from 0")
@@ -94,12 +97,13 @@ def write_boxes(path: str | Path, ids: np.ndarray) -> None:
 
     Guarantee: after an error the file is as it was.
     """
-    ids = np.asarray(ids)
+    path = check_path("path", path)
+    ids = as_array(ids, "ids", "integers of shape (n, 2)")
     if ids.dtype.kind not in "iu" or ids.ndim != 2 or ids.shape[1] != 2:
-        raise ValueError(f"ids is {ids.dtype} of shape {ids.shape}; expected integers of shape (n, 2)")
+        raise ValueError(f"ids is {shown(ids.dtype)} of shape {ids.shape}; expected integers of shape (n, 2)")
     if ids.size and ids.min() < 0:
         raise ValueError(f"ids holds {ids.min()}; expected integers from 0")
-    _write_json(Path(path), ids.tolist())
+    _write_json(path, ids.tolist())
 
 
 def edges_by_max(faces: np.ndarray) -> np.ndarray:
@@ -111,9 +115,15 @@ def edges_by_max(faces: np.ndarray) -> np.ndarray:
     Returns:
         Each edge once, as (min, max) of its vertices, sorted by (max, min), dtype of ``faces``, shape [E, 2].
 
+    Raises:
+        ValueError: If ``faces`` has another dtype or shape.
+
     References:
         Belgrod et al. 2023.
     """
+    faces = as_array(faces, "faces", "integers of shape (F, 3)")
+    if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(f"faces is {shown(faces.dtype)} of shape {faces.shape}; expected integers of shape (F, 3)")
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(edges[:, ::-1], axis=0)[:, ::-1]
 

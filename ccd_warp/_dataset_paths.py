@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ccd_warp._arguments import check_path
+
 DEPTHS = ("", "*/", "*/*/")  # of the scenes: the folder itself, its children, theirs
 
 
 def root_folder(folder: str | Path) -> Path:
     """The folder without dots, so that it has a name."""
-    root = Path(os.path.abspath(folder))
+    root = Path(os.path.abspath(check_path("folder", folder)))
     if not root.is_dir():
         raise ValueError(f"{folder} is not a folder; expected the public data, one of its parts or one of its scenes")
     return root

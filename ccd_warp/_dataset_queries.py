@@ -1,5 +1,6 @@
 """Queries of the public data: vertex-face and edge-edge pairs with their truth, read file by file or by folder."""
 
+import numbers
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -7,6 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ccd_warp._arguments import (
+    check_choice,
+    check_count,
+    check_flag,
+    check_items,
+    check_path,
+    check_unmasked,
+    shown,
+)
+from ccd_warp._array_input import as_array, as_float64
 from ccd_warp._dataset_csv import read_csv, write_csv
 from ccd_warp._dataset_json import read_truth
 from ccd_warp._dataset_paths import DEPTHS, root_folder, scene_name
@@ -37,9 +48,11 @@ class Queries:
     sources: tuple[tuple[str, int], ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name is {shown(self.name)}; expected a text")
         _check_kind(self.kind)
         _check_points(self.points_t0, self.points_t1, self.truth)
-        counted = sum(count for _, count in self.sources)
+        counted = _counted(self.sources)
         if counted != len(self.points_t0):
             raise ValueError(f"sources count {counted} queries; expected {len(self.points_t0)} like points_t0")
 
@@ -48,6 +61,11 @@ class Queries:
 
     def id(self, i: int) -> str:
         """Where query ``i`` is from, "file:number", both counted from 0."""
+        is_index = isinstance(i, numbers.Integral) and not isinstance(i, (bool, np.bool_))
+        if not is_index:
+            raise ValueError(f"i is {shown(i)}; expected the index of a query")
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"i is {shown(i)}; expected an index of {len(self)} queries")
         number = range(len(self))[i]
         for label, count in self.sources:
             if number < count:
@@ -69,6 +87,10 @@ class Queries:
         Raises:
             ValueError: If there is no part, or the parts differ in kind or in whether the truth is known.
         """
+        parts = check_items("parts", parts, "sets of queries")
+        for part in parts:
+            if not isinstance(part, cls):
+                raise ValueError(f"parts holds {shown(part)}; expected sets of queries")
         kinds = sorted({part.kind for part in parts})
         if len(kinds) != 1:
             raise ValueError(f"parts of {name} are of the kinds {kinds}; expected one or more parts of one kind")
@@ -121,10 +143,11 @@ def read_queries(
     Guarantee: every coordinate is the rational of the file, without rounding; after an error nothing is returned. A
     zero has no sign.
     """
-    path = Path(path)
+    path = check_path("path", path)
+    progress = check_flag("progress", progress)
     kind = _kind_of(path) if kind is None else _check_kind(kind)
     with _progress_bar([path], progress) as advance:
-        return _read(path, path.name, kind, None if truth is None else Path(truth), advance)
+        return _read(path, path.name, kind, None if truth is None else check_path("truth", truth), advance)
 
 
 def write_queries(
@@ -147,17 +170,20 @@ def write_queries(
 
     Guarantee: `read_queries` gives the same numbers back, -0.0 as 0.0; after an error the file is as it was.
     """
-    start, end = np.asarray(points_t0), np.asarray(points_t1)
-    known = None if truth is None else np.asarray(truth)
+    path = check_path("path", path)
+    expected = "float64 of shape (n, 4, 3)"
+    start, end = as_array(points_t0, "points_t0", expected), as_array(points_t1, "points_t1", expected)
+    known = None if truth is None else as_array(truth, "truth", "bool of shape (n,)")
     _check_points(start, end, known)
-    for name, points in (("points_t0", start), ("points_t1", end)):
+    for name, points, given in (("points_t0", start, points_t0), ("points_t1", end, points_t1)):
+        as_float64(points, name, given, row_name="query")
         bad = np.argwhere(~np.isfinite(points))
         if len(bad):
             query, point, axis = bad[0].tolist()
             raise ValueError(
                 f"{name}[{query}, {point}, {axis}] is {points[query, point, axis]}; expected finite coordinates"
             )
-    write_csv(Path(path), start, end, known)
+    write_csv(path, start, end, known)
 
 
 def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]:
@@ -183,6 +209,7 @@ def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]
         Wang et al. 2021; Belgrod et al. 2023.
     """
     root = root_folder(folder)
+    progress = check_flag("progress", progress)
     patterns = [f"{depth}{part}/*.csv" for depth in DEPTHS for part in (*_KINDS, "queries")]
     paths = sorted({path for pattern in [*patterns, "*.csv"] for path in root.glob(pattern) if path.is_file()})
     if not paths:
@@ -233,19 +260,33 @@ def _kind_of(path: Path) -> str:
 
 
 def _check_kind(kind: str) -> str:
-    if kind not in _KINDS:
-        raise ValueError(f"kind is {kind!r}; expected 'vertex-face' or 'edge-edge'")
-    return kind
+    return check_choice("kind", kind, _KINDS)
+
+
+def _counted(sources: tuple[tuple[str, int], ...]) -> int:
+    """How many queries the sources count, or a ValueError."""
+    try:
+        return sum(check_count("count", count, 2**63 - 1, least=0) for _, count in sources)
+    except (TypeError, ValueError):
+        raise ValueError(f"sources is {shown(sources)}; expected pairs (label of a file, its queries)") from None
 
 
 def _check_points(points_t0: np.ndarray, points_t1: np.ndarray, truth: np.ndarray | None) -> None:
+    for name, array in (("points_t0", points_t0), ("points_t1", points_t1), ("truth", truth)):
+        if not isinstance(array, np.ndarray) and not (name == "truth" and array is None):
+            raise ValueError(f"{name} is {shown(array)}; expected a NumPy array")
+        check_unmasked(name, array)
     for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
         if points.dtype != np.float64 or points.ndim != 3 or points.shape[1:] != (4, 3):
-            raise ValueError(f"{name} is {points.dtype} of shape {points.shape}; expected float64 of shape (n, 4, 3)")
+            raise ValueError(
+                f"{name} is {shown(points.dtype)} of shape {points.shape}; expected float64 of shape (n, 4, 3)"
+            )
     if len(points_t0) != len(points_t1):
         raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
     if truth is not None and (truth.dtype != np.bool_ or truth.shape != (len(points_t0),)):
-        raise ValueError(f"truth is {truth.dtype} of shape {truth.shape}; expected bool of shape ({len(points_t0)},)")
+        raise ValueError(
+            f"truth is {shown(truth.dtype)} of shape {truth.shape}; expected bool of shape ({len(points_t0)},)"
+        )
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._arguments import check_unmasked, on_one_line, shown
 from ccd_warp._launch import start_warp
 
 # Device types of DLPack: CUDA; and the CPU, and host memory that CUDA has pinned or manages.
@@ -15,7 +16,17 @@ _VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
 
 def is_device_array(value: Any) -> bool:
     """Whether a value is an array of Warp, or of a library that speaks DLPack, other than NumPy."""
-    return isinstance(value, wp.array) or (hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray))
+    return isinstance(value, wp.array) or (_speaks_dlpack(value) and not isinstance(value, np.ndarray))
+
+
+def _speaks_dlpack(value: Any) -> bool:
+    """Whether it is an array that can be shared; the class of one has the same names."""
+    return hasattr(value, "__dlpack__") and not isinstance(value, type)
+
+
+def _reason(error: Exception) -> str:
+    """What another library says, in a line, and what it should be able to do."""
+    return f"{on_one_line(str(error))}; expected one that can"
 
 
 def as_warp(value: Any, name: str) -> wp.array:
@@ -28,12 +39,13 @@ def as_warp(value: Any, name: str) -> wp.array:
         return value
     start_warp()
     if isinstance(value, np.ndarray):
+        check_unmasked(name, value)
         if not value.flags.c_contiguous:
             raise ValueError(f"{name} has strides {value.strides}; expected a contiguous array, which needs no copy")
         if value.dtype not in (np.float32, np.float64):
-            raise ValueError(f"{name} has dtype {value.dtype}; expected float32 or float64")
+            raise ValueError(f"{name} has dtype {shown(value.dtype)}; expected float32 or float64")
         return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
-    if not hasattr(value, "__dlpack__"):
+    if not _speaks_dlpack(value):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
     kind, index = _place(value, name)
     if kind == _CUDA and index >= wp.get_cuda_device_count():
@@ -42,7 +54,7 @@ def as_warp(value: Any, name: str) -> wp.array:
     try:
         return wp.from_dlpack(value)  # type: ignore[return-value]
     except Exception as error:  # whatever the other library raises
-        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {_reason(error)}") from error
 
 
 def _place(value: Any, name: str) -> tuple[int, int]:
@@ -50,7 +62,7 @@ def _place(value: Any, name: str) -> tuple[int, int]:
     try:
         kind, index = value.__dlpack_device__()
     except Exception as error:  # whatever the other library raises
-        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {error}") from error
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {_reason(error)}") from error
     return int(kind), int(index)
 
 

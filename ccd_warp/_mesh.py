@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._interop import on_host
+from ccd_warp._arguments import check_items
+from ccd_warp._array_input import check_finite
 from ccd_warp._mesh_input import (
     arrays_of_trimesh,
     as_positions,
-    check_finite,
     find_loose_points,
     unique_edges,
     validated_body_pairs,
@@ -104,13 +104,18 @@ class CollisionMesh:
             "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
             "vertex_world": vertex_world,
         }
-        for name, value in values.items():
-            value.flags.writeable = False
+        self.__setstate__(values | {"body_pairs": body_pairs, "exclusion_rings": exclusion_rings})
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle holds: the mesh, without what it keeps on devices."""
+        return {name: value for name, value in vars(self).items() if name in type(self).__annotations__}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Hold the mesh; its arrays become read-only, which no pickle keeps, and nothing is on a device yet."""
+        for name, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
             object.__setattr__(self, name, value)
-        if body_pairs is not None:
-            body_pairs.flags.writeable = False
-        object.__setattr__(self, "body_pairs", body_pairs)
-        object.__setattr__(self, "exclusion_rings", exclusion_rings)
         object.__setattr__(self, "_device_cache", {})
         object.__setattr__(self, "_idle_steps", {})
 
@@ -152,7 +157,9 @@ class CollisionMesh:
             body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
                 (``self_collision`` has it). By default all may.
             exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
-                edges join, too.
+                edges join, too. From 2 on the vertices so near to each are listed, 4 bytes each, by the first call that
+                needs them, and refused there beyond 2²⁷ of them; a number beyond the longest way in the mesh costs no
+                more than that one.
             vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
                 worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
 
@@ -162,6 +169,7 @@ class CollisionMesh:
         Raises:
             ValueError: If there is no body, or an argument is not as described.
         """
+        bodies = check_items("bodies", bodies, "a list of trimesh objects, one a body")
         given = validated_flags(loose_points, len(bodies), "loose_points")
         arrays = [arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
         is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
@@ -200,7 +208,9 @@ class CollisionMesh:
             body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
                 (``self_collision`` has it). By default all may.
             exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
-                edges join, too.
+                edges join, too. From 2 on the vertices so near to each are listed, 4 bytes each, by the first call that
+                needs them, and refused there beyond 2²⁷ of them; a number beyond the longest way in the mesh costs no
+                more than that one.
             vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
                 worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
 
@@ -210,6 +220,7 @@ class CollisionMesh:
         Raises:
             ValueError: If there is no body, or an argument is not as described.
         """
+        bodies = check_items("bodies", bodies, "a list of (vertices, faces) or (vertices, faces, edges), one a body")
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
         all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
@@ -307,7 +318,8 @@ class CollisionMesh:
                 vertices only, in the order of ``moving_vertices``, shape [V_moving, 3].
 
         Returns:
-            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both.
+            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both. The arrays
+            themselves where they are that already; every other call returns memory of its own.
 
         Raises:
             ValueError: If a shape does not match or a value that is read is not finite.
@@ -315,7 +327,7 @@ class CollisionMesh:
         start = self.frame(vertices_t0, "vertices_t0")
         if not self.static.any():
             return start, validated_positions(vertices_t1, "vertices_t1", self.num_vertices, "like vertices_t0")
-        end = as_positions(on_host(vertices_t1, "vertices_t1"), "vertices_t1")
+        end = as_positions(vertices_t1, "vertices_t1")
         moving = self.moving_vertices
         ranges = self.static_vertex_ranges
         if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):

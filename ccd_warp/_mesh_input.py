@@ -1,11 +1,14 @@
 """What a mesh is made of, checked: arrays of bodies, indices, flags and positions; and the edges of faces."""
 
+import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._arguments import check_count, check_items, shown
+from ccd_warp._array_input import as_any_array, as_array, as_float64, check_finite
 from ccd_warp._interop import on_host
 
 
@@ -70,56 +73,37 @@ def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
     return body.vertices, no_faces, np.concatenate([np.zeros((0, 2), dtype=np.int64), *segments])
 
 
-def as_positions(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Float64 array of shape [n, 3], or a ValueError."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # ragged nested lists
-        raise ValueError(f"{name} is not an array; expected shape (n, 3)") from error
+def as_positions(values: ArrayLike, name: str, count: int | None = None, reason: str = "") -> NDArray[np.float64]:
+    """Float64 array of shape [n, 3], of so many rows if a count is given, or a ValueError."""
+    expected = "(n, 3)" if count is None else f"{(count, 3)} {reason}"
+    array = as_array(on_host(values, name), name, f"shape {expected}")
+    if count is not None and array.shape != (count, 3):
+        raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
     if array.ndim != 2 or array.shape[1] != 3:
         if array.size == 0 and array.ndim <= 2:
             return np.zeros((0, 3))
         raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} has dtype {array.dtype}; expected real numbers")
-    return np.ascontiguousarray(array, dtype=np.float64)
-
-
-def check_finite(array: NDArray[np.float64], name: str) -> None:
-    """A ValueError where a value is not finite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(array.sum()):
-            return  # no infinity and no NaN could leave it finite; a sum that overflows proves nothing
-    finite = np.isfinite(array)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
-        raise ValueError(f"{name} holds {array[row, column]} in row {row}; expected finite values")
+    return as_float64(array, name, values)
 
 
 def validated_positions(
     values: ArrayLike, name: str, count: int | None = None, reason: str = ""
 ) -> NDArray[np.float64]:
     """Finite positions, of so many rows if a count is given, or a ValueError."""
-    values = on_host(values, name)
-    if count is not None and np.shape(values) != (count, 3):
-        raise ValueError(f"{name} has shape {np.shape(values)}; expected {(count, 3)} {reason}")
-    array = as_positions(values, name)
+    array = as_positions(values, name, count, reason)
     check_finite(array, name)
     return array
 
 
 def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
     """Indices of so many columns, or a ValueError."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(f"{name} is not an array; expected shape (n, {columns})") from error
+    array = as_array(on_host(values, name), name, f"shape (n, {columns})")
     if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
         return np.zeros((0, columns), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != columns:
         raise ValueError(f"{name} has shape {array.shape}; expected (n, {columns})")
     if array.dtype.kind not in "iu":
-        raise ValueError(f"{name} has dtype {array.dtype}; expected integers")
+        raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected integers")
     for index in (array.min(), array.max()):
         if not 0 <= index < num_vertices:
             raise ValueError(f"{name} holds index {index}; expected indices in [0, {num_vertices})")
@@ -129,22 +113,19 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
 def validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_]:
     """Which bodies rest, or a ValueError."""
     static = np.zeros(num_bodies, dtype=bool)
-    if isinstance(values, (bool, int, str)):
-        raise ValueError(f"static is {values!r}; expected a list of body indices")
-    for body in values:
-        if isinstance(body, (bool, np.bool_)) or not isinstance(body, (int, np.integer)):
-            raise ValueError(f"static holds {body!r}; expected body indices in [0, {num_bodies})")
-        if not 0 <= body < num_bodies:
-            raise ValueError(f"static holds {body}; expected body indices in [0, {num_bodies})")
-        static[body] = True
+    for body in check_items("static", values, "a list of body indices"):
+        is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
+        if not is_index or not 0 <= body < num_bodies:
+            raise ValueError(f"static holds {shown(body)}; expected body indices in [0, {num_bodies})")
+        static[int(body)] = True
     return static
 
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
     """One bool a body, or a ValueError."""
-    array = np.asarray(values)
+    array = as_any_array(on_host(values, name), name, "a bool or one bool a body")
     if array.dtype != bool:
-        raise ValueError(f"{name} is {values!r}; expected a bool or one bool a body")
+        raise ValueError(f"{name} is {shown(values)}; expected a bool or one bool a body")
     if array.shape not in ((), (num_bodies,)):
         raise ValueError(f"{name} has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
     return np.array(np.broadcast_to(array, (num_bodies,)))
@@ -154,22 +135,21 @@ def validated_body_pairs(values: ArrayLike | None, num_bodies: int) -> NDArray[n
     """A symmetric array, or a ValueError."""
     if values is None:
         return None
-    array = np.asarray(values)
+    array = as_array(on_host(values, "body_pairs"), "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
     if array.dtype != bool or array.shape != (num_bodies, num_bodies):
         raise ValueError(
-            f"body_pairs has dtype {array.dtype} and shape {array.shape}; expected bool and {(num_bodies, num_bodies)}"
+            f"body_pairs has dtype {shown(array.dtype)} and shape {array.shape}; "
+            f"expected bool and {(num_bodies, num_bodies)}"
         )
     if not np.array_equal(array, array.T):
         a, b = np.argwhere(array != array.T)[0]
         raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}); expected a symmetric array")
-    return array.copy()
+    return np.array(array)
 
 
 def validated_rings(value: int) -> int:
     """A positive integer, or a ValueError."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"exclusion_rings is {value!r}; expected a positive integer")
-    return int(value)
+    return check_count("exclusion_rings", value, np.iinfo(np.int64).max)
 
 
 def validated_worlds(
@@ -178,10 +158,13 @@ def validated_worlds(
     """A world for each vertex, one for all of a primitive, or a ValueError."""
     if values is None:
         return np.zeros(num_vertices, dtype=np.int32)
-    array = np.asarray(values)
+    array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")
+    if array.shape == (0,) == (num_vertices,):
+        return np.zeros(0, dtype=np.int32)
     if array.shape != (num_vertices,) or array.dtype.kind not in "iu":
         raise ValueError(
-            f"vertex_world has dtype {array.dtype} and shape {array.shape}; expected integers and {(num_vertices,)}"
+            f"vertex_world has dtype {shown(array.dtype)} and shape {array.shape}; "
+            f"expected integers and {(num_vertices,)}"
         )
     for world in (array.min(initial=0), array.max(initial=0)):
         if not 0 <= world < max(num_vertices, 1):

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ccd_warp._array_input import as_array, as_float64, check_finite
 from ccd_warp._interop import as_warp, is_device_array
 from ccd_warp._launch import Execution, load
 from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
@@ -88,7 +89,7 @@ def vertex_face_ccd(
         precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
         method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
         device: Warp device; by default that of the arrays, or Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
@@ -431,19 +432,11 @@ def _expected_shapes(kind: PairKind) -> str:
 
 def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
     count, dimensions = _POINTS[kind]
-    try:
-        array = np.asarray(points)
-    except ValueError as error:  # ragged nested lists
-        raise ValueError(f"{name} is not an array; expected shape {_expected_shapes(kind)}") from error
+    array = as_array(points, name, f"shape {_expected_shapes(kind)}")
     if array.ndim != 3 or array.shape[1] != count or array.shape[2] not in dimensions:
         raise ValueError(f"{name} has shape {array.shape}; expected {_expected_shapes(kind)}")
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} has dtype {array.dtype}; expected real numbers")
-    array = np.ascontiguousarray(array, dtype=np.float64)
-    finite = np.isfinite(array)
-    if not finite.all():
-        pair, point, axis = np.argwhere(~finite)[0]
-        raise ValueError(f"{name} holds {array[pair, point, axis]} in pair {pair}; expected finite values")
+    array = as_float64(array, name, points, row_name="pair")
+    check_finite(array, name, row_name="pair")
     return array
 
 

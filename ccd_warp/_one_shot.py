@@ -50,7 +50,7 @@ def find_candidates(
         inflation: Growth of every box on every side, a length in the unit of the mesh, finite and not negative.
         pair_kinds: Kinds of pairs to look for (:class:`ccd_warp.PairKind` or their names); by default all.
         device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
 
     Returns:
         The pairs, sorted.
@@ -117,7 +117,7 @@ def mesh_ccd(
         memory_limit: Bytes that the step may take beside its input, its contacts included. Where the pairs do not fit
             they come in batches; no result depends on it. By default what the boxes need, and 1 GiB for the pairs.
         device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU; by default one a core. The result does not depend on it.
+        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
 
     Returns:
         The result, NumPy arrays.

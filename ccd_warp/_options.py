@@ -1,8 +1,7 @@
 """Options of every query, validated once, on construction."""
 
-import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._arguments import check_choice, check_count, check_items, check_real, shown
 from ccd_warp._launch import start_warp
 from ccd_warp._status import PairKind
 from ccd_warp._threads import default_num_threads
@@ -18,6 +18,7 @@ from ccd_warp.kernels import narrow_phase
 DEFAULT_TOLERANCE = 1e-6
 DEFAULT_MAX_ITERATIONS = 10_000
 DEFAULT_MAX_WORK = 5_000_000
+MOST_THREADS = 1024  # far beyond what brings anything: a step gets no more threads than there are cores
 
 _PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 _METHODS = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
@@ -57,37 +58,33 @@ class Options:
     num_threads: int | None = None
 
     def __post_init__(self) -> None:
-        _check_real("tolerance", self.tolerance, "a finite number above 0", lambda x: x > 0)
-        _check_real("minimum_separation", self.minimum_separation, "a finite number of at least 0", lambda x: x >= 0)
-        if self.start_gap_fraction is not None:
-            expected = "a number between 0 and 1, or None"
-            _check_real("start_gap_fraction", self.start_gap_fraction, expected, lambda x: 0 < x < 1)
-        _check_real("t_max", self.t_max, "a number in [0, 1]", lambda x: 0 <= x <= 1)
+        self._keep_real("tolerance", "a finite number above 0", lambda x: x > 0)
+        self._keep_real("minimum_separation", "a finite number of at least 0", lambda x: x >= 0)
+        self._keep_real("start_gap_fraction", "a number between 0 and 1, or None", lambda x: 0 < x < 1)
+        self._keep_real("t_max", "a number in [0, 1]", lambda x: 0 <= x <= 1)
         check_count("max_iterations", self.max_iterations, 2**31 - 1)
         check_count("max_work", self.max_work, 2**63 - 1)
-        if self.length_scale is not None:
-            _check_real("length_scale", self.length_scale, "a finite length above 0, or None", lambda x: x > 0)
-        if self.precision not in _PRECISIONS:
-            raise ValueError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
-        if self.method not in _METHODS:
-            raise ValueError(f"method is {self.method!r}; expected 'clipping' or 'bisection'")
+        self._keep_real("length_scale", "a finite length above 0, or None", lambda x: x > 0)
+        check_choice("precision", self.precision, _PRECISIONS)
+        check_choice("method", self.method, _METHODS)
         if self.memory_limit is not None:
             check_count("memory_limit", self.memory_limit, 2**63 - 1)
-        _ = self.kinds
+        if self.pair_kinds is not None:
+            # a tuple of our own: the caller may change his list, or has given an iterator, which can be read only once
+            object.__setattr__(self, "pair_kinds", _validated_kinds(self.pair_kinds))
         if self.num_threads is not None:
-            check_count("num_threads", self.num_threads, 2**31 - 1)
+            check_count("num_threads", self.num_threads, MOST_THREADS)
+
+    def _keep_real(self, name: str, expected: str, is_valid: Callable[[float], bool]) -> None:
+        """Check a number and keep it as a float; None is left where it is the default."""
+        value = getattr(self, name)
+        if value is not None or getattr(type(self), name) is not None:
+            object.__setattr__(self, name, check_real(name, value, expected, is_valid))
 
     @property
     def kinds(self) -> tuple[PairKind, ...]:
         """Kinds of pairs to look at, in their order."""
-        if self.pair_kinds is None:
-            return tuple(PairKind)
-        names = {kind.name.lower(): kind for kind in PairKind}
-        values = [] if isinstance(self.pair_kinds, (str, int)) else list(self.pair_kinds)
-        chosen = {names.get(value) if isinstance(value, str) else value for value in values}
-        if not chosen or not chosen <= set(PairKind):
-            raise ValueError(f"pair_kinds is {self.pair_kinds!r}; expected a list of {', '.join(map(repr, names))}")
-        return tuple(kind for kind in PairKind if kind in chosen)
+        return tuple(PairKind) if self.pair_kinds is None else tuple(self.pair_kinds)  # type: ignore[arg-type]
 
     @property
     def real(self) -> Any:
@@ -173,25 +170,21 @@ def resolve_device(device: Any, of_arrays: Any = None) -> Any:
         resolved = wp.get_device(device)
     except Exception as error:
         names = ", ".join(repr(d.alias) for d in wp.get_devices())
-        raise ValueError(f"device is {device!r}; expected one of {names}") from error
+        raise ValueError(f"device is {shown(device)}; expected one of {names}") from error
     if of_arrays is not None and resolved != of_arrays:
-        raise ValueError(f"device is {device!r}; expected {of_arrays.alias!r}, where the arrays are, or None")
+        raise ValueError(f"device is {shown(device)}; expected {of_arrays.alias!r}, where the arrays are, or None")
     return resolved
 
 
-def _check_real(name: str, value: Any, expected: str, is_valid: Any) -> None:
-    is_real = isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_))
-    if not is_real or not math.isfinite(value) or not is_valid(value):
-        raise ValueError(f"{name} is {value!r}; expected {expected}")
-
-
-def check_count(name: str, value: Any, largest: int) -> None:
-    """Check a positive integer.
-
-    Raises:
-        ValueError: If it is none, or too large.
-    """
-    is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
-    if not is_count or not 1 <= value <= largest:
-        limit = f" up to {largest}" if is_count and value > largest else ""
-        raise ValueError(f"{name} is {value!r}; expected a positive integer{limit}")
+def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
+    """Kinds by themselves, their names or their numbers, each once and in their order, or a ValueError."""
+    names = {kind.name.lower(): kind for kind in PairKind}
+    expected = f"a list of {', '.join(map(repr, names))}"
+    given = check_items("pair_kinds", values, expected)
+    chosen = set()
+    for value in given:
+        is_number = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
+        chosen.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
+    if not chosen or not chosen <= set(PairKind):
+        raise ValueError(f"pair_kinds is {shown(given)}; expected {expected}")
+    return tuple(kind for kind in PairKind if kind in chosen)

@@ -5,11 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._arguments import check_choice, check_count, check_instance, check_real
 from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
 from ccd_warp._device_step import (
     MOST_CONTACTS,
@@ -23,7 +24,6 @@ from ccd_warp._line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
-    check_line_search,
     check_step_is_whole,
     search_step,
 )
@@ -33,7 +33,6 @@ from ccd_warp._options import (
     DEFAULT_MAX_WORK,
     DEFAULT_TOLERANCE,
     Options,
-    check_count,
     resolve_device,
 )
 from ccd_warp._results import LaunchResult, MeshResult
@@ -43,6 +42,7 @@ from ccd_warp._workspace import Workspace
 
 DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100
+_PER = ("scene", "world", "body", "vertex")
 
 
 _T = TypeVar("_T")
@@ -102,6 +102,7 @@ class CollisionPipeline:
             device=device,
             num_threads=num_threads,
         )
+        check_instance("mesh", mesh, CollisionMesh)
         self._hold(options, Workspace(mesh, resolve_device(device)))
         self._capacities = self._with_capacities(max_pairs, max_contacts)
 
@@ -124,6 +125,7 @@ class CollisionPipeline:
     @contextmanager
     def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
         """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
+        check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
         idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
         try:
@@ -137,6 +139,13 @@ class CollisionPipeline:
         finally:
             if pipeline._workspace is not None:
                 idle.append(pipeline._workspace)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: what it holds is on a device, and of this process."""
+        raise TypeError(
+            "a CollisionPipeline cannot be copied or pickled; copy or pickle its mesh and its options, "
+            "and build another: CollisionPipeline(mesh, **options)"
+        )
 
     def _on_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, work: Callable[[Step], _T]) -> _T:
         """What ``work`` makes of a step."""
@@ -160,11 +169,9 @@ class CollisionPipeline:
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self._capacities
         if max_pairs is not None:
-            check_count("max_pairs", max_pairs, MOST_PAIRS)
-            capacities = replace(capacities, max_pairs=int(max_pairs))
+            capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
         if max_contacts is not None:
-            check_count("max_contacts", max_contacts, MOST_CONTACTS)
-            capacities = replace(capacities, max_contacts=int(max_contacts))
+            capacities = replace(capacities, max_contacts=check_count("max_contacts", max_contacts, MOST_CONTACTS))
         return capacities
 
     def reserve(
@@ -298,10 +305,10 @@ class CollisionPipeline:
         very positions, as they are rounded, and where its toi was not inf the vertices do not move.
         """
         check_writable(x_t1, "x_t1")
-        check_line_search(per, safety)
-        check_count("num_rounds", num_rounds, _MOST_ROUNDS)
+        per, safety = _validated_line_search(per, safety)
+        num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
         check_step_is_whole(self._options.t_max)
-        return self._launch(x_t0, x_t1, line_search=LineSearch.of(per, int(num_rounds)), safety=float(safety))
+        return self._launch(x_t0, x_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 
     def _launch(self, x_t0: Any, x_t1: Any, **arguments: Any) -> LaunchResult:
         """Launch on what :meth:`reserve` made, or makes now."""
@@ -410,6 +417,16 @@ class CollisionPipeline:
         Guarantee: as there; no pair with a vertex that moves touches on the way to the end positions.
         """
         check_step_is_whole(self._options.t_max)
+        per, safety = _validated_line_search(per, safety)
+        max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
         return search_step(
             self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
         )
+
+
+def _validated_line_search(per: str, safety: float) -> tuple[str, float]:
+    """What moves together and how far, or a ValueError."""
+    return (
+        check_choice("per", per, _PER),
+        check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),
+    )

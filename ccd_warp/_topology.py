@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._rings import vertex_rings
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import rest_order
@@ -292,23 +293,3 @@ def world_lattice(num_worlds: int) -> NDArray[np.float32]:
     world = np.arange(num_worlds)
     cell = np.stack([world >> (k * bits) & ((1 << bits) - 1) for k in range(3)], axis=1)
     return ((cell + 0.5) * 2.0**-bits - 0.5).astype(np.float32)
-
-
-def vertex_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Where the row of each vertex begins, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending."""
-    count = mesh.num_vertices
-    a, b = mesh.edges.T.astype(np.int64)
-    source, target = np.concatenate([a, b]), np.concatenate([b, a])
-    order = np.argsort(source, kind="stable")
-    source, target = source[order], target[order]
-    begin = np.searchsorted(source, np.arange(count + 1))
-    near = np.arange(count, dtype=np.int64) * count + np.arange(count)  # keys (vertex, near vertex)
-    fresh = near
-    for _ in range(mesh.exclusion_rings - 1):
-        vertex, at = fresh // count, fresh % count
-        degree = begin[at + 1] - begin[at]
-        within = np.arange(degree.sum()) - np.repeat(np.cumsum(degree) - degree, degree)
-        reached = np.unique(np.repeat(vertex, degree) * count + target[np.repeat(begin[at], degree) + within])
-        fresh = np.setdiff1d(reached, near, assume_unique=True)
-        near = np.union1d(near, fresh)
-    return np.searchsorted(near, np.arange(count + 1) * count).astype(np.int32), (near % count).astype(np.int32)

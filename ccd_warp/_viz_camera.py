@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._arguments import shown
+from ccd_warp._array_input import as_array
+
 # The automatic direction to the viewer: across the motion's larger horizontal axis, along it, and up.
 _ACROSS, _ALONG, _UP = -1.0, -0.62, 0.58
 _LEAST_HALF_SIDE = 0.05  # of what is shown, so that motion towards the viewer alone does not fill the frame
@@ -56,7 +59,8 @@ def make_camera(
     Raises:
         ValueError: If the direction is not one.
     """
-    towards = _automatic_direction(end - start) if direction is None else _validated_direction(direction)
+    given = validated_direction(direction)
+    towards = _automatic_direction(end - start) if given is None else given
     axis = np.array([0.0, 0.0, 1.0]) if np.hypot(*towards[:2]) > 1e-6 else np.array([0.0, 1.0, 0.0])
     right = np.cross(axis, towards)
     right /= np.linalg.norm(right)
@@ -78,12 +82,15 @@ def _automatic_direction(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     return towards / np.linalg.norm(towards)
 
 
-def _validated_direction(direction: ArrayLike) -> NDArray[np.float64]:
-    try:
-        towards = np.asarray(direction, dtype=np.float64)
-    except (TypeError, ValueError):
-        towards = np.zeros(0)
-    if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
-        raise ValueError(f"camera is {direction!r}; expected three finite numbers, not all 0")
+def validated_direction(direction: ArrayLike | None) -> NDArray[np.float64] | None:
+    """A unit vector if a direction is given, or a ValueError."""
+    if direction is None:
+        return None
+    expected = "three finite numbers, not all 0"
+    towards = as_array(direction, "camera", expected)
+    is_valid = towards.shape == (3,) and towards.dtype.kind in "fiu"
+    towards = towards.astype(np.float64) if is_valid else np.zeros(3)
+    if not np.isfinite(towards).all() or not towards.any():
+        raise ValueError(f"camera is {shown(direction)}; expected {expected}")
     towards = towards / np.abs(towards).max()
     return towards / np.linalg.norm(towards)

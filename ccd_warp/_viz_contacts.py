@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._arguments import check_instance
 from ccd_warp._contact_corners import contact_corners
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts
@@ -29,6 +30,8 @@ def contact_points(
     Raises:
         ValueError: If the frames do not match the mesh, or the contacts hold primitives that it does not have.
     """
+    check_instance("mesh", mesh, CollisionMesh)
+    check_instance("contacts", contacts, Contacts)
     start, end = mesh.frames(vertices_t0, vertices_t1)
     points = np.empty((len(contacts), 3))
     for kind in np.unique(contacts.kind):

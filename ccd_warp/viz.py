@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccd_warp._arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
-from ccd_warp._viz_camera import make_camera
+from ccd_warp._viz_camera import make_camera, validated_direction
 from ccd_warp._viz_contacts import contact_points
 from ccd_warp._viz_file import check_picture_path, write_png
 from ccd_warp._viz_scene import make_scene
@@ -76,11 +77,12 @@ def render_step(
         RuntimeError: If the system has no OpenGL that works without a display.
         ValueError: If an argument is not as described.
     """
-    path = Path(path)
+    path = check_path("path", path)
     check_picture_path(path, "path")
+    check_instance("mesh", mesh, CollisionMesh)
+    check_instance("result", result, MeshResult)
     width, height = _validated_size(size)
-    if not 0.0 < t_max <= 1.0:
-        raise ValueError(f"t_max is {t_max!r}; expected a number in (0, 1]")
+    t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result)
     enlargement = min(width / 3, height) / _SHORTER_SIDE
@@ -151,8 +153,11 @@ def show_step(
         RuntimeError: If there is no display.
         ValueError: If an argument is not as described.
     """
+    check_instance("mesh", mesh, CollisionMesh)
+    check_instance("result", result, MeshResult)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result)
+    validated_direction(camera)
     pyvista = import_pyvista()
     check_display(pyvista)
     from ccd_warp._viz_front import draw_contacts
@@ -190,8 +195,7 @@ def show_step(
 
 def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None:
     """Ends of the colours, None to colour by body."""
-    if colour not in ("vertex_toi", "body"):
-        raise ValueError(f"colour is {colour!r}; expected 'vertex_toi' or 'body'")
+    check_choice("colour", colour, ("vertex_toi", "body"))
     toi = np.asarray(result.vertex_toi)
     toi = toi[np.isfinite(toi)]
     if colour == "body" or len(toi) == 0:
@@ -200,13 +204,14 @@ def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None
 
 
 def _validated_size(size: tuple[int, int]) -> tuple[int, int]:
+    expected = f"width and height in [{_SMALLEST}, {_LARGEST}] pixels"
     try:
-        width, height = (int(side) for side in size)
-        is_valid = (width, height) == tuple(size) and min(width, height) >= _SMALLEST and max(width, height) <= _LARGEST
-    except (TypeError, ValueError):
-        is_valid = False
-    if not is_valid:
-        raise ValueError(f"size is {size!r}; expected width and height in [{_SMALLEST}, {_LARGEST}] pixels")
+        width, height = (
+            int(check_real("size", side, expected, lambda x: x % 1 == 0 and _SMALLEST <= x <= _LARGEST))
+            for side in check_items("size", size, expected)
+        )
+    except ValueError:
+        raise ValueError(f"size is {shown(size)}; expected {expected}") from None
     return width, height
 
 

@@ -1,0 +1,147 @@
+"""Arguments of any type, checked one by one: numbers, counts, choices and paths; and how a message shows them."""
+
+import math
+import numbers
+import os
+import reprlib
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_MOST_BITS = 2000  # of an integer that is written out; Python refuses to write the largest
+_MOST_CHARACTERS = 80  # of a value in a message
+
+_repr = reprlib.Repr()
+_repr.maxstring = _repr.maxother = _repr.maxlong = _MOST_CHARACTERS
+_repr.maxlist = _repr.maxtuple = _repr.maxset = _repr.maxfrozenset = _repr.maxdict = 6
+
+
+def shown(value: Any) -> str:
+    """A value as a message can hold it: on one line, and short however large it is."""
+    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        return f"an integer of {value.bit_length()} bits"
+    try:
+        text = str(value) if isinstance(value, np.dtype) else _repr.repr(value)
+    except Exception:  # whatever a __repr__ of the caller raises
+        text = f"a {type(value).__name__}"
+    return on_one_line(text)
+
+
+def on_one_line(text: str) -> str:
+    """A text as a message can hold it."""
+    text = " ".join(text.split())
+    return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..."
+
+
+def check_real(name: str, value: Any, expected: str, is_valid: Callable[[float], bool]) -> float:
+    """A finite number as the float64 that it is; -0.0 as 0.0.
+
+    Raises:
+        ValueError: If it is none, is out of its range, or would have to be rounded: no bound is to move unseen.
+    """
+    number = None
+    if isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_)):
+        # NumPy would compare its integers with a float after rounding them
+        exact = int(value) if isinstance(value, numbers.Integral) else value
+        try:
+            number = float(exact)
+        except Exception:  # an overflow, or whatever a number of another library raises
+            raise ValueError(f"{name} is {shown(value)}; expected {expected}, that float64 can hold") from None
+        if math.isfinite(number) and number != exact:
+            raise ValueError(f"{name} is {shown(value)}; expected {expected}, that float64 holds without rounding")
+    if number is None or not math.isfinite(number) or not is_valid(number):
+        raise ValueError(f"{name} is {shown(value)}; expected {expected}")
+    return number + 0.0
+
+
+def check_count(name: str, value: Any, largest: int, least: int = 1) -> int:
+    """An integer that counts something.
+
+    Raises:
+        ValueError: If it is none, too small or too large.
+    """
+    is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
+    if not is_count or not least <= value <= largest:
+        limit = f" up to {largest}" if is_count and value > largest else ""
+        kind = "a positive integer" if least == 1 else f"an integer of at least {least}"
+        raise ValueError(f"{name} is {shown(value)}; expected {kind}{limit}")
+    return int(value)
+
+
+def check_choice(name: str, value: Any, choices: Collection[str]) -> str:
+    """One of a few words.
+
+    Raises:
+        ValueError: If it is none of them.
+    """
+    if not isinstance(value, str) or value not in choices:
+        *others, last = map(repr, choices)
+        words = f"{others[0]} or {last}" if len(others) == 1 else f"one of {', '.join([*others, last])}"
+        raise ValueError(f"{name} is {shown(value)}; expected {words}")
+    return str(value)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        ValueError: If it is something else, even if Python would take that for one of them.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} is {shown(value)}; expected True or False")
+    return bool(value)
+
+
+def check_instance(name: str, value: Any, kind: type) -> None:
+    """An object of a class of this library.
+
+    Raises:
+        ValueError: If it is of another.
+    """
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} is {shown(value)}; expected a {kind.__name__}")
+
+
+def check_items(name: str, value: Any, expected: str) -> list[Any]:
+    """What an iterable yields, read once; texts and bytes are none here, nor is what does not end in Python's sense.
+
+    Raises:
+        ValueError: If it is no iterable.
+    """
+    if not isinstance(value, Iterable) or isinstance(value, (str, bytes, bytearray, memoryview)):
+        raise ValueError(f"{name} is {shown(value)}; expected {expected}")
+    check_unmasked(name, value)
+    try:
+        return list(value)
+    except Exception as error:  # an array without dimensions, or whatever an iterator of the caller raises
+        raise ValueError(f"{name} is {shown(value)}; expected {expected}") from error
+
+
+def check_path(name: str, value: Any) -> Path:
+    """A path of the file system.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise ValueError(f"{name} is {shown(value)}; expected a path, as text or a pathlib.Path")
+    return Path(text)
+
+
+def check_unmasked(name: str, values: Any, depth: int = 0) -> None:
+    """Check that no mask hides a value, down to ``depth`` lists within lists: NumPy reads what is under it.
+
+    Raises:
+        ValueError: If one does.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        count = int(np.ma.getmaskarray(values).sum())
+        if count:
+            raise ValueError(f"{name} is a masked array that hides {count} of its values; expected one without a mask")
+    elif depth > 0 and isinstance(values, (list, tuple)):
+        for value in values:
+            if not isinstance(value, (float, int)):
+                check_unmasked(name, value, depth - 1)
