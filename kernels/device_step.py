@@ -21,6 +21,9 @@ PER_WORLD = wp.constant(1)
 PER_BODY = wp.constant(2)
 PER_VERTEX = wp.constant(3)
 
+# What a line search takes for a toi of 0 while it looks again: the gap may be lost beside so long a motion alone.
+UNRESOLVED_SHARE = wp.constant(wp.float64(2.0**-10))
+
 # Vertices and blocks of static bodies that one item looks after.
 CHUNK = wp.constant(64)
 
