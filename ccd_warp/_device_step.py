@@ -41,7 +41,8 @@ _PER = {
     "body": int(device_step.PER_BODY),
     "vertex": int(device_step.PER_VERTEX),
 }
-# Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
+# Rounds of a line search that shorten by toi, the second of them also what had toi 0 in the first; in those after them
+# what touches again stays where it is.
 _ROUNDS_BY_TOI = 2
 
 
@@ -70,7 +71,7 @@ class LineSearch:
     def stages(self) -> list[tuple[str, float]]:
         """What a vertex may move by after each check: whose toi, and the share of it."""
         if self.per in ("scene", "world"):
-            return [(self.per, self.safety), ("world", 0.0)]
+            return [(self.per, self.safety)] * _ROUNDS_BY_TOI + [("world", 0.0)]
         # what is stopped may stop others in turn; what is left one fraction of the world settles
         by_toi = min(_ROUNDS_BY_TOI, self.num_rounds)
         shares = [self.safety] * by_toi + [0.0] * (self.num_rounds - by_toi)

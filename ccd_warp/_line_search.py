@@ -24,6 +24,8 @@ _LARGEST_CUT = 2.0**-3
 _LEAST_FRACTION = 2.0**-30
 # Rounds that a search which takes too long ends with: one fraction for each world, then none.
 _ROUNDS_BY_WORLD = 2
+# Rounds that are to be left where bodies or vertices of toi 0 are looked at again.
+_ROUNDS_TO_SHORTEN = 6
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,6 @@ def search_step(
     is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
     at_start: NDArray[np.uint64] | None = None
     stopping: list[Contacts] = []
-    rounds_by_world = _ROUNDS_BY_WORLD
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
@@ -106,10 +107,12 @@ def search_step(
         contacts, corners = _chosen(contacts, ~is_held), corners[~is_held]
         toi = contacts.toi
         if not toi.all():
-            if at_start is None and max_rounds - num_rounds > _ROUNDS_BY_WORLD:
+            has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
+            if at_start is None and has_time:
                 at_start = _keys(solve(start, start).contacts)
                 num_rounds += 1
-            can_be_shorter = fraction[corners].max(axis=1) > _LEAST_FRACTION
+            # with too few rounds left, trying would in the end stop others of the world, too
+            can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_common.all())
             if at_start is not None:
                 can_be_shorter &= ~np.isin(_keys(contacts), at_start)
             can_be_shorter &= (_least(toi, corners, mesh, per)[corners] == 0).any(axis=1)
@@ -121,11 +124,8 @@ def search_step(
         of_world = _least(toi, corners, mesh, "scene" if per == "scene" else "world")
         if len(common) == 0:
             common = np.minimum(safety * of_world, 1.0)
-            if (toi > contacts.toi).any() and not is_common.all():
-                # that fraction is no toi, and may have to be shortened
-                rounds_by_world += _ROUNDS_BY_WORLD
         own = safety * toi[:, None] * fraction[corners]
-        if max_rounds - num_rounds > rounds_by_world:
+        if max_rounds - num_rounds > _ROUNDS_BY_WORLD:
             bound = _least(toi, corners, mesh, per)
             touched = np.isfinite(bound)
             fraction[touched] *= safety * bound[touched]
