@@ -33,11 +33,15 @@ class LineSearchResult:
     """A step that is certain to be free of collisions.
 
     Attributes:
-        vertices: Positions at its end, float64, shape [V, 3].
+        vertices: Positions at its end, an array of its own, float64, shape [V, 3].
         vertex_fraction: Share of its own displacement that each vertex moves, in [0, 1], shape [V]; 1 at static ones.
         fraction: The least of them among vertices that move.
-        touching: Pairs that keep vertices where they are: they touch at the start, or come within the minimum
-            separation; none of their vertices moves.
+        touching: Pairs that keep vertices where they are, in the order of :class:`ccd_warp.Contacts`, each once; none of
+            their vertices moves. They touch at the start, or come within the minimum separation, or their gap is too
+            small for the precision over however short a step, or what is left of the step is lost in the rounding of
+            positions. Each is as it was found in the last round in which it had a vertex that was still to move: toi
+            and all else are of the step of that round. Where a search that takes too long stops a world, they are all
+            the pairs of this world that touched in its last step, so that their toi may be above 0.
         num_rounds: Calls of ``mesh_ccd`` that were made.
         is_limited: Whether fractions of their own took too many rounds, and all of a world move by one, or not at all.
     """

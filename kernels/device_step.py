@@ -21,10 +21,6 @@ PER_WORLD = wp.constant(1)
 PER_BODY = wp.constant(2)
 PER_VERTEX = wp.constant(3)
 
-# What a line search takes for a toi of 0: beside so long a motion a gap may be lost that is seen beside a shorter one. In
-# float32 gaps are seen down to some 1e-6 of the motion, so that after one such cut they are a hundredth of it or more.
-UNRESOLVED_SHARE = wp.constant(wp.float64(2.0**-10))
-
 # Vertices and blocks of static bodies that one item looks after.
 CHUNK = wp.constant(64)
 
@@ -256,10 +252,7 @@ def make_input(real) -> SimpleNamespace:
         # in and out
         x_t1: wp.array[vec3],
     ):
-        """Move a vertex no farther than a share of the toi of what it moves with; exactly nowhere for a share of 0.
-
-        A toi of 0 counts as `UNRESOLVED_SHARE`: what touches in truth is stopped by a later look, with a share of 0.
-        """
+        """Move a vertex no farther than a share of the toi of what it moves with; exactly nowhere for a share of 0."""
         k = begin + wp.tid()
         v = vertices[k]
         bits = m.scene[0]
@@ -272,7 +265,7 @@ def make_input(real) -> SimpleNamespace:
         if bits < _INFINITY_BITS:
             row = wp.where(t1_by_vertex != 0, v, k)
             x = x_t0[wp.where(t0_by_vertex != 0, v, k)]
-            f = safety * wp.where(bits == _ZERO_BITS, UNRESOLVED_SHARE, wp.cast(bits, wp.float64))
+            f = safety * wp.cast(bits, wp.float64)
             if f > wp.float64(0.0):
                 y = x_t1[row]
                 for i in range(3):
