@@ -44,8 +44,8 @@ _PER = {
 # Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
 _ROUNDS_BY_TOI = 2
 # Share of its gap that a pair may move by where the first of these rounds finds toi 0, as the gap may be lost beside so
-# long a motion alone; what has toi 0 in the second stays. Of a half, a quarter and an eighth only this one let all of the
-# draped cloths in float32 move.
+# long a motion alone; what has toi 0 in the second stays. Of a half, a quarter and an eighth only this one let all
+# of the draped cloths in float32 move.
 _GAPS_MOVED = 0.125
 
 

@@ -16,8 +16,8 @@ DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
 _PER = ("scene", "world", "body", "vertex")
 # A pair that has toi 0 but does not touch where nothing moves is looked at again over a motion of so many of its gaps,
-# and over this share of what it was at most. Of 2 to 64 gaps and shares of 1/64 to 1/4 these gave the most even steps, a
-# fifth of the exact one at least, on draped cloths in float32, in five rounds or fewer.
+# and over this share of what it was at most. Of 2 to 64 gaps and shares of 1/64 to 1/4 these gave the most even steps:
+# on draped cloths in float32 a sixth of the exact one at least, in five rounds or fewer.
 _GAPS = 4.0
 _LARGEST_CUT = 2.0**-3
 # Fraction of a displacement at which this ends: a pair that has toi 0 even then stops its vertices.
@@ -36,8 +36,8 @@ class LineSearchResult:
         vertices: Positions at its end, an array of its own, float64, shape [V, 3].
         vertex_fraction: Share of its own displacement that each vertex moves, in [0, 1], shape [V]; 1 at static ones.
         fraction: The least of them among vertices that move.
-        touching: Pairs that keep vertices where they are, in the order of :class:`ccd_warp.Contacts`, each once; none of
-            their vertices moves. They touch at the start, or come within the minimum separation, or their gap is too
+        touching: Pairs that keep vertices where they are, in the order of :class:`ccd_warp.Contacts`, each once; none
+            of their vertices moves. They touch at the start, or come within the minimum separation, or their gap is too
             small for the precision over however short a step, or what is left of the step is lost in the rounding of
             positions. Each is as it was found in the last round in which it had a vertex that was still to move: toi
             and all else are of the step of that round. Where a search that takes too long stops a world, they are all
@@ -120,7 +120,7 @@ def search_step(
             if at_start is not None:
                 can_be_shorter &= ~np.isin(_keys(contacts), at_start)
             can_be_shorter &= (_least(toi, corners, mesh, per)[corners] == 0).any(axis=1)
-            share = _resolved_share(contacts, vertices[corners] - start[corners])
+            share = _resolved_share(contacts, start[corners], vertices[corners])
             toi = np.where(can_be_shorter, np.maximum(toi, share), toi)
         if num_rounds >= max_rounds - 1:
             toi = np.zeros(len(contacts))
@@ -155,14 +155,14 @@ def search_step(
     )
 
 
-def _resolved_share(contacts: Contacts, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Share of the displacements of a contact's vertices beside which its gap is no longer lost in rounding, shape [m].
+def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of a contact's motion beside which its gap is no longer lost in rounding, shape [m]; of its four vertices.
 
     The gap of a contact with toi 0 is no less than that at the start, so a pair that closes it head-on does so within a
     quarter of the share, unless rounding is most of that gap; then the next round shortens it again.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        share = _GAPS * contacts.gap / np.ptp(displacements, axis=1).max(axis=1, initial=0.0)
+        share = _GAPS * contacts.gap / np.ptp(end - start, axis=1).max(axis=1, initial=0.0)
     return np.where(share < _LARGEST_CUT, share, _LARGEST_CUT)  # also where there is no number
 
 
@@ -173,16 +173,15 @@ def _keys(contacts: Contacts) -> NDArray[np.uint64]:
 
 
 def _of_resting(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
-    """The contacts of rounds, each pair once, as it was found last, of those whose vertices all are where they began."""
+    """Contacts of all rounds whose vertices all are where they began, each pair once, as it was found last."""
     names = vars(stopping[0])
     contacts = Contacts(**{name: np.concatenate([vars(c)[name] for c in reversed(stopping)]) for name in names})
-    contacts = _chosen(contacts, is_at_start[contact_vertices(mesh, contacts)].all(axis=1))
+    rests: NDArray[np.bool_] = is_at_start[contact_vertices(mesh, contacts)]
+    contacts = _chosen(contacts, np.flatnonzero(rests.all(axis=1)))
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
 
 
-def _least(
-    toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str
-) -> NDArray[np.float64]:
+def _least(toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str) -> NDArray[np.float64]:
     """For each vertex the least toi of all contacts of the vertices that it moves with, inf if there is none."""
     least = np.full(mesh.num_vertices, np.inf)
     np.minimum.at(least, corners, toi[:, None])
