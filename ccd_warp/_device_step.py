@@ -256,8 +256,9 @@ class DeviceStep:
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
         stages = form.line_search.stages()
         for look, (per, share) in enumerate(stages):
-            is_first = look == 0
-            self._record_step(recording, form, 0 if is_first else _KEPT_FLAGS, _GAPS_MOVED if is_first else 0.0)
+            # only where the next look stops the same bodies or vertices, and not their world, if it was in vain
+            may_cut = look == 0 and stages[1][0] == per
+            self._record_step(recording, form, _KEPT_FLAGS if look > 0 else 0, _GAPS_MOVED if may_cut else 0.0)
             if look < len(stages) - 1:
                 # what a look has found free is so until something in its world is shortened
                 recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])

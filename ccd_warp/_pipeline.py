@@ -235,7 +235,8 @@ class CollisionPipeline:
 
         Beside a long motion a small gap is lost in rounding, and the toi is 0. Where the first look finds a toi below
         1e-6, the pair is therefore taken to move by an eighth of its gap at least; with toi 0 in the second look its
-        vertices, or all that move with them, stay where they are.
+        vertices, or all that move with them, stay where they are. With one fraction for each body or vertex that takes
+        two rounds.
 
         Pairs that rest are no matter here: two vertices that both stay may touch.
 
