@@ -246,6 +246,11 @@ def line_search(
     fraction does not move; they come back as ``touching``. With ``start_gap_fraction`` those that are only close may
     move.
 
+    A toi of 0 may also mean that the gap is lost beside so long a motion: in float32, a millionth of it. So the first
+    time that there is one, a round looks at the start positions alone. What touches even there is stopped; for the
+    others, and what shares their fraction, the step is cut to a few times the gap, again and again, until the gap shows
+    or a 2^30th of the displacement is left. Steps without a toi of 0 take no round more for it.
+
     Args:
         mesh: The bodies.
         vertices_t0: Start positions, as in :func:`mesh_ccd`.
@@ -254,7 +259,8 @@ def line_search(
             each by one; ``"vertex"``: each vertex by its own.
         safety: Share of its toi that what touches may move, in (0, 1).
         max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices of a world move by
-            one fraction, or not at all, and ``is_limited`` says so.
+            one fraction, or not at all, and ``is_limited`` says so. Bodies and vertices with toi 0 are stopped at once
+            where fewer than 6 rounds are left.
         **options: Options of :func:`mesh_ccd`, all but ``t_max``.
 
     Returns:
@@ -269,7 +275,8 @@ def line_search(
     Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
     that passes the mesh's filter touches (or comes within the minimum separation), except pairs of ``touching``, whose
     vertices do not move. Proof: the last round ran :func:`mesh_ccd` on these very positions, as they are rounded, and
-    every pair with a vertex that moves had toi ``inf`` there, which is certain.
+    every pair with a vertex that moves had toi ``inf`` there, which is certain. (After it at most whole worlds were put
+    back to their start.)
     """
     with CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
         return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds)

@@ -19,7 +19,19 @@ from .minima import CONTACTS_OVERFLOW, FOUND, OPEN, Minima, flag_world, lower_pa
 from .once import once
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
-from .points import Points, corners, is_at_rest, longest_side, magnitude, pair_of, points_of, row_points, scaled, total
+from .points import (
+    Points,
+    corners,
+    is_at_rest,
+    longest_side,
+    magnitude,
+    pair_of,
+    points_of,
+    relative_motion,
+    row_points,
+    scaled,
+    total,
+)
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -45,6 +57,9 @@ BISECTION = wp.constant(1)
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
+
+# A toi that float32 cannot tell from 0.
+_LOST_TOI = wp.constant(wp.float64(2.0**-20))
 
 vec3d = wp.vec3d
 
@@ -362,6 +377,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         options: Options,
         only_moving: int,  # 1: a pair that rests may touch
         is_second: int,  # 1: the round of those that the first has marked as open
+        gaps_moved: wp.float64,  # above 0: what stands for a toi near 0 is the time to move by so much of the gap
         # out
         minima: Minima,
         contacts: ContactList,
@@ -400,7 +416,12 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 pairs[k] = ~key
                 claim(counts, kind, OPEN)
             elif outcome.status != STATUS_NO_COLLISION:
-                lower_pair(minima, first, second, wp.cast(outcome.toi, wp.int64))
+                toi = outcome.toi
+                if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
+                    motion = relative_motion(a, b)
+                    if gaps_moved * outcome.gap < motion:
+                        toi = wp.max(toi, gaps_moved * outcome.gap / motion)
+                lower_pair(minima, first, second, wp.cast(toi, wp.int64))
                 n = claim_int(contacts.count, 0)
                 if n < contacts.toi.shape[0]:
                     contacts.kind[n] = kind

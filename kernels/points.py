@@ -79,6 +79,22 @@ def is_at_rest(a: Points, b: Points) -> bool:
 
 
 @wp.func
+def relative_motion(a: Points, b: Points) -> wp.float64:
+    """Longest way (L∞) between two times of a point of a pair, seen from another one."""
+    low = vec3d()
+    high = vec3d()
+    for k in range(3):
+        d0 = b.p0[k] - a.p0[k]
+        d1 = b.p1[k] - a.p1[k]
+        d2 = b.p2[k] - a.p2[k]
+        d3 = b.p3[k] - a.p3[k]
+        low[k] = wp.min(wp.min(d0, d1), wp.min(d2, d3))
+        high[k] = wp.max(wp.max(d0, d1), wp.max(d2, d3))
+    d = high - low
+    return wp.max(wp.max(d[0], d[1]), d[2])
+
+
+@wp.func
 def row_points(x: wp.array2d[vec3d], i: int) -> Points:
     """Points of a row; absent ones repeat the last, so that they widen no box."""
     p = Points()
