@@ -11,6 +11,7 @@ from ccd_warp.benchmarks.oracle import exact_tois
 import ccd_warp as ccd
 from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._device_step import LineSearch
+from ccd_warp._launch import Slot
 
 PER = ("scene", "body", "vertex")
 every_per = pytest.mark.parametrize("per", PER)
@@ -361,7 +362,7 @@ def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, devi
 def test_a_world_that_another_shortens_is_looked_at_again(device, monkeypatch):
     """One fraction for the scene moves worlds that were found free, too, and rounds them anew."""
     # without the look between, so that the pairs of the last one are those of what the first has shortened
-    monkeypatch.setattr(LineSearch, "stages", lambda search: [("scene", search.safety), ("world", 0.0)])
+    monkeypatch.setattr(LineSearch, "stages", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
     for seed in range(100):
         rng = np.random.default_rng(seed)
         bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(4)]
