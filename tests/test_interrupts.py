@@ -166,7 +166,11 @@ def pairs(count, num_threads):
     def many():
         return ccd.vertex_face_ccd(start, end, **options)
 
-    return {"pairs": (many, many), "slow pairs": (needles(count),) * 2, "long pairs": (needles(500 * count), needles(2))}
+    return {
+        "pairs": (many, many),
+        "slow pairs": (needles(count),) * 2,
+        "long pairs": (needles(500 * count), needles(2)),
+    }
 
 
 def run(count, num_threads, num_faces, num_pairs, only=None):

@@ -21,7 +21,7 @@ import ccd_warp as ccd
 
 # Calls of the beginning, after which pools, caches and buffers are what they are.
 _WARM_UP = 100
-# What 1,000 calls may add, as the allocator's free lists settle: 7 MB at most were seen, and 1 MB with 3,000 calls more.
+# What 1,000 calls may add, as the allocator's free lists settle: 7 MB at most were seen, and 1 MB for 2,000 calls more.
 # The recordings of a line search alone, kept for each value of an option, take 170 kB, in 200 of the calls 34 MB.
 _MOST_GROWTH = 16 << 20
 
