@@ -34,9 +34,9 @@ _OF_WARP = [
 _WARP = (wp, wp.array, wp.Launch)
 _OF_THREADS = [(ThreadPoolExecutor, "submit"), (threading.Thread, "start")]
 # Lines of callers by which two uses are told apart.
-_DEPTH = 3
+_DEPTH = 2
 # Events of a call that are chosen beside, where many uses come from one line, as those of a recording do.
-_FEWEST = 20
+_FEWEST = 12
 # Files between whose bytecodes interrupts arrive, beside the library's: what it waits and cleans up with.
 _STANDARD = ("/contextlib.py", "/threading.py", "/concurrent/futures/")
 
@@ -360,7 +360,7 @@ def _undisturbed(scenario: Scenario, fault: Any) -> Any:
 
 
 def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_error: bool = False) -> Findings:
-    """A fault at the first event from each line (and its callers') and some more, or at every event, before it and directly after.
+    """A fault before and directly after an event: the first from each line and its callers', and some more, or every.
 
     The errors take turns, unless each is to happen at each event.
     """
