@@ -1,7 +1,5 @@
 """``python -m ccd_warp`` is the command ``ccd-warp``."""
 
-import sys
+from ccd_warp._cli import run_program
 
-from ccd_warp._cli import main
-
-sys.exit(main())
+run_program()

@@ -16,6 +16,7 @@ from ccd_warp import __version__
 from ccd_warp._messages import printable
 
 if TYPE_CHECKING:
+    from ccd_warp._cli_progress import ProgressLine
     from ccd_warp._files import Body
 
 _OPTIONS = (
@@ -24,6 +25,7 @@ _OPTIONS = (
     "start_gap_fraction",
     "t_max",
     "max_iterations",
+    "max_work",
     "length_scale",
     "precision",
     "method",
@@ -155,6 +157,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--t-max", type=float, metavar="T", help="look at [0, T] of the step only (1)")
     group.add_argument("--max-iterations", type=int, metavar="N", help="limit of the work on a pair (10000)")
     group.add_argument(
+        "--max-work", type=int, metavar="N", help="limit of the work on all hard pairs of a kind (5000000)"
+    )
+    group.add_argument(
         "--length-scale", type=float, metavar="L", help="unit of the two above (longest side of the motion's box)"
     )
     group.add_argument("--precision", choices=("float64", "float32"), help="arithmetic of the kernels (float64)")
@@ -197,7 +202,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     options = _given_options(arguments)
     kernel_seconds = _load_kernels(options, quiet=arguments.quiet)
-    mesh, result, timings = _solve(bodies, options, self_collision=not arguments.no_self_collision)
+    mesh, result, timings = _solve(
+        bodies, options, self_collision=not arguments.no_self_collision, is_quiet=arguments.quiet
+    )
     timings = {"read files": read_seconds, "load kernels": kernel_seconds, **timings}
     written: list[Path] = []
     if arguments.output is not None:
@@ -233,7 +240,9 @@ def _demo(arguments: argparse.Namespace) -> int:
     options = _given_options(arguments)
     kernel_seconds = _load_kernels(options, quiet=arguments.quiet)
     for number, scene in enumerate(scenes):
-        mesh, result, timings = _solve(scene.bodies, options, self_collision=scene.self_collision)
+        mesh, result, timings = _solve(
+            scene.bodies, options, self_collision=scene.self_collision, is_quiet=arguments.quiet
+        )
         if number == 0:
             timings = {"load kernels": kernel_seconds, **timings}
         if not arguments.quiet:
@@ -318,11 +327,14 @@ def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[
     print(format_report(title, bodies, mesh, result, timings, options.get("t_max", 1.0)))
 
 
-def _solve(bodies: "list[Body]", options: dict[str, Any], *, self_collision: bool) -> tuple[Any, Any, dict[str, float]]:
+def _solve(
+    bodies: "list[Body]", options: dict[str, Any], *, self_collision: bool, is_quiet: bool
+) -> tuple[Any, Any, dict[str, float]]:
     """Put the bodies into one mesh and run ``mesh_ccd``; the seconds of every stage come with the result."""
     import numpy as np
 
     import ccd_warp as ccd
+    from ccd_warp._cli_progress import ProgressLine
 
     begin = time.perf_counter()
     mesh = ccd.CollisionMesh.from_arrays(
@@ -333,9 +345,32 @@ def _solve(bodies: "list[Body]", options: dict[str, Any], *, self_collision: boo
     vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
     build_seconds = time.perf_counter() - begin
-    result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1, **options)
+    line = ProgressLine(is_quiet)
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    pipeline._show_progress = line.show
+    try:
+        with _warnings_on_stderr(line, is_quiet=is_quiet):
+            result = pipeline.mesh_ccd(vertices_t0, vertices_t1)
+    finally:
+        line.clear()
     stages = {name: seconds for name, seconds in result.timings.items() if name != "total"}
     return mesh, result, {"build mesh": build_seconds, **stages}
+
+
+@contextmanager
+def _warnings_on_stderr(line: "ProgressLine", *, is_quiet: bool):
+    """Print what the library warns of as one line each."""
+    import warnings
+
+    def show(message: Any, *_: Any, **__: Any) -> None:
+        if not is_quiet:
+            line.clear()
+            _say(f"ccd-warp: warning: {printable(str(message))}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", RuntimeWarning)
+        warnings.showwarning = show
+        yield
 
 
 def _load_kernels(options: dict[str, Any], *, quiet: bool) -> float:
@@ -352,7 +387,7 @@ def _load_kernels(options: dict[str, Any], *, quiet: bool) -> float:
     ]
     chosen: dict[str, Any] = {name: options[name] for name in ("precision", "device") if name in options}
     with _notice("compiling kernels (first run only) …", seconds=2.0, quiet=quiet):
-        _solve(bodies, chosen, self_collision=False)
+        _solve(bodies, chosen, self_collision=False, is_quiet=True)
     return time.perf_counter() - begin
 
 
@@ -416,5 +451,16 @@ def _closed_stderr():
         os.close(saved)
 
 
+def run_program() -> NoReturn:
+    """The command ``ccd-warp``: :func:`main`, and the end of the process."""
+    status = main()
+    from ccd_warp._threads import is_any_aside
+
+    if is_any_aside():  # a compiler at work would hold up the end, or end with a fault
+        sys.stdout.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program()

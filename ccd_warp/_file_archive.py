@@ -90,10 +90,3 @@ def _too_large(stated: int | None, max_bytes: int) -> InputError:
         f"unpacks to {found}, and the limit is {max_bytes:,} bytes; raise it with --max-bytes (max_bytes= in Python) "
         "if you trust the archive"
     )
-
-
-def validated_max_bytes(value: int) -> int:
-    """A positive integer, or a ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError(f"max_bytes is {value!r}; expected a positive integer")
-    return value

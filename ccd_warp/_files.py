@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ccd_warp._file_archive import MAX_BYTES, validated_max_bytes
+from ccd_warp._arguments import check_count
+from ccd_warp._file_archive import MAX_BYTES
 from ccd_warp._file_mesh import read_mesh
 from ccd_warp._messages import InputError
+
+_MOST_BYTES = 2**63 - 1
 
 __all__ = ["Body", "InputError", "make_body", "read_frames", "read_static", "write_mesh"]
 
@@ -58,7 +61,7 @@ def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int 
             topology.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    max_bytes = validated_max_bytes(max_bytes)
+    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
     start, end = read_mesh(Path(start_path), max_bytes), read_mesh(Path(end_path), max_bytes)
     if start.sharing != end.sharing:
         raise InputError(
@@ -124,7 +127,7 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
         InputError: If the file is missing, damaged or not finite, or unpacks to more than the limit.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    mesh = read_mesh(Path(path), validated_max_bytes(max_bytes))
+    mesh = read_mesh(Path(path), check_count("max_bytes", max_bytes, _MOST_BYTES))
     if mesh.sharing == "indexed":
         return make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
     source_index, merged = _merge(mesh.vertices)

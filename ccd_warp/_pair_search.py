@@ -10,6 +10,7 @@ import warp as wp
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution, load
+from ccd_warp._progress import Progress
 from ccd_warp._status import PairKind
 from ccd_warp._step_boxes import StepBoxes, Tree
 from ccd_warp._topology import PRIMITIVES, WIDTH, Topology
@@ -82,9 +83,14 @@ class _Part:
     count: int
 
     @property
+    def num_queries(self) -> int:
+        """Query boxes."""
+        return self.count * WIDTH**self.level
+
+    @property
     def num_tests(self) -> int:
         """Pairs of boxes, most of which the tree parts at once."""
-        return self.count * WIDTH**self.level * self.join.target.primitives.count
+        return self.num_queries * self.join.target.primitives.count
 
     def split(self) -> list["_Part"]:
         """Smaller parts of the same items."""
@@ -168,6 +174,7 @@ class PairSearch:
         t_end: float,
         separation: float,
         largest_room: int,
+        progress: Progress | None = None,
     ) -> None:
         self.execution = execution
         self.buffers = buffers
@@ -182,6 +189,7 @@ class PairSearch:
         self._with_cull = with_cull
         self._t_end, self._separation = t_end, separation
         self._largest_room = largest_room
+        self._progress = progress or Progress()
         self._num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
 
@@ -198,6 +206,7 @@ class PairSearch:
         if not pending:
             return
         load(self._kernel, self.execution.device)
+        num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
         # Room for all partners of one query is enough, and is what a thread needs.
         least = max(join.target.primitives.count for join in joins)
@@ -208,6 +217,7 @@ class PairSearch:
         while pending:
             self.buffers.get("keys", room, wp.int64)
             self.room = room
+            self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
             regions = (
                 self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room, is_long)
             )
@@ -289,6 +299,7 @@ class PairSearch:
                 with lock:
                     if counts[_FOUND] <= region.end - begin:
                         self._keep(region, part, begin, counts)
+                        self._progress.done += part.num_queries
                     elif region.found:
                         pending.appendleft(part)
                         return

@@ -35,6 +35,7 @@ from ccd_warp._options import (
     Options,
     resolve_device,
 )
+from ccd_warp._progress import Progress
 from ccd_warp._results import LaunchResult, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
@@ -115,6 +116,7 @@ class CollisionPipeline:
         # both are away while a call uses them, and come back from one that ended well: nothing half-made is used again
         self._workspace: Workspace | None = workspace
         self._device_step: DeviceStep | None = None
+        self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh.vertices
@@ -157,7 +159,7 @@ class CollisionPipeline:
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
-            step = Step(workspace, frames, self._options, checking_seconds=time.perf_counter() - begin)
+            step = Step(workspace, frames, self._options, time.perf_counter() - begin, self._show_progress)
             result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()

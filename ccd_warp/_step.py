@@ -1,7 +1,9 @@
 """One step of a mesh on its way through the stages: boxes, pairs, narrow phase, gather."""
 
 import math
+import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +22,7 @@ from ccd_warp._launch import Execution, load
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
 from ccd_warp._pair_search import KEY_BYTES, Found, PairSearch, joins_of
+from ccd_warp._progress import Progress
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._topology import CORNER_ARRAYS
@@ -34,6 +37,11 @@ _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
 # Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
 LONG_PART = 1 << 10
+# Pairs of a part at most, so that threads end together, and progress is seen.
+_LARGEST_PART = 1 << 14
+# Pairs left by the cull, in all and for each primitive, from which on overlaps have exploded.
+_MANY_PAIRS = 1_000_000
+_MANY_PAIRS_EACH = 16
 _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
 _MOST_PAIRS = np.iinfo(np.int32).max
@@ -103,8 +111,9 @@ class Step:
         host: tuple[NDArray[np.float64], NDArray[np.float64]],
         options: Options,
         checking_seconds: float = 0.0,
+        show: Callable[[Progress], None] | None = None,
     ) -> None:
-        """Begin a step between two frames, which checking has taken some time for."""
+        """Begin a step between two frames, which checking has taken some time for; ``show`` is told how far it is."""
         self.timings: dict[str, float] = {"input": checking_seconds}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.options = options
@@ -113,8 +122,10 @@ class Step:
         self.mesh = workspace.topology.mesh
         self.buffers = workspace.buffers
         self.boxes = workspace.boxes
-        self.execution = Execution(workspace.topology.device, options.threads, workspace.flag)
+        self.progress = Progress(show)
+        self.execution = Execution(workspace.topology.device, options.threads, workspace.flag, self.progress.tick)
         self.counts: Counter[str] = Counter()
+        self.is_warned = False
         with self.timed("input"):
             device = self.execution.device
             self.host = start, end = host
@@ -186,6 +197,7 @@ class Step:
             t_end=t_end,
             separation=self.separation,
             largest_room=self.room(bytes_per_pair),
+            progress=self.progress,
         )
 
     def room(self, bytes_per_pair: int) -> int:
@@ -238,12 +250,14 @@ class Step:
         return [int(found.kind), found.begin + first, found.keys, corners[a], corners[b], self.x_t0, self.x_t1]
 
     def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
-        """A batch in parts that are worth a launch each, some for every thread."""
+        """A batch in parts that are worth a launch each, some for every thread, and many of a large one."""
         parts = []
         total = sum(found.count for found in batch)
         for found in batch:
             share = 4 * self.execution.num_threads * found.count // max(total, 1)
-            pieces = 1 if self.execution.is_cuda else max(1, min(share, found.count // grain))
+            pieces = 1
+            if not self.execution.is_cuda:
+                pieces = max(1, min(share, found.count // grain), -(-found.count // _LARGEST_PART))
             bounds = [found.count * k // pieces for k in range(pieces + 1)]
             parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
         return parts
@@ -266,7 +280,9 @@ class Step:
             rest, outputs = arguments(part, slot)
             inputs = [0, *self.pair_inputs(part.found, part.first), *rest]
             wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
+            self.progress.done += part.count
 
+        self.progress.begin("narrow phase", sum(part.count for part in parts))
         is_long = is_long or max(part.count for part in parts) > LONG_PART
         self.execution.run([lambda k=k: launch(k) for k in range(len(parts))], is_long=is_long)  # type: ignore[misc]
 
@@ -385,6 +401,7 @@ class Step:
             with self.timed("narrow phase"):
                 for found in batch:
                     survivors[found.kind] += found.count
+                self.warn_of_overlaps(survivors.total())
                 if batch:
                     store.solve(self, kernel, batch, search.room, self.options.first_iterations)
         with self.timed("narrow phase"):
@@ -400,6 +417,20 @@ class Step:
         with self.timed("gather"):
             gathered = store.gather(self)
         return self.result(gathered, search, survivors)
+
+    def warn_of_overlaps(self, num_pairs: int) -> None:
+        """Say once where so many pairs are left that parts of the scene must lie in each other."""
+        mesh = self.mesh
+        primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        if self.is_warned or num_pairs < _MANY_PAIRS or num_pairs < _MANY_PAIRS_EACH * primitives:
+            return
+        self.is_warned = True
+        warnings.warn(
+            f"{num_pairs:,} pairs of {primitives:,} primitives may touch, so parts of the scene seem to lie in each "
+            f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory",
+            RuntimeWarning,
+            stacklevel=_level_of_caller(),
+        )
 
     def result(self, gathered: Any, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
         mesh = self.mesh
@@ -439,6 +470,14 @@ class Step:
             gathered.body_contact,
             world_toi,
         )
+
+
+def _level_of_caller() -> int:
+    """Frames from the function that warns to the first outside the package."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:

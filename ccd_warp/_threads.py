@@ -157,12 +157,13 @@ class _Pool:
 
 _this_thread = threading.local()
 _pool = _Pool()
+_aside: list[Any] = []
 
 
 def _renew() -> None:
     """A child of a fork has none of the threads, and whatever they held stays held."""
-    global _pool, _this_thread
-    _pool = _Pool()
+    global _pool, _this_thread, _aside
+    _pool, _aside = _Pool(), []
     _this_thread = threading.local()
 
 
@@ -217,17 +218,25 @@ def run(
     return job.checked_results()
 
 
+def is_any_aside() -> bool:
+    """Whether a task of :func:`run_aside` goes on that nobody may be waiting for."""
+    return bool(_aside)
+
+
 def run_aside(task: Callable[[], Any]) -> None:
     """Call a task on a thread of its own and wait for it; an interrupt ends the waiting and leaves the task running."""
     outcome: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def call() -> None:
+        error: BaseException | None = None
+        _aside.append(outcome)
         try:
             task()
-        except BaseException as error:
+        except BaseException as raised:
+            error = raised
+        finally:
+            _aside.remove(outcome)
             outcome.put(error)
-        else:
-            outcome.put(None)
 
     _thread.start_new_thread(call, ())
     error = outcome.get()

@@ -42,7 +42,7 @@ OPTIONS = {
     "device": "cpu",
     "num_threads": 1,
 }
-MESH_OPTIONS = OPTIONS | {"pair_kinds": None, "memory_limit": None}
+MESH_OPTIONS = OPTIONS | {"max_work": 1000, "pair_kinds": None, "memory_limit": None}
 FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
 SEARCH = {"per": "scene", "safety": 0.5, "max_rounds": 16}
 BODIES = {
@@ -164,7 +164,7 @@ def _calls(folder):
         ),
         "find_queries": (datasets.find_queries, {"folder": folder, "progress": False}),
         "find_steps": (datasets.find_steps, {"folder": folder}),
-        "read_step": (datasets.read_step, {"start_path": start, "end_path": end}),
+        "read_step": (datasets.read_step, {"start_path": start, "end_path": end, "max_bytes": 1000}),
         "write_step": (datasets.write_step, {"start_path": start, "end_path": end, "step": STEP}),
         "read_truth": (datasets.read_truth, {"path": truth}),
         "write_truth": (datasets.write_truth, {"path": truth, "truth": np.array([True])}),
@@ -223,7 +223,7 @@ TAKEN = {
     "bool": FLAGS,
     "numpy bool": FLAGS,
     "0-d bool array": FLAGS - {"progress"},
-    "int beyond float64": {"memory_limit", "exclusion_rings"},
+    "int beyond float64": {"memory_limit", "exclusion_rings", "max_work", "max_bytes"},
     "minus one": {"i"},
     "text": {"name"},
     "empty text": {"name"},
