@@ -23,7 +23,7 @@ def warp_modules():
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
         modules[f"device_step input {real.__name__}"] = make_input(real).read_moving.module
-        for kernel in ("points_toi", "pairs_contacts", "pairs_bound", "pairs_minima"):
+        for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
     for end in (BOXES, CULL, HELD):
         modules[f"pair_search {end}"] = make_pair_search(end).search_pairs.module
