@@ -53,7 +53,8 @@ def find_candidates(
         num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
 
     Returns:
-        The pairs, sorted.
+        The pairs, in an order that depends on the mesh, the frames and ``inflation`` alone; on CUDA it is that of the
+        indices, which :meth:`ccd_warp.Candidates.sorted` gives anywhere.
 
     Raises:
         ValueError: If the frames do not match the mesh, a value that is read is not finite, ``inflation`` is negative

@@ -237,21 +237,21 @@ class Step:
             return np.iinfo(np.int32).max
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
-    def candidates(self, inflation: float) -> dict[PairKind, list[NDArray[np.int64]]]:
-        """Keys of all pairs whose boxes overlap, unsorted, in parts that the next step overwrites."""
+    def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
+        """Hand the keys of all pairs whose boxes overlap to ``take``, a batch at a time, which the next overwrites."""
         with self.timed("boxes"):
             self.begin_boxes(inflation, 1.0, num_frames=1)
         with self.timed("pairs"):
             search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
-            parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
-            for batch in search.batches(self.joins):
-                for kind, views in parts.items():  # the room is about to be used again
-                    parts[kind] = [np.array(view) if view.base is not None else view for view in views]
-                for found in batch:
-                    keys = found.keys[found.begin : found.begin + found.count]
-                    parts[found.kind].append(keys.numpy())
+            batches = search.ranges(self.joins)
+        while True:
+            with self.timed("pairs"):
+                ranges = next(batches, None)
+            if ranges is None:
+                break
+            with self.timed("copy"):
+                take(ranges)
         self.count_pairs(search)
-        return parts
 
     def pair_inputs(self, found: Found, first: int) -> list:
         """Inputs that every kernel over pairs begins with, for those from ``first`` on."""

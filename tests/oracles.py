@@ -56,7 +56,7 @@ def brute_force(mesh, start, end, inflation=0.0):
 
 def check_candidates(mesh, start, end, inflation=0.0, device=None, num_threads=1):
     """Assert equality with brute force, order included; returns the number of pairs."""
-    found = ccd.find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads)
+    found = ccd.find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads).sorted()
     all_expected = brute_force(mesh, start, end, inflation)
     kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
     for pairs, expected in zip(kinds, all_expected, strict=True):
