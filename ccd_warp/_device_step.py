@@ -12,7 +12,7 @@ from ccd_warp._interop import as_positions
 from ccd_warp._launch import Execution, Recording, Slot
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
-from ccd_warp._pair_search import LONG_SEARCH, Join, joins_of
+from ccd_warp._pair_search import LONG_SEARCH, Join, joins_of, search_range
 from ccd_warp._results import DeviceContacts, LaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp._step import LONG_PART, half_up, moves_alone, possible_kinds
@@ -22,7 +22,7 @@ from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, ch
 from ccd_warp.kernels import box_tree, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import HELD, NUM_COUNTS, make_pair_search
+from ccd_warp.kernels.pair_search import CULL, NUM_COUNTS, make_pair_search
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -425,20 +425,12 @@ class DeviceStep:
         num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
         is_long = join.query.primitives.count * join.target.primitives.count > LONG_SEARCH * num_parts
         keys = self._keys[join.kind]
-        rules = join.rules(self._options.t_max, self._inflation, self._separation, self._flag.array)
         recording.launch(
-            make_pair_search(HELD).search_pairs,
+            make_pair_search(CULL).search_pairs,
             count,
             inputs=[
-                1,
-                level,
-                int(join.kind),
-                0,
-                len(keys),
-                join.query.arrays,
-                join.target.arrays,
-                rules,
-                self.topology.rules,
+                search_range(level, int(join.kind), len(keys), is_shared=True),
+                *join.search_inputs(self.topology, self._options.t_max, self._inflation, self._separation, self._flag),
                 start,
                 end,
             ],

@@ -17,7 +17,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.device_step import make_input
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import BOXES, CULL, HELD, make_pair_search
+from ccd_warp.kernels.pair_search import BOXES, CULL, make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
 PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order"]
@@ -33,7 +33,7 @@ def warp_modules():
         modules[f"device_step input {real.__name__}"] = make_input(real).read_moving.module
         for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
-    for end in (BOXES, CULL, HELD):
+    for end in (BOXES, CULL):
         modules[f"pair_search {end}"] = make_pair_search(end).search_pairs.module
     return {name: module for name, module in modules.items() if module.kernels}
 
