@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution, Recording
-from ccd_warp._topology import BLOCK_CORNERS, RECORD, WIDTH, PrimitiveSet, Topology, choose_frame, choose_static_frame, sorted_keys
+from ccd_warp._topology import (
+    BLOCK_CORNERS,
+    RECORD,
+    WIDTH,
+    PrimitiveSet,
+    Topology,
+    choose_frame,
+    choose_static_frame,
+    sorted_keys,
+)
 from ccd_warp.kernels import box_tree as kernels
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
