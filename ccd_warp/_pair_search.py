@@ -144,6 +144,7 @@ class Found:
 
     def host_keys(self) -> NDArray[np.int64]:
         """The keys; on the CPU where they are, which the next batch overwrites."""
+        assert self.keys.device
         if self.keys.device.is_cuda:
             return self.keys[self.begin : self.begin + self.count].numpy()
         return self.keys.numpy()[self.begin : self.begin + self.count]
