@@ -15,6 +15,7 @@ from ccd_warp._launch import Execution, load
 from ccd_warp._progress import Progress
 from ccd_warp._status import PairKind
 from ccd_warp._step_boxes import StepBoxes, Tree
+from ccd_warp._threads import StopFlag
 from ccd_warp._topology import PRIMITIVES, WIDTH, Topology
 from ccd_warp.kernels import pair_search as kernels
 from ccd_warp.kernels.minima import Minima
@@ -66,8 +67,10 @@ class Join:
         """Whether both primitives are of one kind, and the lower index comes first."""
         return len(set(PRIMITIVES[self.kind])) == 1
 
-    def rules(self, t_end: float, inflation: float, separation: float, stop: wp.array) -> Any:
-        """The join as the kernel takes it."""
+    def search_inputs(
+        self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
+    ) -> list[Any]:
+        """What a search of the two trees takes, after the range and before the positions."""
         rules = kernels.Join()
         rules.kind = int(self.kind)
         rules.within = int(self.within)
@@ -76,8 +79,19 @@ class Join:
         rules.num_query_corners = self.query.primitives.num_corners
         rules.num_target_corners = self.target.primitives.num_corners
         rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
-        rules.stop = stop
-        return rules
+        rules.stop = flag.array
+        return [self.query.arrays, self.target.arrays, rules, topology.rules]
+
+
+def search_range(
+    level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
+) -> Any:
+    """Which items a launch searches, and where what it finds goes, as the kernel takes it."""
+    part = kernels.SearchRange()
+    part.first, part.stride, part.level = first, stride, level
+    part.row, part.first_key, part.capacity = row, first_key, capacity
+    part.is_shared = int(is_shared)
+    return part
 
 
 @dataclass(frozen=True)
@@ -300,14 +314,18 @@ class PairSearch:
         ]
 
     def _record(self, join: Join) -> wp.Launch:
-        """The launch of a join, whose items and room are set by :meth:`_launch`: packing the trees once is cheaper."""
+        """The launch of a join, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
         boxes = self._boxes
-        rules = join.rules(self._t_end, boxes.inflation, self._separation, self._flag.array)
-        trees = [join.query.arrays, join.target.arrays]
         return wp.launch(
             self._kernel,
             dim=1,
-            inputs=[0, 1, 1, 0, 0, 0, *trees, rules, boxes.topology.rules, boxes.x_t0, boxes.x_t1],
+            inputs=[
+                0,
+                kernels.SearchRange(),
+                *join.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
+                boxes.x_t0,
+                boxes.x_t1,
+            ],
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
             record_cmd=True,
@@ -315,8 +333,7 @@ class PairSearch:
 
     @staticmethod
     def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, room: int) -> None:
-        for index, value in enumerate((part.first, part.stride, part.level, slot, begin, room)):
-            command.set_param_at_index(index, value)
+        command.set_param_at_index(1, search_range(part.level, slot, room, part.first, part.stride, begin))
         command.set_dim(part.count)
         command.launch()
 
