@@ -14,6 +14,7 @@ from ccd_warp._interop import as_warp, is_device_array
 from ccd_warp._launch import Execution, load
 from ccd_warp._option_types import PairOptions
 from ccd_warp._options import Options, naming, options_of, resolve_device
+from ccd_warp._small_batch import CAPACITY, borrowed_batch
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._threads import StopFlag
 from ccd_warp.kernels.contacts import lift
@@ -241,12 +242,27 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         if b.shape != a.shape:
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
         a, b = _in_3d(a), _in_3d(b)
+        if device.is_cpu and 0 < len(a) <= CAPACITY:
+            return PairResult(*_solve_few(kind, a, b, options, device))
         x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
 
     out = _solve(kind, x_t0, x_t1, options, device)
     if on_device:
         return PairResult(*out.as_list())
     return PairResult(*(array.numpy() for array in out.as_list()))
+
+
+def _solve_few(
+    kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
+) -> list[np.ndarray]:
+    """As :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than they do."""
+    packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
+    with borrowed_batch(kind, options.real, device, points_t0.shape[1], packed) as batch:
+        results = batch.solve(points_t0, points_t1, packed)
+    is_open = _open_pairs(results[_STATUS], options)
+    if is_open is not None:
+        _solve_open(kind, points_t0, points_t1, results, is_open, options, device)
+    return results
 
 
 def _solve(kind: PairKind, x_t0: wp.array, x_t1: wp.array, options: Options, device: Any) -> PairArrays:

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import threading
 import typing
 from dataclasses import fields
 
@@ -10,6 +11,7 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp import _small_batch
 from ccd_warp._option_types import Method, PairKindName, Precision
 from ccd_warp._options import Options
 
@@ -162,3 +164,103 @@ def test_the_help_names_the_options_in_a_line(name):
 def test_the_help_of_mesh_ccd_fits_on_a_screen():
     assert len(inspect.getdoc(ccd.mesh_ccd).splitlines()) <= 30
     assert len(str(inspect.signature(ccd.mesh_ccd))) <= 200
+
+
+# ---- Few pairs, whose launch is kept ---------------------------------------------------------------------------------
+
+
+def random_pairs(count, seed=0):
+    points_t0, points_t1 = np.random.default_rng(seed).uniform(-1, 1, (2, count, 4, 3))
+    return points_t0, points_t1
+
+
+def assert_same(result, expected):
+    for name, value in vars(expected).items():
+        np.testing.assert_array_equal(getattr(result, name), value, err_msg=name)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, _small_batch.CAPACITY, _small_batch.CAPACITY + 1])
+@pytest.mark.parametrize("function", PAIR_FUNCTIONS)
+def test_few_pairs_have_the_results_that_they_have_among_many(function, count, precision):
+    points_t0, points_t1 = (x[:, : PAIR_FUNCTIONS[function]] for x in random_pairs(300))
+    options = {"precision": precision, "minimum_separation": 0.1, "device": "cpu"}
+    whole = function(points_t0, points_t1, **options)
+    few = function(points_t0[:count], points_t1[:count], **options)
+    assert_same(few, ccd.PairResult(*(value[:count] for value in vars(whole).values())))
+
+
+def test_points_of_the_plane_do_not_see_the_third_coordinate_of_the_call_before():
+    points_t0, points_t1 = (x[:, :3] for x in random_pairs(8))
+    flat = [np.ascontiguousarray(x[:, :, :2]) for x in (points_t0, points_t1)]
+    expected = ccd.point_segment_ccd(*(np.tile(x, (20, 1, 1)) for x in flat), device="cpu")
+    ccd.point_segment_ccd(points_t0, points_t1, device="cpu")
+    few = ccd.point_segment_ccd(*flat, device="cpu")
+    assert_same(few, ccd.PairResult(*(value[:8] for value in vars(expected).values())))
+
+
+def test_hard_pairs_among_few_are_solved_to_the_end():
+    """Edges that cross in their common plane, which the bisection does not settle before its limit."""
+    points_t0, points_t1 = random_pairs(5)
+    points_t0[1:3] = [[0.0, 0, 0], [1, 0.3, 0], [0.1, 0.5, 0], [1.1, 0.1, 0]]
+    points_t1[1:3] = points_t0[1:3] + [[0.0, 0, 0], [0, 0, 0], [0.3, -0.5, 0], [0.3, -0.5, 0]]
+    options = {"method": "bisection", "tolerance": 1e-9, "device": "cpu"}
+    few = ccd.edge_edge_ccd(points_t0, points_t1, **options)
+    assert (few.iterations == 10_000).tolist() == [False, True, True, False, False]
+    many = ccd.edge_edge_ccd(*(np.tile(x, (20, 1, 1)) for x in (points_t0, points_t1)), **options)
+    assert_same(few, ccd.PairResult(*(value[:5] for value in vars(many).values())))
+
+
+def test_options_of_one_call_do_not_hold_in_the_next():
+    points_t0, points_t1 = random_pairs(20)
+    plain = ccd.vertex_face_ccd(points_t0, points_t1, device="cpu")
+    wide = ccd.vertex_face_ccd(points_t0, points_t1, minimum_separation=0.2, device="cpu")
+    assert (wide.toi < plain.toi).any()
+    assert_same(ccd.vertex_face_ccd(points_t0, points_t1, device="cpu"), plain)
+
+
+def test_a_result_stays_as_it_is_when_the_next_call_is_made():
+    first = ccd.vertex_face_ccd(*random_pairs(20), device="cpu")
+    kept = ccd.PairResult(*(value.copy() for value in vars(first).values()))
+    other = ccd.vertex_face_ccd(*random_pairs(20, seed=1), device="cpu")
+    assert_same(first, kept)
+    for value in vars(first).values():
+        assert value.flags.writeable and value.flags.c_contiguous
+        assert not any(np.shares_memory(value, array) for array in vars(other).values())
+
+
+def test_calls_of_many_threads_do_not_see_each_other():
+    queries = [random_pairs(5, seed) for seed in range(8)]
+    expected = [ccd.vertex_face_ccd(*query, device="cpu") for query in queries]
+    wrong, barrier = [], threading.Barrier(len(queries))
+
+    def work(k):
+        barrier.wait()
+        for _ in range(200):
+            result = ccd.vertex_face_ccd(*queries[k], device="cpu")
+            if not all(np.array_equal(getattr(result, name), value) for name, value in vars(expected[k]).items()):
+                wrong.append(k)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(len(queries))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_a_call_that_failed_gives_nothing_back(monkeypatch):
+    query = random_pairs(5)
+    expected = ccd.vertex_face_ccd(*query, device="cpu")
+    solve, used = _small_batch.SmallBatch.solve, []
+
+    def interrupted(batch, *arguments):
+        used.append(batch)
+        solve(batch, *arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_small_batch.SmallBatch, "solve", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ccd.vertex_face_ccd(*query, device="cpu")
+    monkeypatch.undo()
+    assert_same(ccd.vertex_face_ccd(*query, device="cpu"), expected)
+    assert used[0] not in [batch for idle in _small_batch._idle.values() for batch in idle]
