@@ -1,7 +1,9 @@
-"""Contacts of a step: solved batch by batch, kept together, and gathered in order at the end."""
+"""Contacts and minima of a step: solved batch by batch into one list, and put in order at the end."""
 
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -9,23 +11,11 @@ from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
-from ccd_warp._pair_search import Found
 from ccd_warp._results import Contacts
-from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp._topology import CORNER_ARRAYS
+from ccd_warp._topology import Topology
 from ccd_warp.kernels import contacts as kernels
+from ccd_warp.kernels.minima import Minima
 
-if TYPE_CHECKING:
-    from ccd_warp._step import Step
-
-_FIELDS = {
-    "pair": wp.int64,
-    "toi": wp.float64,
-    "status": wp.int32,
-    "parameters": wp.vec2d,
-    "gap": wp.float64,
-    "width": wp.float64,
-}
 CONTACT_DTYPES = {
     "kind": wp.int32,
     "primitives": wp.vec2i,
@@ -36,8 +26,32 @@ CONTACT_DTYPES = {
     "width": wp.float64,
     "normal": wp.vec3d,
 }
-_NUM_COUNTS = 8
+_BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
+# Bytes of a place in the list; and of a contact at most: in the list, while that is copied to one of twice the size, or
+# in the list and in the result, and its key and its place in the order.
+BYTES_PER_CONTACT = _BYTES
+BYTES_KEPT = 3 * _BYTES + 16
 _LAST = np.iinfo(np.int32).max
+# Contacts from which on threads share the sorting.
+_WORTH_THREADS = 1 << 15
+_SAMPLES = 1 << 10
+
+
+def new_minima(topology: Topology, **arrays: wp.array) -> Any:
+    """The struct that kernels lower: toi as bits, of numbers that are not negative, and flags."""
+    minima = Minima()
+    minima.vertex_body, minima.vertex_world = topology.vertex_body, topology.vertex_world
+    for name, array in arrays.items():
+        setattr(minima, name, array if "flags" in name else array.view(wp.int64))
+    return minima
+
+
+def new_contact_list(arrays: Mapping[str, wp.array]) -> Any:
+    """The struct that kernels append to: the arrays of a list of contacts, and their count."""
+    contacts = kernels.ContactList()
+    for name, array in arrays.items():
+        setattr(contacts, name, array)
+    return contacts
 
 
 @dataclass(frozen=True)
@@ -45,146 +59,114 @@ class Gathered:
     """Contacts in order, and the earliest of every vertex and body."""
 
     contacts: Contacts
+    toi: float
     vertex_toi: NDArray[np.float64]
     body_toi: NDArray[np.float64]
+    world_toi: NDArray[np.float64]
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]
 
 
 class ContactStore:
-    """Contacts of the batches so far."""
+    """Contacts of the batches so far, and the minima over them.
 
-    BYTES_PER_CONTACT = sum(map(wp.types.type_size_in_bytes, _FIELDS.values()))
-    # kept, in arrays that double and are copied to grow; their order; and what is returned
-    BYTES_KEPT = (
-        3 * BYTES_PER_CONTACT + 8 + sum(wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values())
-    )
+    Attributes:
+        minima: What the narrow phase lowers.
+        total: Contacts that were found.
+    """
 
-    def __init__(self, buffers: Buffers, execution: Execution, largest: int) -> None:
-        """``largest`` is the number of contacts that there is room for; beyond it they are only counted."""
-        self.count: dict[PairKind, int] = {}
-        self._buffers = buffers
-        self._execution = execution
+    def __init__(self, topology: Topology, buffers: Buffers, execution: Execution, largest: int) -> None:
+        """``largest`` is the number of contacts that may be kept; beyond it they are only counted."""
+        mesh = topology.mesh
+        self.total = 0
+        self._topology, self._buffers, self._execution = topology, buffers, execution
         self._largest = largest
+        self._counter = buffers.get("contact counter", 1, wp.int32)
+        sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
+        self._toi = {name: self._full(size, np.inf, wp.float64) for name, size in sizes.items()}
+        flags = {
+            name: self._full(sizes[of], 0, wp.int32) for name, of in (("world_flags", "world"), ("flags", "scene"))
+        }
+        self.minima = new_minima(topology, **self._toi, **flags)
 
-    def solve(self, step: "Step", kernel: Any, batch: list[Found], room: int, max_iterations: int) -> None:
-        """Run the narrow phase on a batch that lies in so much room, and keep the pairs with a finite toi."""
-        options = step.options.for_kernel(step.length_scale, max_iterations, step.workspace.flag.array)
-        scratch = kernels.Contacts()
-        for name, dtype in _FIELDS.items():
-            setattr(scratch, name, self._buffers.get(f"contact {name}", room, dtype))
-        parts = step.parts_of(batch)
-        counts = self._buffers.rows("contact counts", len(parts), _NUM_COUNTS, wp.int64)
-        counts.zero_()
-        step.launch_on_pairs(
-            kernel,
-            parts,
-            lambda part, slot: ([options, slot, part.found.begin + part.first], [counts, scratch]),
-            is_long=max_iterations > step.options.first_iterations,
-        )
-        host = counts.numpy()[:, 0]
-        for slot, part in enumerate(parts):
-            self._keep(part.found.kind, scratch, part.found.begin + part.first, int(host[slot]))
-
-    def solve_open(self, step: "Step", kernel: Any) -> None:
-        """The second round: solve the pairs that the first has left open, each with its share of ``max_work``."""
-        for kind in sorted(self.count) if self.is_complete else ():
-            count = self.count[kind]
-            arrays = {
-                name: self._buffers.get(f"{kind.name} contact {name}", 0, dtype) for name, dtype in _FIELDS.items()
-            }
-            is_open = arrays["status"].numpy()[:count] == CCDStatus.ITERATION_LIMIT
-            num_open = int(np.count_nonzero(is_open))
-            share = step.options.share_of_work(num_open)
-            if num_open == 0 or share <= step.options.first_iterations:
-                continue
-            pairs = self._buffers.get("open keys", num_open, wp.int64)
-            pairs[:num_open].assign(arrays["pair"].numpy()[:count][is_open])
-            self.count[kind] = count - num_open
-            for array in arrays.values():
-                if self.count[kind]:
-                    array[: self.count[kind]].assign(array.numpy()[:count][~is_open])
-            self.solve(step, kernel, [Found(kind, pairs, 0, num_open)], num_open, share)
-
-    def _keep(self, kind: PairKind, scratch: Any, begin: int, count: int) -> None:
-        kept = self.count.get(kind, 0)
-        self.count[kind] = kept + count
-        if count == 0 or sum(self.count.values()) > self._largest:
-            return
-        for name, dtype in _FIELDS.items():
-            target = self._buffers.grown(f"{kind.name} contact {name}", kept, kept + count, dtype)
-            source = getattr(scratch, name)
-            if self._execution.is_cuda:
-                wp.copy(target, source, dest_offset=kept, src_offset=begin, count=count)
-            else:
-                target.numpy()[kept : kept + count] = source.numpy()[begin : begin + count]
+    def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
+        return wp.full(count, value=value, dtype=dtype, device=self._execution.device)
 
     @property
     def is_complete(self) -> bool:
         """Whether all contacts were kept."""
-        return sum(self.count.values()) <= self._largest
+        return self.total <= self._largest
 
-    def _in_order(self, kind: PairKind, count: int) -> wp.array:
-        """Places of the contacts of a kind by ascending pair."""
-        device = self._execution.device
-        pairs = self._buffers.get(f"{kind.name} contact pair", 0, wp.int64)
-        if not self._execution.is_cuda:
-            return wp.array(np.argsort(pairs.numpy()[:count]), dtype=wp.int64, device=device)
-        keys = wp.empty(2 * count, dtype=wp.int64, device=device)
-        wp.copy(keys, pairs, count=count)
+    def begin_batch(self, num_pairs: int) -> Any:
+        """The list that a batch of so many pairs appends to, with a place for each of them."""
+        wanted = min(self.total + num_pairs, self._largest)
+        kept = min(self.total, self._largest)
+        self._counter.fill_(kept)
+        arrays = {
+            name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)[:wanted]
+            for name, dtype in CONTACT_DTYPES.items()
+        }
+        return new_contact_list({"count": self._counter, **arrays})
+
+    def end_batch(self) -> None:
+        """Keep what the batch has appended."""
+        self.total += int(self._counter.numpy()[0]) - min(self.total, self._largest)
+
+    def gather(self) -> Gathered:
+        """All contacts, by kind and pair, and whose they are."""
+        mesh, topology = self._topology.mesh, self._topology
+        device, count = self._execution.device, self.total
+        arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
+        first_of = [self._full(n, _LAST if count else -1, wp.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
+        if count > 0:
+            found = new_contact_list({"count": self._counter, **self._kept()})
+            ordered = new_contact_list({"count": self._counter, **arrays})
+            self._execution.launch(kernels.order_contacts, count, inputs=[self._order(found), found], outputs=[ordered])
+            corners = [topology.corners[name] for name in ("vertex", "edge", "face")]
+            self._execution.launch(
+                kernels.first_contacts, count, inputs=[ordered, *corners, self.minima], outputs=first_of
+            )
+        toi = {name: array.numpy() for name, array in self._toi.items()}
+        vertex_contact, body_contact = (np.where(f == _LAST, np.int32(-1), f) for f in (a.numpy() for a in first_of))
+        return Gathered(
+            Contacts(**{name: array.numpy() for name, array in arrays.items()}),
+            float(toi["scene"][0]),
+            toi["vertex"],
+            toi["body"],
+            toi["world"],
+            vertex_contact,
+            body_contact,
+        )
+
+    def _kept(self) -> dict[str, wp.array]:
+        return {name: self._buffers.get(f"contact {name}", 0, dtype) for name, dtype in CONTACT_DTYPES.items()}
+
+    def _order(self, found: Any) -> wp.array:
+        """Places of the contacts by ascending kind and pair."""
+        device, count = self._execution.device, self.total
+        keys = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
+        self._execution.launch(kernels.contact_keys, count, inputs=[found], outputs=[keys])
+        if not device.is_cuda:
+            return wp.array(self._sorted_places(keys.numpy()), dtype=wp.int32, device=device, copy=False)
         places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=device)
         wp.utils.radix_sort_pairs(keys, places, count)
-        order = wp.empty(count, dtype=wp.int64, device=device)
-        wp.launch(kernels.widen, dim=count, inputs=[places], outputs=[order], device=device)
-        return order
+        return places
 
-    def gather(self, step: "Step") -> Gathered:
-        """All contacts, by kind and pair, with normals, and whose they are."""
-        mesh, topology, device = step.mesh, step.topology, self._execution.device
-        total = sum(self.count.values())
-        outputs = {name: wp.empty(total, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        if total == 0:
-            contacts = _as_contacts({name: array.numpy() for name, array in outputs.items()})
-            toi = [np.full(n, np.inf) for n in (mesh.num_vertices, mesh.num_bodies)]
-            none = [np.full(n, -1, dtype=np.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
-            return Gathered(contacts, *toi, *none)
-        infinity = int(np.array(np.inf).view(np.int64))
-        toi_bits = [
-            wp.full(n, value=infinity, dtype=wp.int64, device=device) for n in (mesh.num_vertices, mesh.num_bodies)
-        ]
-        first_of = [
-            wp.full(n, value=_LAST, dtype=wp.int32, device=device) for n in (mesh.num_vertices, mesh.num_bodies)
-        ]
-        serial = Execution(device, 1)
-        passes = []
-        begin = 0
-        for kind in sorted(self.count):
-            count = self.count[kind]
-            if count == 0:
-                continue
-            corners = [topology.corners[name] for name in CORNER_ARRAYS[kind]]
-            solved = kernels.Contacts()
-            for name, dtype in _FIELDS.items():
-                setattr(solved, name, self._buffers.get(f"{kind.name} contact {name}", 0, dtype))
-            self._execution.launch(
-                kernels.describe_contacts,
-                count,
-                inputs=[int(kind), self._in_order(kind, count), solved, *corners, step.x_t0, step.x_t1, begin],
-                outputs=list(outputs.values()),
-            )
-            shared = [int(kind), begin, outputs["primitives"], outputs["toi"], *corners, topology.vertex_body]
-            passes.append((count, shared))
-            begin += count
-        for count, shared in passes:
-            serial.launch(kernels.lower_toi, count, inputs=shared, outputs=toi_bits)
-        for count, shared in passes:
-            serial.launch(kernels.first_contacts, count, inputs=[*shared, *toi_bits], outputs=first_of)
-        contacts = _as_contacts({name: array.numpy() for name, array in outputs.items()})
-        toi = [bits.numpy().view(np.float64) for bits in toi_bits]
-        first = [array.numpy() for array in first_of]
-        return Gathered(contacts, *toi, *(np.where(f == _LAST, np.int32(-1), f) for f in first))
+    def _sorted_places(self, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+        """What sorts the keys; threads sort ranges of them that a sample parts."""
+        if len(keys) < _WORTH_THREADS or self._execution.num_threads == 1:
+            return np.argsort(keys).astype(np.int32)
+        sample = np.sort(keys[:: len(keys) // _SAMPLES])
+        pieces = self._execution.num_threads
+        pivots = sample[[len(sample) * k // pieces for k in range(1, pieces)]]
+        bounds = [None, *pivots.tolist(), None]
 
+        def sort(low: int | None, high: int | None) -> NDArray[np.int32]:
+            chosen = np.ones(len(keys), dtype=bool) if low is None else keys >= low
+            if high is not None:
+                chosen &= keys < high
+            places = np.flatnonzero(chosen)
+            return places[np.argsort(keys[places])].astype(np.int32)
 
-def _as_contacts(arrays: dict[str, NDArray[Any]]) -> Contacts:
-    shapes = {"primitives": (-1, 2), "parameters": (-1, 2), "normal": (-1, 3)}
-    return Contacts(**{name: array.reshape(shapes.get(name, (-1,))) for name, array in arrays.items()})
+        tasks = [lambda low=low, high=high: sort(low, high) for low, high in itertools.pairwise(bounds)]  # type: ignore[misc]
+        return np.concatenate(self._execution.run(tasks))

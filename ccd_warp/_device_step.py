@@ -7,22 +7,22 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import CONTACT_DTYPES
+from ccd_warp._contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._interop import as_positions
 from ccd_warp._launch import Execution, Recording, Slot
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
-from ccd_warp._pair_search import LONG_SEARCH, Join, joins_of
+from ccd_warp._pair_search import LONG_SEARCH, Join, joins_of, search_range
 from ccd_warp._results import DeviceContacts, LaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp._step import LONG_PART, half_up, moves_alone, possible_kinds
 from ccd_warp._step_boxes import Tree, fill_tree, new_tree
 from ccd_warp._threads import StopFlag
 from ccd_warp._topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
-from ccd_warp.kernels import box_tree, contacts, device_step
-from ccd_warp.kernels.minima import FOUND, OPEN, Minima
+from ccd_warp.kernels import box_tree, device_step
+from ccd_warp.kernels.minima import FOUND, OPEN
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import HELD, NUM_COUNTS, make_pair_search
+from ccd_warp.kernels.pair_search import CULL, NUM_COUNTS, make_pair_search
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -44,6 +44,8 @@ _PER = {
     "vertex": int(device_step.PER_VERTEX),
 }
 _SAFETY = Slot("safety")
+# In place of a number of pairs: as many as the device finds.
+_AS_FOUND = -1
 # Recordings that are kept, as many as a loop has kinds of calls.
 _MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
@@ -157,10 +159,17 @@ class DeviceStep:
         self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
         self._recordings: dict[_Form, Recording] = {}  # the one made last is the last
         self.result = self._new_result(capacities.max_contacts)
-        self._minima = self._new_minima()
-        self._contacts = contacts.ContactList()
-        for name, array in vars(self.result.contacts).items():
-            setattr(self._contacts, name, array)
+        result = self.result
+        self._minima = new_minima(
+            topology,
+            vertex=result.vertex_toi,
+            body=result.body_toi,
+            world=result.world_toi,
+            scene=result.toi,
+            world_flags=result.world_flags,
+            flags=result.flags,
+        )
+        self._contacts = new_contact_list(vars(result.contacts))
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -191,21 +200,6 @@ class DeviceStep:
         count = self._full(1, 0, wp.int32)
         contacts = DeviceContacts(count=count, **room)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
-
-    def _new_minima(self) -> Any:
-        """The results as the kernels lower them: bits of numbers that are not negative."""
-        minima = Minima()
-        minima.vertex_body, minima.vertex_world = self.topology.vertex_body, self.topology.vertex_world
-        result = self.result
-        for name, array in (
-            ("vertex", result.vertex_toi),
-            ("body", result.body_toi),
-            ("world", result.world_toi),
-            ("scene", result.toi),
-        ):
-            setattr(minima, name, array.view(wp.int64))
-        minima.flags, minima.world_flags = result.flags, result.world_flags
-        return minima
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
         """Lay trees out, and fill those of static bodies: kinds of primitives, and whether they rest."""
@@ -431,20 +425,12 @@ class DeviceStep:
         num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
         is_long = join.query.primitives.count * join.target.primitives.count > LONG_SEARCH * num_parts
         keys = self._keys[join.kind]
-        rules = join.rules(self._options.t_max, self._inflation, self._separation, self._flag.array)
         recording.launch(
-            make_pair_search(HELD).search_pairs,
+            make_pair_search(CULL).search_pairs,
             count,
             inputs=[
-                1,
-                level,
-                int(join.kind),
-                0,
-                len(keys),
-                join.query.arrays,
-                join.target.arrays,
-                rules,
-                self.topology.rules,
+                search_range(level, int(join.kind), len(keys), is_shared=True),
+                *join.search_inputs(self.topology, self._options.t_max, self._inflation, self._separation, self._flag),
                 start,
                 end,
             ],
@@ -468,11 +454,13 @@ class DeviceStep:
 
         for is_second in (False, True):
             recording.launch(
-                make_narrow_phase(self._options.real).pairs_minima,
+                make_narrow_phase(self._options.real).solve_pairs,
                 solvers,
                 inputs=[
                     solvers,
                     int(kind),
+                    0,
+                    _AS_FOUND,
                     self._counts,
                     keys,
                     *corners,

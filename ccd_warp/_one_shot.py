@@ -49,7 +49,8 @@ def find_candidates(
         **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
-        The pairs, sorted.
+        The pairs, in an order that depends on the mesh, the frames and ``inflation`` alone; on CUDA it is that of the
+        indices, which :meth:`ccd_warp.Candidates.sorted` gives anywhere.
 
     Raises:
         ValueError: If the frames do not match the mesh, a value that is read is not finite, or ``inflation`` or an

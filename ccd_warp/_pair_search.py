@@ -6,13 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution, load
 from ccd_warp._progress import Progress
 from ccd_warp._status import PairKind
 from ccd_warp._step_boxes import StepBoxes, Tree
+from ccd_warp._threads import StopFlag
 from ccd_warp._topology import PRIMITIVES, WIDTH, Topology
 from ccd_warp.kernels import pair_search as kernels
 from ccd_warp.kernels.minima import Minima
@@ -58,18 +61,36 @@ class Join:
         """Whether the pairs are those of one set."""
         return self.query is self.target
 
-    def rules(self, t_end: float, inflation: float, separation: float, stop: wp.array) -> Any:
-        """The join as the kernel takes it."""
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether both primitives are of one kind, and the lower index comes first."""
+        return len(set(PRIMITIVES[self.kind])) == 1
+
+    def search_inputs(
+        self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
+    ) -> list[Any]:
+        """What a search of the two trees takes, after the range and before the positions."""
         rules = kernels.Join()
         rules.kind = int(self.kind)
         rules.within = int(self.within)
-        rules.symmetric = int(len(set(PRIMITIVES[self.kind])) == 1)
+        rules.symmetric = int(self.is_symmetric)
         rules.swapped = int(self.swapped)
         rules.num_query_corners = self.query.primitives.num_corners
         rules.num_target_corners = self.target.primitives.num_corners
         rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
-        rules.stop = stop
-        return rules
+        rules.stop = flag.array
+        return [self.query.arrays, self.target.arrays, rules, topology.rules]
+
+
+def search_range(
+    level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
+) -> Any:
+    """Which items a launch searches, and where what it finds goes, as the kernel takes it."""
+    part = kernels.SearchRange()
+    part.first, part.stride, part.level = first, stride, level
+    part.row, part.first_key, part.capacity = row, first_key, capacity
+    part.is_shared = int(is_shared)
+    return part
 
 
 @dataclass(frozen=True)
@@ -77,6 +98,7 @@ class _Part:
     """Items first, first + stride, … of a join: blocks of queries (level 1) or single queries (level 0)."""
 
     join: Join
+    number: int  # of the join
     level: int
     first: int
     stride: int
@@ -86,6 +108,11 @@ class _Part:
     def num_queries(self) -> int:
         """Query boxes."""
         return self.count * WIDTH**self.level
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        """Where the part begins: the join, the query block, and the query in it."""
+        return (self.number, self.first, 0) if self.level else (self.number, *divmod(self.first, WIDTH))
 
     @property
     def num_tests(self) -> int:
@@ -108,12 +135,31 @@ class _Part:
 
 @dataclass(frozen=True)
 class Found:
-    """Keys of pairs of one kind: ``keys[begin:begin + count]``."""
+    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
+
+    Attributes:
+        kind: Kind of the pairs.
+        keys: The capacity that the search has filled.
+        begin: The first key.
+        count: Number of keys.
+        join: The trees that were searched; None where the keys come from several parts.
+        place: The number of the join, the query block and the query in it that the keys begin with.
+        is_cut: Whether a block of queries was cut, so that keys come query by query.
+    """
 
     kind: PairKind
     keys: wp.array
     begin: int
     count: int
+    join: Join | None = None
+    place: tuple[int, int, int] = (0, 0, 0)
+    is_cut: bool = False
+
+    def host_keys(self) -> NDArray[np.int64]:
+        """The keys; on the CPU where they are, which the next batch overwrites."""
+        if self.keys.device.is_cuda:  # type: ignore[union-attr]
+            return self.keys[self.begin : self.begin + self.count].numpy()
+        return self.keys.numpy()[self.begin : self.begin + self.count]
 
 
 @dataclass
@@ -123,11 +169,8 @@ class _Region:
     slot: int
     begin: int
     end: int
+    filled: int = 0
     found: list[Found] = field(default_factory=list)
-
-    @property
-    def filled(self) -> int:
-        return sum(f.count for f in self.found)
 
 
 def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
@@ -152,6 +195,18 @@ def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> li
         if boxes.may_meet(join.query, join.target):
             joins.append(join)
     return joins
+
+
+def _merged(ranges: list[Found]) -> list[Found]:
+    """The same keys in as few ranges as hold them."""
+    merged: list[Found] = []
+    for found in ranges:
+        last = merged[-1] if merged else None
+        if last and last.kind == found.kind and last.begin + last.count == found.begin:
+            merged[-1] = Found(last.kind, last.keys, last.begin, last.count + found.count)
+        else:
+            merged.append(found)
+    return merged
 
 
 class PairSearch:
@@ -202,7 +257,18 @@ class PairSearch:
 
         What comes in which batch depends on the room and the threads; all batches together do not.
         """
-        pending = deque(part for join in joins for part in self._parts(join, first, stride))
+        for ranges in self.ranges(joins, first, stride):
+            yield _merged(ranges)
+
+    def ranges(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+        """The same with the keys of each part apart, which says where among all keys they stand.
+
+        A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
+        So the parts of all batches, by tree pair and then by their place, are the keys in an order that depends on the
+        trees alone, wherever the parts were cut: but for a block that was cut into its queries (`Found.is_cut`). On
+        CUDA the threads of a part claim places as they come.
+        """
+        pending = deque(part for k, join in enumerate(joins) for part in self._parts(join, k, first, stride))
         if not pending:
             return
         load(self._kernel, self.execution.device)
@@ -229,7 +295,7 @@ class PairSearch:
             yield [found for region in regions for found in region.found]
             room = min(2 * room, self._largest_room)
 
-    def _parts(self, join: Join, first: int, stride: int) -> list[_Part]:
+    def _parts(self, join: Join, number: int, first: int, stride: int) -> list[_Part]:
         level = 0 if self.execution.is_cuda else 1
         items = join.query.primitives.count if level == 0 else join.query.levels[0]
         count = max(0, -(-(items - first) // stride))
@@ -239,17 +305,24 @@ class PairSearch:
         if not self.execution.is_cuda:
             parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
         bounds = [count * k // parts for k in range(parts + 1)]
-        return [_Part(join, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k]) for k in range(parts)]
+        return [
+            _Part(join, number, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k])
+            for k in range(parts)
+        ]
 
     def _record(self, join: Join) -> wp.Launch:
-        """The launch of a join, whose items and room are set by :meth:`_launch`: packing the trees once is cheaper."""
+        """The launch of a join, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
         boxes = self._boxes
-        rules = join.rules(self._t_end, boxes.inflation, self._separation, self._flag.array)
-        trees = [join.query.arrays, join.target.arrays]
         return wp.launch(
             self._kernel,
             dim=1,
-            inputs=[0, 1, 1, 0, 0, 0, *trees, rules, boxes.topology.rules, boxes.x_t0, boxes.x_t1],
+            inputs=[
+                0,
+                kernels.SearchRange(),
+                *join.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
+                boxes.x_t0,
+                boxes.x_t1,
+            ],
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
             record_cmd=True,
@@ -257,8 +330,7 @@ class PairSearch:
 
     @staticmethod
     def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, room: int) -> None:
-        for index, value in enumerate((part.first, part.stride, part.level, slot, begin, room)):
-            command.set_param_at_index(index, value)
+        command.set_param_at_index(1, search_range(part.level, slot, room, part.first, part.stride, begin))
         command.set_dim(part.count)
         command.launch()
 
@@ -268,11 +340,10 @@ class PairSearch:
         count = int(counts[_FOUND])
         if count == 0:
             return
-        last = region.found[-1] if region.found else None
-        if last and last.kind == part.join.kind:
-            region.found[-1] = replace(last, count=last.count + count)
-        else:
-            region.found.append(Found(part.join.kind, self.buffers.get("keys", 0, wp.int64), begin, count))
+        region.filled += count
+        keys = self.buffers.get("keys", 0, wp.int64)
+        is_cut = part.level == 0
+        region.found.append(Found(part.join.kind, keys, begin, count, part.join, part.place, is_cut))
 
     def _cpu_batch(self, pending: deque[_Part], room: int, is_long: bool) -> list[_Region]:
         """Threads take parts until there are none left or their room is full."""

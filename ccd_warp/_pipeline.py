@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._arguments import check_choice, check_count, check_instance, check_real
-from ccd_warp._candidates import Candidates, sorted_candidates, validated_inflation
+from ccd_warp._candidates import Candidates, candidates_of, validated_inflation
 from ccd_warp._device_step import (
     MOST_CONTACTS,
     MOST_PAIRS,
@@ -332,7 +332,7 @@ class CollisionPipeline:
             inflation: Growth of every box on every side, a length.
 
         Returns:
-            The pairs, sorted.
+            The pairs, in an order that does not depend on threads, memory limit or earlier calls.
 
         Raises:
             ValueError: As there.
@@ -341,7 +341,7 @@ class CollisionPipeline:
         """
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: sorted_candidates(step, inflation))
+        return self._on_step(vertices_t0, vertices_t1, lambda step: candidates_of(step, inflation))
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
         """Like :func:`ccd_warp.mesh_ccd`.

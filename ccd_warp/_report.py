@@ -67,7 +67,7 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
     if capped:
         lines.append(
             f"{capped:,} of {len(result.contacts.toi):,} contacts stopped at the iteration limit: their toi is early, "
-            "never late; raise --max-iterations to refine them"
+            "never late; raise --max-iterations or --max-work to refine them"
         )
     lines.append("")
     lines += format_table(

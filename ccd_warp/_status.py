@@ -27,7 +27,7 @@ class CCDStatus(IntEnum):
     """The gap is within the tolerance at the start and does not open at once; toi is 0."""
 
     ITERATION_LIMIT = int(subdivide.STATUS_ITERATION_LIMIT)
-    """``max_iterations`` was reached; toi is the earliest time still open. Raise ``max_iterations`` for a later one."""
+    """``max_iterations``, or the pair's share of ``max_work``, was reached; toi is the earliest time still open."""
 
     RESOLUTION_LIMIT = int(subdivide.STATUS_RESOLUTION_LIMIT)
     """The patch cannot be split further in this precision; toi is the earliest time still open."""

@@ -17,18 +17,20 @@ from numpy.typing import NDArray
 
 from ccd_warp._bodies import bodies_near
 from ccd_warp._buffers import Buffers
-from ccd_warp._contacts import ContactStore
+from ccd_warp._contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
 from ccd_warp._launch import Execution, load
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
 from ccd_warp._pair_search import KEY_BYTES, Found, PairSearch, joins_of
 from ccd_warp._progress import Progress
-from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._results import MeshResult
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._topology import CORNER_ARRAYS
 from ccd_warp._workspace import Workspace
 from ccd_warp.kernels import boxes as box_kernels
+from ccd_warp.kernels.minima import OPEN
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
+from ccd_warp.kernels.pair_search import NUM_COUNTS
 
 # Room for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
@@ -48,14 +50,22 @@ _MOST_PAIRS = np.iinfo(np.int32).max
 
 
 class OpenPairs:
-    """Pairs of a step that the first round of the narrow phase leaves open, and the toi that they have by then.
+    """Pairs of a step that the first round of the narrow phase leaves open.
 
     Attributes:
-        arrays: Keys and toi by kind of pair.
+        marked: Complements of their keys by kind of pair, where contacts are looked for.
+        arrays: Their keys, and the toi that they have by then, where the least toi is.
     """
 
     def __init__(self) -> None:
+        self.marked: dict[PairKind, NDArray[np.int64]] = {}
         self.arrays: dict[PairKind, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
+
+    def take(self, found: Found) -> None:
+        """Copy what is marked among the keys of a batch."""
+        keys = found.keys.numpy()[found.begin : found.begin + found.count]
+        marked = keys[keys < 0]
+        self.marked[found.kind] = np.concatenate([self.marked.get(found.kind, marked[:0]), marked])
 
     def add(self, kind: PairKind, keys: NDArray[np.int64], toi: NDArray[np.float64]) -> None:
         """Keep the pairs of a batch."""
@@ -225,23 +235,23 @@ class Step:
         """Contacts that the memory limit has room for."""
         if self.options.memory_limit is None:
             return np.iinfo(np.int32).max
-        return (self.options.memory_limit - self.fixed_bytes) // 2 // ContactStore.BYTES_KEPT
+        return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
-    def candidates(self, inflation: float) -> dict[PairKind, list[NDArray[np.int64]]]:
-        """Keys of all pairs whose boxes overlap, unsorted, in parts that the next step overwrites."""
+    def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
+        """Hand the keys of all pairs whose boxes overlap to ``take``, a batch at a time, which the next overwrites."""
         with self.timed("boxes"):
             self.begin_boxes(inflation, 1.0, num_frames=1)
         with self.timed("pairs"):
             search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
-            parts: dict[PairKind, list[NDArray[np.int64]]] = {kind: [] for kind in PairKind}
-            for batch in search.batches(self.joins):
-                for kind, views in parts.items():  # the room is about to be used again
-                    parts[kind] = [np.array(view) if view.base is not None else view for view in views]
-                for found in batch:
-                    keys = found.keys[found.begin : found.begin + found.count]
-                    parts[found.kind].append(keys.numpy())
+            batches = search.ranges(self.joins)
+        while True:
+            with self.timed("pairs"):
+                ranges = next(batches, None)
+            if ranges is None:
+                break
+            with self.timed("copy"):
+                take(ranges)
         self.count_pairs(search)
-        return parts
 
     def pair_inputs(self, found: Found, first: int) -> list:
         """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
@@ -262,29 +272,19 @@ class Step:
             parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
         return parts
 
-    def launch_on_pairs(
-        self,
-        kernel: Any,
-        parts: list["_PairPart"],
-        arguments: Callable[["_PairPart", int], tuple[list, list]],
-        is_long: bool,
+    def launch_parts(
+        self, kernel: Any, parts: list["_PairPart"], launch: Callable[["_PairPart"], None], is_long: bool
     ) -> None:
-        """Launch a kernel on each part; ``arguments(part, number)`` gives inputs, after those of pairs, and outputs.
-
-        ``is_long`` where pairs may take more than the iterations of a first round.
-        """
+        """Launch a kernel on each part; ``is_long`` where pairs may take more than the iterations of a first round."""
         load(kernel, self.execution.device)
 
-        def launch(slot: int) -> None:
-            part = parts[slot]
-            rest, outputs = arguments(part, slot)
-            inputs = [0, *self.pair_inputs(part.found, part.first), *rest]
-            wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
+        def run(part: "_PairPart") -> None:
+            launch(part)
             self.progress.done += part.count
 
         self.progress.begin("narrow phase", sum(part.count for part in parts))
         is_long = is_long or max(part.count for part in parts) > LONG_PART
-        self.execution.run([lambda k=k: launch(k) for k in range(len(parts))], is_long=is_long)  # type: ignore[misc]
+        self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]
 
     def bound(self) -> float:
         """Earliest toi of all pairs, or t_max.
@@ -342,15 +342,16 @@ class Step:
         bits = self.buffers.get("pair bits", 1, wp.int64)
         bits.fill_(int(np.array(bound).view(np.int64)))
         lists = {found.kind: _OpenList(self.buffers, found.kind) for found in batch}
+
+        def launch(part: _PairPart) -> None:
+            inputs = [0, *self.pair_inputs(part.found, part.first), options, is_first]
+            outputs = [bits, *lists[part.found.kind].arrays]
+            wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
+
         while True:
             for each in lists.values():
                 each.count.zero_()
-            self.launch_on_pairs(
-                kernel,
-                parts,
-                lambda part, _slot: ([options, is_first], [bits, *lists[part.found.kind].arrays]),
-                is_long=open_pairs is None,
-            )
+            self.launch_parts(kernel, parts, launch, is_long=open_pairs is None)
             if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
                 break
         if open_pairs is not None:
@@ -389,10 +390,10 @@ class Step:
         with self.timed("boxes"):
             self.begin_boxes(self.inflation, t_max, num_frames=2)
         with self.timed("pairs"):
-            search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + ContactStore.BYTES_PER_CONTACT)
+            search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + BYTES_PER_CONTACT)
             batches = search.batches(self.joins)
-            store = ContactStore(self.buffers, self.execution, self.largest_contacts())
-        kernel = make_narrow_phase(self.options.real).pairs_contacts
+            store = ContactStore(self.topology, self.buffers, self.execution, self.largest_contacts())
+        open_pairs = OpenPairs()
         while True:
             with self.timed("pairs"):
                 batch = next(batches, None)
@@ -403,20 +404,61 @@ class Step:
                     survivors[found.kind] += found.count
                 self.warn_of_overlaps(survivors.total())
                 if batch:
-                    store.solve(self, kernel, batch, search.room, self.options.first_iterations)
+                    self.solve(batch, store, open_pairs)
         with self.timed("narrow phase"):
-            store.solve_open(self, kernel)
+            self.solve_open(store, open_pairs)
         self.count_pairs(search)
         if not store.is_complete:
-            total = sum(store.count.values())
-            least = self.fixed_bytes + 2 * total * ContactStore.BYTES_KEPT
+            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
             raise ValueError(
-                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {total} "
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
                 f"contacts of this step, or collision_free_step, which keeps none"
             )
         with self.timed("gather"):
-            gathered = store.gather(self)
+            gathered = store.gather()
         return self.result(gathered, search, survivors)
+
+    def solve(self, batch: list[Found], store: ContactStore, open_pairs: "OpenPairs | None") -> None:
+        """Run the narrow phase on a batch: the first round, or without ``open_pairs`` the second, of marked keys."""
+        contacts = store.begin_batch(sum(found.count for found in batch))
+        num_open = np.zeros((len(PairKind), NUM_COUNTS), dtype=np.int64)
+        if open_pairs is None:
+            for found in batch:
+                num_open[found.kind, OPEN] = found.count
+        counts: wp.array = wp.array(num_open, dtype=wp.int64, device=self.execution.device)
+        options = self.options.for_kernel(self.length_scale, stop=self.workspace.flag.array)
+        is_second = int(open_pairs is None)
+        outputs = [store.minima, contacts]
+        parts = self.parts_of(batch, grain=16 if is_second else 256)
+
+        def launch(part: _PairPart) -> None:
+            found = part.found
+            a, b = CORNER_ARRAYS[found.kind]
+            corners = self.topology.corners
+            pairs = [found.begin + part.first, part.count, counts, found.keys, corners[a], corners[b]]
+            wp.launch(
+                kernel,
+                dim=part.count,
+                inputs=[0, part.count, int(found.kind), *pairs, self.x_t0, self.x_t1, options, 0, is_second, 0.0],
+                outputs=outputs,
+                device=self.execution.device,
+            )
+
+        kernel = make_narrow_phase(self.options.real).solve_pairs
+        self.launch_parts(kernel, parts, launch, is_long=bool(is_second))
+        store.end_batch()
+        if open_pairs is not None:
+            num_open = counts.numpy()
+            for found in batch:
+                if num_open[found.kind, OPEN]:
+                    open_pairs.take(found)
+
+    def solve_open(self, store: ContactStore, open_pairs: "OpenPairs") -> None:
+        """The second round: solve the pairs that the first has left open, each with its share of ``max_work``."""
+        for kind, keys in open_pairs.marked.items():
+            pairs = self.buffers.get("open keys", len(keys), wp.int64)
+            pairs[: len(keys)].assign(keys)
+            self.solve([Found(kind, pairs, 0, len(keys))], store, None)
 
     def warn_of_overlaps(self, num_pairs: int) -> None:
         """Say once where so many pairs are left that parts of the scene must lie in each other."""
@@ -432,9 +474,9 @@ class Step:
             stacklevel=_level_of_caller(),
         )
 
-    def result(self, gathered: Any, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
+    def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
         mesh = self.mesh
-        contacts: Contacts = gathered.contacts
+        contacts = gathered.contacts
         kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
         counts = {
             "bodies": mesh.num_bodies,
@@ -454,13 +496,8 @@ class Step:
             "batches of pairs": search.num_batches,
         }
         self.finish_timings()
-        scene = float(contacts.toi.min()) if len(contacts) else math.inf
-        world_toi = np.full(mesh.num_worlds, scene)
-        if mesh.num_worlds > 1:
-            world_toi[:] = np.inf
-            np.minimum.at(world_toi, mesh.vertex_world, gathered.vertex_toi)
         return MeshResult(
-            scene,
+            gathered.toi,
             gathered.vertex_toi,
             gathered.body_toi,
             contacts,
@@ -468,7 +505,7 @@ class Step:
             self.timings,
             gathered.vertex_contact,
             gathered.body_contact,
-            world_toi,
+            gathered.world_toi,
         )
 
 

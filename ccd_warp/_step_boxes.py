@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution, Recording
-from ccd_warp._topology import BLOCK_CORNERS, RECORD, WIDTH, PrimitiveSet, Topology, choose_frame, sorted_keys
+from ccd_warp._topology import (
+    BLOCK_CORNERS,
+    RECORD,
+    WIDTH,
+    PrimitiveSet,
+    Topology,
+    choose_frame,
+    choose_static_frame,
+    sorted_keys,
+)
 from ccd_warp.kernels import box_tree as kernels
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
@@ -119,6 +128,7 @@ class StepBoxes:
         self._trees: dict[str, Tree] = {}
         self._static_trees: dict[str, Tree] = {}
         self._static_key: _StaticKey | None = None
+        self._static_frame: Any = None
 
     def begin(
         self,
@@ -147,6 +157,7 @@ class StepBoxes:
             if not key.same(self._static_key):
                 self._static_key = None
                 self._static_trees.clear()
+                self._static_frame = choose_static_frame(self.topology.mesh, start, self.frame)
                 self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
                 self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
         self.t_end = t_end
@@ -220,7 +231,7 @@ class StepBoxes:
         if in_order:
             arrays.primitive, arrays.corners = self.topology.rest_order(primitives, self.execution)
             fill_tree(tree, self.records, self.execution)
-            in_order = self._is_in_order(tree)
+            in_order = self._is_in_order(tree, self._frame_of(primitives))
         if not in_order:
             self._sort(primitives, arrays)
             fill_tree(tree, self.records, self.execution)
@@ -229,7 +240,8 @@ class StepBoxes:
     def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
         """Order the primitives by where they are now."""
         self.num_sorted += 1
-        keys = sorted_keys(primitives, self.records, self.num_frames, self.frame, self.buffers, self.execution)
+        frame = self._frame_of(primitives)
+        keys = sorted_keys(primitives, self.records, self.num_frames, frame, self.buffers, self.execution)
         name = primitives.name
         arrays.primitive = self.buffers.get(f"{name} order", primitives.count, wp.int32)
         arrays.corners = self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
@@ -241,7 +253,15 @@ class StepBoxes:
             grain=64,
         )
 
-    def _is_in_order(self, tree: Tree) -> bool:
+    def _frame_of(self, primitives: PrimitiveSet) -> Any:
+        """What the order of a set is judged and made by.
+
+        The trees of static bodies stay while steps with other frames come and go, so their order must not depend on
+        what moves in the step that happens to make them.
+        """
+        return self._static_frame if primitives.is_static else self.frame
+
+    def _is_in_order(self, tree: Tree, frame: Any) -> bool:
         """Whether most of the blocks are no longer than neighbours are together."""
         count = tree.levels[0]
         if count <= 4:
@@ -251,4 +271,4 @@ class StepBoxes:
         with np.errstate(invalid="ignore", over="ignore"):
             longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
         longest.sort()
-        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self.frame.typical_extent)
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * frame.typical_extent)

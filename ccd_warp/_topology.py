@@ -282,6 +282,19 @@ def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[n
     return frame
 
 
+def choose_static_frame(mesh: CollisionMesh, start: NDArray[np.float64], frame: Any) -> Any:
+    """The same map, with the extent that is typical of the primitives of static bodies alone."""
+    among = mesh.edges[mesh.static[mesh.edge_body]]
+    static = kernels.Frame()
+    static.origin, static.scale, static.typical_extent = frame.origin, frame.scale, np.float32(0.0)
+    if len(among):
+        with np.errstate(over="ignore", under="ignore"):
+            points = start[among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]]
+            half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
+            static.typical_extent = np.float32(2.0 * half_extent * frame.scale)
+    return static
+
+
 def lattice_bits(num_worlds: int) -> int:
     """A lattice of so many powers of two on each axis has a cell for each world."""
     return -(-(num_worlds - 1).bit_length() // 3)

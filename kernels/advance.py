@@ -28,7 +28,7 @@ SLOW = wp.constant(2)  # a gap beyond tolerance, but single directions clip litt
 LIMIT = wp.constant(3)  # iteration limit
 _UNDECIDED = wp.constant(-1)
 
-# Small steps in a row before an advance counts as slow.
+# An advance stalls at a clip that gains nothing, or after so many small steps since the last stall.
 _PATIENCE = wp.constant(3)
 
 
@@ -93,6 +93,23 @@ def make_advance(real) -> SimpleNamespace:
         return reached
 
     @wp.func
+    def find_contact_at_stall(c: Corners, patch: Patch, size: vec3, t: real, reached: Reached) -> Reached:
+        """Look for a contact at the time before the last clip, t, and then at the time reached.
+
+        The later time stands only if the gap there is within tolerance as well.
+        """
+        here = find_contact(c, patch, size, reached)
+        if here.outcome != CONTACT:
+            return here
+        here.outcome = _UNDECIDED
+        later = find_contact(corners_at(patch, here.t), patch, size, here)
+        if later.outcome == CONTACT:
+            return later
+        here.outcome = CONTACT
+        here.t = t
+        return here
+
+    @wp.func
     def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Reached:
         """Earliest time of the patch that is not certainly free.
 
@@ -103,7 +120,7 @@ def make_advance(real) -> SimpleNamespace:
         reached = Reached()
         reached.t = t_start
         reached.outcome = _UNDECIDED
-        slow = int(0)
+        slow = int(0)  # small steps since the last stall
         gap = real(1.0e30)
         margin = problem.error + problem.separation
         # a separation that rounding hides is a margin like any other; a larger one needs the facets of its box
@@ -111,59 +128,54 @@ def make_advance(real) -> SimpleNamespace:
         while reached.outcome == _UNDECIDED:
             if reached.iterations >= max_iterations:
                 reached.outcome = LIMIT
-            else:
-                reached.iterations += 1
-                start = reached.t
-                t = advance_volume(problem, start, t_max)
-                reached.t = t
-                if t > t_max:
-                    reached.outcome = FREE
-                else:
-                    c = corners_at(patch, t)
-                    at_floor = bool(False)
-                    new_gap = real(0.0)
-                    s = t
-                    if use_facets:
-                        facet = widest_facet(c, patch.is_face, problem)
-                        s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
-                        at_floor = facet.floor_excess <= real(0.0)
-                        new_gap = facet.slack * facet.slack
-                    if not use_facets or at_floor or s <= t or slow > 0:
-                        d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
-                        reached.wb = wb
-                        reached.wc = wc
-                        reached.from_w11 = from_w11
-                        if not use_facets:
-                            s = clip(d, margin, t, patch)
-                            at_floor = is_within(d, floor + problem.separation)
-                            new_gap = wp.dot(d, d)
-                    if s > t_max:
-                        reached.outcome = FREE
-                    else:
-                        if at_floor:
-                            reached = find_contact(c, patch, contact_size, reached)
-                        if reached.outcome != CONTACT:
-                            if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
-                                slow += 1
-                            gap = new_gap
-                            if s <= t:
-                                slow += _PATIENCE
-                            reached.t = s
-                            if slow >= _PATIENCE:
-                                reached = find_contact(c, patch, contact_size, reached)
-                                if reached.outcome == CONTACT:
-                                    # the later time stands only if the gap there is within tolerance as well
-                                    reached.outcome = _UNDECIDED
-                                    later = find_contact(corners_at(patch, s), patch, contact_size, reached)
-                                    if later.outcome == CONTACT:
-                                        reached = later
-                                    else:
-                                        reached.outcome = CONTACT
-                                        reached.t = t
-                                elif use_facets:
-                                    reached.outcome = SLOW
-                                use_facets = True
-                                slow = 0
+                break
+            reached.iterations += 1
+
+            start = reached.t
+            t = advance_volume(problem, start, t_max)
+            reached.t = t
+            if t > t_max:
+                reached.outcome = FREE
+                break
+
+            c = corners_at(patch, t)
+            at_floor = bool(False)
+            new_gap = real(0.0)
+            s = t
+            if use_facets:
+                facet = widest_facet(c, patch.is_face, problem)
+                s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
+                at_floor = facet.floor_excess <= real(0.0)
+                new_gap = facet.slack * facet.slack
+            if not use_facets or at_floor or s <= t or slow > 0:
+                d, wb, wc, from_w11 = closest_on_patch(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
+                reached.wb = wb
+                reached.wc = wc
+                reached.from_w11 = from_w11
+                if not use_facets:
+                    s = clip(d, margin, t, patch)
+                    at_floor = is_within(d, floor + problem.separation)
+                    new_gap = wp.dot(d, d)
+            if s > t_max:
+                reached.outcome = FREE
+                break
+
+            if at_floor:
+                reached = find_contact(c, patch, contact_size, reached)
+                if reached.outcome == CONTACT:
+                    break
+
+            if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
+                slow += 1
+            gap = new_gap
+            reached.t = s
+            is_stalled = s <= t or slow >= _PATIENCE
+            if is_stalled:
+                reached = find_contact_at_stall(c, patch, contact_size, t, reached)
+                if reached.outcome == _UNDECIDED and use_facets:
+                    reached.outcome = SLOW
+                use_facets = True  # they may get ahead where the closest pair's direction does not
+                slow = 0
         if reached.outcome == LIMIT or reached.outcome == SLOW:
             reached.point = point_of(corners_at(patch, reached.t), reached.wb, reached.wc, reached.from_w11)
         return reached

@@ -25,6 +25,24 @@ def lower_to(values: wp.array[wp.int64], index: int, value: wp.int64):
     """
     int* p = (int*)values.data + index;
 #if defined(__CUDA_ARCH__)
+    if (*(volatile int*)p > value)
+        atomicMin(p, value);
+#else
+    int seen = __atomic_load_n(p, __ATOMIC_RELAXED);
+    while (value < seen && !__atomic_compare_exchange_n(p, &seen, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+#endif
+"""
+)
+def lower_int(values: wp.array[wp.int32], index: int, value: int):
+    """values[index] = min(values[index], value)."""
+    ...
+
+
+@wp.func_native(
+    """
+    int* p = (int*)values.data + index;
+#if defined(__CUDA_ARCH__)
     if ((*(volatile int*)p & bits) != bits)
         atomicOr(p, bits);
 #else

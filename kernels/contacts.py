@@ -1,14 +1,10 @@
-"""Gather: contacts in order with their normals, and the earliest toi of every vertex and body, and whose it is.
-
-A toi is not negative, so its bits as an integer compare as the numbers do, and the minimum is an integer's: native on
-CUDA, and the same whatever comes first. Which contact it belongs to is settled in a second pass, the lowest index where
-several share it.
-"""
+"""Contacts: their normals, their order, and which is the first of a vertex and of a body."""
 
 import warp as wp
 
-from .patch import EDGE_EDGE, VERTEX_FACE
-from .points import pair_of
+from .atomics import lower_int
+from .minima import Minima
+from .patch import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -17,21 +13,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
-
-# Place of the number of contacts in a row of counts.
-CONTACTS = wp.constant(0)
-
-
-@wp.struct
-class Contacts:
-    """What the narrow phase writes of contacts of one kind."""
-
-    pair: wp.array[wp.int64]
-    toi: wp.array[wp.float64]
-    status: wp.array[wp.int32]
-    parameters: wp.array[wp.vec2d]
-    gap: wp.array[wp.float64]
-    width: wp.array[wp.float64]
 
 
 @wp.struct
@@ -154,119 +135,85 @@ def normal_at(
 
 
 @wp.kernel
-def describe_contacts(
+def contact_keys(
     begin: int,
     # in
-    kind: int,
-    order: wp.array[wp.int64],
-    contacts: Contacts,
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    first_contact: int,
+    contacts: ContactList,
     # out
-    kind_out: wp.array[wp.int32],
-    primitives_out: wp.array[wp.vec2i],
-    toi_out: wp.array[wp.float64],
-    status_out: wp.array[wp.int32],
-    parameters_out: wp.array[wp.vec2d],
-    gap_out: wp.array[wp.float64],
-    width_out: wp.array[wp.float64],
-    normal_out: wp.array[wp.vec3d],
+    keys: wp.array[wp.int64],
 ):
-    """Write the contacts of a kind in their order, with their normals."""
+    """Keys that ascend with the kind, then the pair: two bits, and 31 for each index."""
     n = begin + wp.tid()
-    k = wp.int32(order[n])
-    slot = first_contact + n
-    pair = pair_of(contacts.pair[k])
-    first = first_corners[pair[0]]
-    second = second_corners[pair[1]]
-    t = contacts.toi[k]
-    uv = contacts.parameters[k]
-    kind_out[slot] = kind
-    primitives_out[slot] = pair
-    toi_out[slot] = t
-    status_out[slot] = contacts.status[k]
-    gap_out[slot] = contacts.gap[k]
-    width_out[slot] = contacts.width[k]
-    parameters_out[slot] = uv
-    normal_out[slot] = normal_at(kind, first, second, x_t0, x_t1, t, uv)
-
-
-@wp.func
-def contact_vertex(
-    kind: int, pair: wp.vec2i, k: int, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i]
-) -> int:
-    """Vertex k of the four of a contact; absent ones repeat another."""
-    if kind == EDGE_EDGE and k < 2:
-        return first_corners[pair[0]][k]
-    if kind == EDGE_EDGE:
-        return second_corners[pair[1]][k - 2]
-    if k == 0:
-        return first_corners[pair[0]][0]
-    return second_corners[pair[1]][k - 1]
+    pair = contacts.primitives[n]
+    kind = wp.int64(contacts.kind[n] - 2)  # signed numbers are sorted
+    keys[n] = (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
 
 
 @wp.kernel
-def lower_toi(
+def order_contacts(
     begin: int,
     # in
-    kind: int,
-    first_contact: int,
-    primitives: wp.array[wp.vec2i],
-    toi: wp.array[wp.float64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    vertex_body: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    contacts: ContactList,
     # out
-    vertex_toi_bits: wp.array[wp.int64],
-    body_toi_bits: wp.array[wp.int64],
+    ordered: ContactList,
 ):
-    """Lower the toi of the vertices and bodies of a contact. Serial on the CPU: its atomics are none across threads."""
-    n = first_contact + begin + wp.tid()
-    bits = wp.cast(toi[n], wp.int64)
-    for k in range(4):
-        v = contact_vertex(kind, primitives[n], k, first_corners, second_corners)
-        wp.atomic_min(vertex_toi_bits, v, bits)
-        wp.atomic_min(body_toi_bits, vertex_body[v], bits)
+    """Write the contacts in their order."""
+    n = begin + wp.tid()
+    k = order[n]
+    ordered.kind[n] = contacts.kind[k]
+    ordered.primitives[n] = contacts.primitives[k]
+    ordered.toi[n] = contacts.toi[k]
+    ordered.status[n] = contacts.status[k]
+    ordered.parameters[n] = contacts.parameters[k]
+    ordered.gap[n] = contacts.gap[k]
+    ordered.width[n] = contacts.width[k]
+    ordered.normal[n] = contacts.normal[k]
+
+
+@wp.func
+def first_of_primitive(
+    c: wp.vec3i,
+    m: Minima,
+    bits: wp.int64,
+    n: int,
+    vertex_contact: wp.array[wp.int32],
+    body_contact: wp.array[wp.int32],
+):
+    """Note a contact as that of the vertices and of the body of a primitive, where their toi is its own."""
+    for k in range(3):
+        if m.vertex[c[k]] == bits:
+            lower_int(vertex_contact, c[k], n)
+    body = m.vertex_body[c[0]]
+    if m.body[body] == bits:
+        lower_int(body_contact, body, n)
 
 
 @wp.kernel
 def first_contacts(
     begin: int,
     # in
-    kind: int,
-    first_contact: int,
-    primitives: wp.array[wp.vec2i],
-    toi: wp.array[wp.float64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    vertex_body: wp.array[wp.int32],
-    vertex_toi_bits: wp.array[wp.int64],
-    body_toi_bits: wp.array[wp.int64],
+    contacts: ContactList,
+    vertex_corners: wp.array[wp.vec3i],
+    edge_corners: wp.array[wp.vec3i],
+    face_corners: wp.array[wp.vec3i],
+    minima: Minima,
     # out
     vertex_contact: wp.array[wp.int32],
     body_contact: wp.array[wp.int32],
 ):
-    """The contact that each toi belongs to: the lowest index. Serial on the CPU, as above."""
-    n = first_contact + begin + wp.tid()
-    bits = wp.cast(toi[n], wp.int64)
-    for k in range(4):
-        v = contact_vertex(kind, primitives[n], k, first_corners, second_corners)
-        if vertex_toi_bits[v] == bits:
-            wp.atomic_min(vertex_contact, v, n)
-        if body_toi_bits[vertex_body[v]] == bits:
-            wp.atomic_min(body_contact, vertex_body[v], n)
-
-
-@wp.kernel
-def widen(
-    # in
-    places: wp.array[wp.int32],
-    # out
-    order: wp.array[wp.int64],
-):
-    """The places of a 32-bit sort as those of a 64-bit one."""
-    k = wp.tid()
-    order[k] = wp.int64(places[k])
+    """The contact that each toi belongs to: the lowest index where several share it."""
+    n = begin + wp.tid()
+    kind = contacts.kind[n]
+    pair = contacts.primitives[n]
+    bits = wp.cast(contacts.toi[n], wp.int64)
+    first = vertex_corners[pair[0]]
+    second = vertex_corners[pair[1]]
+    if kind == EDGE_EDGE:
+        first = edge_corners[pair[0]]
+    if kind == VERTEX_FACE:
+        second = face_corners[pair[1]]
+    elif kind != POINT_POINT:
+        second = edge_corners[pair[1]]
+    first_of_primitive(first, minima, bits, n, vertex_contact, body_contact)
+    first_of_primitive(second, minima, bits, n, vertex_contact, body_contact)

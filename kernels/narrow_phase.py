@@ -12,7 +12,7 @@ from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
 from .atomics import claim, claim_int, lower_to
 from .bisection import make_bisection
 from .closest_point import make_closest_point
-from .contacts import CONTACTS, ContactList, Contacts, normal_at
+from .contacts import ContactList, normal_at
 from .facets import make_facets
 from .interrupts import is_stopped
 from .minima import CONTACTS_OVERFLOW, FOUND, OPEN, Minima, flag_world, lower_pair
@@ -325,49 +325,14 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
-    @wp.kernel(module=own_module("pairs_contacts"))
-    def pairs_contacts(
-        begin: int,
-        # in
-        kind: int,
-        first_pair: int,
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        x_t0: wp.array[vec3d],
-        x_t1: wp.array[vec3d],
-        options: Options,
-        slot: int,
-        first_contact: int,
-        # out
-        counts: wp.array2d[wp.int64],
-        contacts: Contacts,
-    ):
-        """Solve pairs of primitives of a mesh and write those with a finite toi, in any order, from a place on."""
-        if is_stopped(options.stop):
-            return
-        key = pairs[first_pair + begin + wp.tid()]
-        pair = pair_of(key)
-        first = first_corners[pair[0]]
-        second = second_corners[pair[1]]
-        a = points_of(kind, first, second, x_t0)
-        b = points_of(kind, first, second, x_t1)
-        outcome = solve(kind, normalise(kind, a, b, options), options, options.max_iterations)
-        if outcome.status != STATUS_NO_COLLISION:
-            n = first_contact + wp.int32(wp.atomic_add(counts, slot, CONTACTS, wp.int64(1)))
-            contacts.pair[n] = key
-            contacts.toi[n] = outcome.toi
-            contacts.status[n] = outcome.status
-            contacts.parameters[n] = outcome.parameters
-            contacts.gap[n] = outcome.gap
-            contacts.width[n] = outcome.width
-
-    @wp.kernel(module=own_module("pairs_minima"))
-    def pairs_minima(
+    @wp.kernel(module=own_module("solve_pairs"))
+    def solve_pairs(
         begin: int,
         # in
         stride: int,
         kind: int,
+        first_pair: int,
+        num_pairs: int,  # below 0: as many as the device has found, from the first on
         counts: wp.array2d[wp.int64],
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
@@ -382,18 +347,20 @@ def make_narrow_phase(real) -> SimpleNamespace:
         minima: Minima,
         contacts: ContactList,
     ):
-        """Solve every ``stride``-th of the pairs, as many as the device knows of; lower minima, list contacts.
+        """Solve every ``stride``-th of the pairs; lower minima, list contacts.
 
         The first round marks what it leaves open by the complement of its key.
         """
-        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        count = wp.int64(first_pair + num_pairs)
+        if num_pairs < 0:
+            count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
         cap = wp.min(options.first_iterations, options.max_iterations)
         if is_second != 0:
             num_open = counts[kind, OPEN]
             if num_open == wp.int64(0):
                 return
             cap = share_of_work(options, num_open)
-        k = wp.int64(begin + wp.tid()) - wp.int64(stride)
+        k = wp.int64(first_pair + begin + wp.tid()) - wp.int64(stride)
         while k + wp.int64(stride) < count:
             k += wp.int64(stride)
             if is_stopped(options.stop):
@@ -484,7 +451,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
         Options=Options,
         normalise=normalise,
         points_toi=points_toi,
-        pairs_contacts=pairs_contacts,
-        pairs_minima=pairs_minima,
+        solve_pairs=solve_pairs,
         pairs_bound=pairs_bound,
     )

@@ -8,7 +8,7 @@ A pair whose boxes overlap, and which the mesh does not exclude, is a **candidat
 the images of the boxes at both ends of the step do not keep to one side of each other. What the cull does not settle is
 written as a key (first << 32) | second. An item counts what it finds and writes what there is room for: a count beyond
 the room tells the caller to search the items again in smaller parts, so nothing is lost. Where no caller looks
-(`HELD`), the toi of a pair beyond the room is lowered to 0.
+(a shared capacity), the toi of a pair beyond the room is lowered to 0.
 """
 
 from types import SimpleNamespace
@@ -69,6 +69,19 @@ class Join:
     inflation: wp.float64
     separation: wp.float64
     stop: wp.array[wp.int32]  # set where the host wants the search to end
+
+
+@wp.struct
+class SearchRange:
+    """Which items a launch searches, and where what it finds goes."""
+
+    first: int  # item
+    stride: int
+    level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
+    row: int  # of the counts
+    first_key: int
+    capacity: int  # keys that there are places for
+    is_shared: int  # 1: launches share the row and its places, and nobody looks whether they were enough
 
 
 @wp.func
@@ -134,14 +147,12 @@ def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
 # Where a search ends.
 BOXES = "boxes"  # with every pair whose boxes meet
 CULL = "cull"  # with those that the cull leaves open
-HELD = "held"  # with those that there is room for; the others count as touching
 
 
 @once
 def make_pair_search(end: str) -> SimpleNamespace:
     """The search, by where it ends."""
     with_cull = end != BOXES
-    is_held = end == HELD
     module = wp.get_module(f"ccd_warp.pair_search.{end}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts have two frames
@@ -158,9 +169,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
         q: int,
         p: int,
         is_certain: bool,
-        slot: int,
-        first_key: int,
-        room: int,
+        part: SearchRange,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
         minima: Minima,
@@ -205,27 +214,24 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
                 if is_free(join.kind, c0, c1, join.separation, join.t_end):
                     return 1
-        if wp.static(is_held):
-            n = claim(counts, slot, FOUND_BY_ALL)  # threads share a row
-            if n < wp.int64(room):
-                keys[n] = pair_key(i, j)
-            else:
-                drop_pair(minima, a, b)
-        else:
-            n = wp.atomic_add(counts, slot, FOUND, wp.int64(1))
-            if n < wp.int64(room):
-                keys[first_key + wp.int32(n)] = pair_key(i, j)
+        if wp.static(with_cull):
+            if part.is_shared != 0:
+                n = claim(counts, part.row, FOUND_BY_ALL)
+                if n < wp.int64(part.capacity):
+                    keys[n] = pair_key(i, j)
+                else:
+                    drop_pair(minima, a, b)
+                return 1
+        n = wp.atomic_add(counts, part.row, FOUND, wp.int64(1))
+        if n < wp.int64(part.capacity):
+            keys[part.first_key + wp.int32(n)] = pair_key(i, j)
         return 1
 
     @wp.kernel(module=module)
     def search_pairs(
-        first_item: int,
-        stride: int,
-        item_level: int,
-        slot: int,
-        first_key: int,
-        room: int,
+        begin: int,
         # in
+        part: SearchRange,
         query: BoxTree,
         target: BoxTree,
         join: Join,
@@ -239,11 +245,11 @@ def make_pair_search(end: str) -> SimpleNamespace:
     ):
         """Find the partners of the query boxes of an item: those of a block (level 1), or a single one (level 0)."""
         # the item is box `item` of its level
-        item = first_item + wp.tid() * stride
-        item_block = query.block_begin[item_level] + item / WIDTH
+        item = part.first + (begin + wp.tid()) * part.stride
+        item_block = query.block_begin[part.level] + item / WIDTH
         item_lane = item % WIDTH
         query_block = item
-        if item_level == 0:
+        if part.level == 0:
             query_block = item / WIDTH
         num_candidates = int(0)
         pending = vec8u()
@@ -273,7 +279,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
                     if is_stopped(join.stop):
                         return
                     queries = wp.uint32(1) << wp.uint32(item_lane)
-                    if item_level == 1:
+                    if part.level == 1:
                         parent = target.block_begin[1] + node[1]
                         queries = overlaps(query.nodes, query_block, target.nodes, parent, lane, 0)
                     while queries != _NONE:
@@ -307,15 +313,12 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                 query_block * WIDTH + query_lane,
                                 child * WIDTH + target_lane,
                                 is_certain,
-                                slot,
-                                first_key,
-                                room,
+                                part,
                                 counts,
                                 keys,
                                 minima,
                             )
-        if wp.static(not is_held):
-            if num_candidates > 0:
-                wp.atomic_add(counts, slot, CANDIDATES, wp.int64(num_candidates))
+        if num_candidates > 0 and part.is_shared == 0:
+            wp.atomic_add(counts, part.row, CANDIDATES, wp.int64(num_candidates))
 
     return SimpleNamespace(search_pairs=search_pairs)

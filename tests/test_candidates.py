@@ -4,68 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import check_candidates
 from published import requires_data, simulation_boxes, simulation_scenes, simulation_step
+from scenes import cables_and_particles, single, soup
 
 import ccd_warp as ccd
 from ccd_warp import CollisionMesh, find_candidates
-
-
-def boxes_of(primitives, frames, inflation):
-    """Lower and upper corners, shape [n, 3] each, of primitives given by vertex indices, shape [n, k]."""
-    points = np.concatenate([np.asarray(frame, dtype=np.float64)[primitives] for frame in frames], axis=1)
-    lower, upper = points.min(axis=1), points.max(axis=1)
-    if inflation > 0:
-        with np.errstate(over="ignore"):
-            lower, upper = np.nextafter(lower - inflation, -np.inf), np.nextafter(upper + inflation, np.inf)
-    return lower, upper
-
-
-def brute_force(mesh, start, end, inflation=0.0):
-    """All candidates of each kind, as sorted lists of tuples."""
-    end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
-    vertices = np.arange(mesh.num_vertices)
-    ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
-    ids |= {"p": mesh.loose_points, "s": mesh.loose_edges}
-    kinds = {"v": vertices[:, None], "e": mesh.edges, "f": mesh.faces}
-    kinds |= {"p": kinds["v"][mesh.loose_points], "s": mesh.edges[mesh.loose_edges]}
-    body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
-    body |= {"p": mesh.vertex_body[mesh.loose_points], "s": mesh.edge_body[mesh.loose_edges]}
-    found = []
-    for first, second in ("vf", "ee", "ps", "pp"):
-        (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))
-        pairs = []
-        for i in range(len(lower_i)):
-            overlap = ((lower_i[i] <= upper_j) & (lower_j <= upper_i[i])).all(axis=1)
-            overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
-            overlap &= ~(mesh.static[body[first][i]] & mesh.static[body[second]])
-            overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
-            pairs += [
-                (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
-            ]
-        found.append(pairs)
-    return found
-
-
-def check(mesh, start, end, inflation=0.0, device=None, num_threads=1):
-    """Assert equality with brute force, order included; returns the number of pairs."""
-    found = find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads)
-    all_expected = brute_force(mesh, start, end, inflation)
-    kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
-    for pairs, expected in zip(kinds, all_expected, strict=True):
-        assert pairs.dtype == np.int32 and pairs.ndim == 2 and pairs.shape[1] == 2
-        assert [tuple(pair) for pair in pairs.tolist()] == expected
-    return sum(map(len, all_expected))
-
-
-def soup(rng, num_faces, size, num_vertices=None):
-    """Faces at random places: vertices [3 num_faces, 3] and faces; shared vertices where num_vertices is given."""
-    vertices = (rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
-    faces = np.arange(3 * num_faces).reshape(-1, 3)
-    return vertices, faces if num_vertices is None else faces % num_vertices
-
-
-def single(vertices, faces):
-    return CollisionMesh.from_arrays([(vertices, faces)])
 
 
 @pytest.mark.parametrize("inflation", [0.0, 1e-3, 0.3])
@@ -73,14 +17,14 @@ def single(vertices, faces):
 def test_random_soup(device, size, inflation):
     rng = np.random.default_rng(1)
     start, faces = soup(rng, 150, size)
-    check(single(start, faces), start, start + size * rng.standard_normal(start.shape), inflation, device)
+    check_candidates(single(start, faces), start, start + size * rng.standard_normal(start.shape), inflation, device)
 
 
 def test_shared_vertices_and_duplicate_faces(device):
     rng = np.random.default_rng(2)
     start, faces = soup(rng, 150, 0.2, num_vertices=40)
     faces = np.concatenate([faces, faces[:20], [[3, 3, 4], [5, 5, 5]]])
-    assert check(single(start, faces), start, start + 0.1, device=device)
+    assert check_candidates(single(start, faces), start, start + 0.1, device=device)
 
 
 @pytest.mark.parametrize("spread", [3, 6, 20, 250])
@@ -91,20 +35,20 @@ def test_sizes_over_many_orders_of_magnitude(device, spread):
     centre = rng.random((200, 1, 3)) * 10.0 ** -rng.uniform(0, spread, (200, 1, 1))
     start = (centre + size).reshape(-1, 3)
     end = (centre + 1.5 * size).reshape(-1, 3)
-    assert check(single(start, faces), start, end, device=device)
+    assert check_candidates(single(start, faces), start, end, device=device)
 
 
 def test_giant_face_among_small_ones(device):
     rng = np.random.default_rng(4)
     start, faces = soup(rng, 300, 0.01)
     start[:3] = [[-1e3, -1e3, 0.5], [1e3, -1e3, 0.5], [0, 1e3, 0.55]]
-    assert check(single(start, faces), start, start + [0, 0, 0.1], device=device)
+    assert check_candidates(single(start, faces), start, start + [0, 0, 0.1], device=device)
 
 
 def test_all_boxes_in_one_cell(device):
     rng = np.random.default_rng(5)
     start = rng.random((120, 3))
-    assert check(single(start, np.arange(120).reshape(-1, 3)), start, rng.random((120, 3)), device=device)
+    assert check_candidates(single(start, np.arange(120).reshape(-1, 3)), start, rng.random((120, 3)), device=device)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -112,15 +56,15 @@ def test_flat_scene(device, axis):
     rng = np.random.default_rng(6)
     start, faces = soup(rng, 150, 0.05)
     start[:, axis] = 0.25
-    assert check(single(start, faces), start, start, device=device)
+    assert check_candidates(single(start, faces), start, start, device=device)
 
 
 def test_boxes_without_extent(device):
     lattice = np.stack(np.meshgrid(*[np.arange(3.0)] * 3), axis=-1).reshape(-1, 3)
     vertices = np.repeat(np.tile(lattice, (3, 1)), 3, axis=0)
     mesh = single(vertices, np.arange(len(vertices)).reshape(-1, 3))
-    assert check(mesh, vertices, vertices, device=device)
-    assert check(mesh, 0 * vertices, 0 * vertices, device=device)  # one point
+    assert check_candidates(mesh, vertices, vertices, device=device)
+    assert check_candidates(mesh, 0 * vertices, 0 * vertices, device=device)  # one point
 
 
 def test_stacked_duplicates(device):
@@ -128,7 +72,7 @@ def test_stacked_duplicates(device):
     one, faces = soup(rng, 12, 0.1)
     mesh = CollisionMesh.from_arrays([(one, faces)] * 4)
     start = np.tile(one, (4, 1))
-    assert check(mesh, start, start, device=device)
+    assert check_candidates(mesh, start, start, device=device)
 
 
 @pytest.mark.parametrize("distance", [1e6, 1e15, 1e300])
@@ -137,7 +81,7 @@ def test_vertex_that_flies_far_away(device, distance):
     start, faces = soup(rng, 150, 0.05)
     end = start + 0.01
     end[7] = distance
-    assert check(single(start, faces), start, end, device=device)
+    assert check_candidates(single(start, faces), start, end, device=device)
 
 
 @pytest.mark.parametrize("distance", [1e6, 1e12, 1e100])
@@ -145,7 +89,7 @@ def test_two_clusters_far_apart(device, distance):
     rng = np.random.default_rng(9)
     start, faces = soup(rng, 80, 0.05)
     mesh = CollisionMesh.from_arrays([(start, faces), (start + distance, faces)])
-    assert check(mesh, mesh.vertices, mesh.vertices + 0.01, device=device)
+    assert check_candidates(mesh, mesh.vertices, mesh.vertices + 0.01, device=device)
 
 
 @pytest.mark.parametrize("small", [5e-324, 1e-300, 1e-100, 1.0, 1e200])
@@ -154,14 +98,14 @@ def test_box_whose_extent_overflows(device, small):
     start, faces = soup(rng, 60, 0.05)
     start *= small
     start[:3] = [[-1.7e308] * 3, [1.7e308] * 3, [0, 1.7e308, 0]]
-    assert check(single(start, faces), start, start, device=device)
+    assert check_candidates(single(start, faces), start, start, device=device)
 
 
 def test_offset_of_1e7(device):
     rng = np.random.default_rng(10)
     start, faces = soup(rng, 200, 0.05)
     start += [1e7, -1e7, 1e7]
-    assert check(single(start, faces), start, start + 0.01, device=device)
+    assert check_candidates(single(start, faces), start, start + 0.01, device=device)
 
 
 @pytest.mark.parametrize("scale", [5e-324, 1e-310, 1e-300, 1e-150, 1e150, 1e300, 1.7e308])
@@ -171,7 +115,7 @@ def test_scale(device, scale, inflation):
     start, faces = soup(rng, 150, 0.05)
     end = start + 0.05 * rng.standard_normal(start.shape)
     start, end = np.clip(2 * start - 1, -1, 1) * scale, np.clip(2 * end - 1, -1, 1) * scale
-    assert check(single(start, faces), start, end, inflation * scale, device)
+    assert check_candidates(single(start, faces), start, end, inflation * scale, device)
 
 
 def test_scaling_by_a_power_of_two_changes_nothing():
@@ -190,7 +134,7 @@ def test_static_bodies_and_self_collision(device, static, self_collision):
     rng = np.random.default_rng(13)
     bodies = [soup(rng, n, size) for n, size in ((60, 0.1), (40, 0.02), (50, 0.4))]
     mesh = CollisionMesh.from_arrays(bodies, static=static, self_collision=self_collision)
-    count = check(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
+    count = check_candidates(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
     assert (count > 0) == (len(static) < 3)
 
 
@@ -202,21 +146,13 @@ def test_static_rows_are_not_read():
     found = find_candidates(mesh, mesh.vertices, end)
     alone = find_candidates(mesh, mesh.vertices, end[120:])
     assert len(found.edge_edge) and np.array_equal(found.edge_edge, alone.edge_edge)
-    check(mesh, mesh.vertices, end)
+    check_candidates(mesh, mesh.vertices, end)
 
 
 @pytest.mark.parametrize("bodies", [[([], [])], [(np.eye(3), [])], [(np.eye(3), [[0, 1, 2]])]])
 def test_scenes_without_pairs(device, bodies):
     mesh = CollisionMesh.from_arrays(bodies)
-    assert check(mesh, mesh.vertices, mesh.vertices, 1.0, device) == 0
-
-
-def cables_and_particles(rng, count, size):
-    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and loose edges."""
-    start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))
-    start = start.reshape(-1, 3)
-    groups = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)
-    return start, groups[0], np.concatenate([groups[1][:, :2], groups[1][:, 1:]])
+    assert check_candidates(mesh, mesh.vertices, mesh.vertices, 1.0, device) == 0
 
 
 @pytest.mark.parametrize("lattice", [None, 8])
@@ -237,15 +173,15 @@ def test_worlds_in_one_place(device, num_worlds, inflation, lattice):
     world = np.repeat(np.arange(num_worlds), counts)
     mesh = CollisionMesh.from_arrays(bodies, vertex_world=world)
     assert mesh.num_worlds == num_worlds
-    together = find_candidates(mesh, mesh.vertices, np.concatenate(ends), inflation, device=device)
+    together = find_candidates(mesh, mesh.vertices, np.concatenate(ends), inflation, device=device).sorted()
     one, other = (world[mesh.edges[together.edge_edge[:, k], 0]] for k in range(2))
     assert (one == other).all()
     first = np.concatenate([[0], np.cumsum(counts)])
     number = 0
     for k, (vertices, faces) in enumerate(bodies):
         alone = CollisionMesh.from_arrays([(vertices, faces)])
-        expected = find_candidates(alone, vertices, ends[k], inflation, device=device)
-        check(alone, vertices, ends[k], inflation, device)
+        expected = find_candidates(alone, vertices, ends[k], inflation, device=device).sorted()
+        check_candidates(alone, vertices, ends[k], inflation, device)
         ours = together.vertex_face[world[together.vertex_face[:, 0]] == k] - [first[k], first[k] // 3]
         np.testing.assert_array_equal(ours, expected.vertex_face)
         number += len(expected.edge_edge)
@@ -262,7 +198,7 @@ def test_cables_and_particles(device, size, inflation):
     end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
     found = find_candidates(mesh, mesh.vertices, end, inflation, device=device)
     assert len(found.point_segment) and len(found.point_point)
-    check(mesh, mesh.vertices, end, inflation, device, num_threads=2)
+    check_candidates(mesh, mesh.vertices, end, inflation, device, num_threads=2)
 
 
 @pytest.mark.parametrize("static", [(), (0,), (1, 2), (0, 1, 2)])
@@ -272,7 +208,7 @@ def test_cables_and_particles_of_static_bodies_and_without_self_collision(device
     bodies = [cables_and_particles(rng, 10, 0.1) for _ in range(3)]
     mesh = CollisionMesh.from_arrays(bodies, static, self_collision, loose_points=[True, False, True])
     assert len(mesh.loose_points) == 60
-    count = check(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
+    count = check_candidates(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
     assert (count > 0) == (len(static) < 3)
 
 
@@ -282,13 +218,13 @@ def test_long_cable_among_particles(device):
     start = np.concatenate([[[-1e3, -1e3, 0], [1e3, 1e3, 1e-3]], particles])
     mesh = CollisionMesh.from_arrays([(start, [], [[0, 1]])], loose_points=True)
     assert len(find_candidates(mesh, start, start, device=device).point_segment) == 400
-    check(mesh, start, start + 1e-3 * rng.standard_normal(start.shape), device=device)
+    check_candidates(mesh, start, start + 1e-3 * rng.standard_normal(start.shape), device=device)
 
 
 def test_particles_at_rest_in_one_place(device):
     start = np.zeros((50, 3))
     mesh = CollisionMesh.from_arrays([(start, [])], loose_points=True)
-    assert check(mesh, start, start, device=device) == 50 * 49 // 2
+    assert check_candidates(mesh, start, start, device=device) == 50 * 49 // 2
 
 
 @pytest.mark.parametrize(
@@ -321,22 +257,22 @@ def test_boxes_that_touch_on_a_lattice(points, cell, random):
     """Closed boxes: ties in every coordinate, and on every cell boundary, count as overlap."""
     start = cell * np.array(points[: len(points) // 3 * 3], dtype=np.float64)
     end = start[random.sample(range(len(start)), len(start))] if random.random() < 0.5 else start
-    check(single(start, np.arange(len(start)).reshape(-1, 3)), start, end)
+    check_candidates(single(start, np.arange(len(start)).reshape(-1, 3)), start, end)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=36, max_size=108))
 def test_any_finite_numbers(values):
     start = np.array(values[: len(values) // 9 * 9]).reshape(-1, 3)
-    check(single(start, np.arange(len(start)).reshape(-1, 3)), start, start)
+    check_candidates(single(start, np.arange(len(start)).reshape(-1, 3)), start, start)
 
 
 def test_inflation_is_rounded_outward(device):
     """Two points 2/10 apart in exact arithmetic of the inputs' float64 values: rounding inward would miss them."""
     start = np.array([[0.0, 0, 0]] * 3 + [[0.2, 0, 0]] * 3)
     mesh = single(start, [[0, 1, 2], [3, 4, 5]])
-    assert check(mesh, start, start, 0.1, device)
-    assert check(mesh, start, start, np.nextafter(0.1, 0), device)
+    assert check_candidates(mesh, start, start, 0.1, device)
+    assert check_candidates(mesh, start, start, np.nextafter(0.1, 0), device)
 
 
 @pytest.mark.parametrize("num_faces", [20, 3000])
@@ -357,7 +293,7 @@ def test_many_pairs_a_query(device):
     start, faces = soup(rng, 700, 0.0)
     start = start * [1.0, 1e-3, 1e-3]
     start[:3] = [[-1, -1, -1], [2, 2, 2], [-1, 2, -1]]
-    assert check(single(start, faces), start, start, device=device) > 2000
+    assert check_candidates(single(start, faces), start, start, device=device) > 2000
     start = np.zeros((600, 3))
     mesh = single(start, np.arange(600).reshape(-1, 3))
     found = find_candidates(mesh, start, start, device=device, num_threads=2)

@@ -18,20 +18,13 @@ import numpy as np
 import pytest
 import warp as wp
 from faults import Scenario, inject_events, inject_interrupts, unwatched
+from scenes import random_pairs, sheet
 
 import ccd_warp as ccd
 
 FOLDERS = tuple(str(Path(module.__file__).parent) + "/" for module in (ccd, ccd.kernels))
 THREADS = {"num_threads": 2}
 ROOM = {"max_pairs": 20_000, "max_contacts": 20_000}
-
-
-def sheet(n, size=1.0):
-    """A square grid of (n + 1)² vertices in the plane z = 0."""
-    k = np.arange(n + 1) / n - 0.5
-    vertices = size * np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((n + 1, n + 1))], axis=-1).reshape(-1, 3)
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    return vertices, np.concatenate([np.stack([a, a + n + 1, a + 1], 1), np.stack([a + 1, a + n + 1, a + n + 2], 1)])
 
 
 class Step:
@@ -177,20 +170,13 @@ def turned(step):
     return step.start[order], step.end[order]
 
 
-def points(kind, count=3000):
-    rng = np.random.default_rng(1)
-    corners = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}[kind]
-    start = rng.uniform(-1, 1, (count, corners, 3))
-    return start, start[:, ::-1] + 0.1
-
-
 def pairs(kind, on_device=False):
     """A function on pairs."""
     options = {"minimum_separation": 0.02, **THREADS}
     call = getattr(ccd, f"{kind}_ccd")
 
     def fresh():
-        arrays = points(kind)
+        arrays = random_pairs(kind, 3000, 1)
         if not on_device:
             return arrays
         return [wp.array(x, dtype=wp.vec3d, device="cpu") for x in arrays]

@@ -15,25 +15,9 @@ import traceback
 import numpy as np
 import pytest
 import warp as wp
+from scenes import CORNERS, random_pairs, sheet_over_floor
 
 import ccd_warp as ccd
-
-
-def sheet_and_floor():
-    """A sheet that falls through a floor at rest: mesh and both frames."""
-    k = np.arange(9) / 8 - 0.5
-    sheet = np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((9, 9))], axis=-1).reshape(-1, 3)
-    a = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
-    faces = np.concatenate([np.stack([a, a + 9, a + 1], 1), np.stack([a + 1, a + 9, a + 10], 1)])
-    floor = sheet * 1.3 + [0.013, 0.007, -0.2]
-    mesh = ccd.CollisionMesh.from_arrays([(sheet, faces), (floor, faces)], static=[1])
-    return mesh, mesh.vertices, mesh.vertices - [0, 0, 0.4] * (mesh.vertex_body == 0)[:, None]
-
-
-def random_pairs(kind):
-    corners = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}[kind]
-    start = np.random.default_rng(0).uniform(-1, 1, (200, corners, 3))
-    return start, start[:, ::-1] + 0.1
 
 
 def of_pairs(kind, **options):
@@ -41,12 +25,12 @@ def of_pairs(kind, **options):
 
 
 def of_mesh(name, **options):
-    return lambda: getattr(ccd, name)(*sheet_and_floor(), num_threads=2, **options)
+    return lambda: getattr(ccd, name)(*sheet_over_floor(), num_threads=2, **options)
 
 
 def launch(dtype=wp.vec3d, method="launch", **options):
     def call():
-        mesh, *frames = sheet_and_floor()
+        mesh, *frames = sheet_over_floor()
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", num_threads=2, **options)
         result = getattr(pipeline, method)(*(wp.array(x, dtype=dtype, device="cpu") for x in frames))
         return result.vertex_toi.numpy().copy()
@@ -54,10 +38,9 @@ def launch(dtype=wp.vec3d, method="launch", **options):
     return call
 
 
-KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
 CALLS = [
-    *(of_pairs(kind) for kind in KINDS),
-    *(of_pairs(kind, precision="float32") for kind in KINDS),
+    *(of_pairs(kind) for kind in CORNERS),
+    *(of_pairs(kind, precision="float32") for kind in CORNERS),
     of_pairs("edge_edge", method="bisection"),
     lambda: of_mesh("mesh_ccd")().vertex_toi,
     lambda: of_mesh("mesh_ccd", precision="float32")().vertex_toi,
@@ -100,12 +83,12 @@ def call_at_once(calls, num_threads):
 
 def call_in_children(num_forks, patience=15.0):
     """Fork while threads are at work; each child makes a call of its own on two threads. The exit status."""
-    mesh, start, end = sheet_and_floor()
+    mesh, start, end = sheet_over_floor()
     expected = ccd.mesh_ccd(mesh, start, end, num_threads=2)
     is_done = threading.Event()
 
     def work():
-        own, *frames = sheet_and_floor()
+        own, *frames = sheet_over_floor()
         while not is_done.is_set():
             ccd.mesh_ccd(own, *frames, num_threads=2)
 

@@ -10,57 +10,12 @@ import warp as wp
 from ccd_warp.benchmarks.oracle import exact_tois
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_candidates import cables_and_particles, single, soup
-from test_step import corners_of, crowd
+from launches import ROOM, check_same, host, on_device
+from oracles import corners_of
+from scenes import cables_and_particles, crowd, sheet, sheet_over_ball, single, soup
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag, PairKind
-
-ROOM = {"max_pairs": 60_000, "max_contacts": 60_000}
-
-
-def on_device(x, device="cpu", dtype=wp.vec3d):
-    real = np.float64 if dtype is wp.vec3d else np.float32
-    return wp.array(np.ascontiguousarray(x, dtype=real), dtype=dtype, device=device)
-
-
-def host(result):
-    """The arrays of a result."""
-    names = ("toi", "vertex_toi", "body_toi", "world_toi", "flags", "world_flags")
-    return {name: getattr(result, name).numpy() for name in names}
-
-
-def check_same(result, expected):
-    """A launch says what the call on the host says, bit by bit."""
-    ours = host(result)
-    assert ours["flags"][0] == 0
-    assert ours["toi"][0] == expected.toi
-    for name in ("vertex_toi", "body_toi", "world_toi"):
-        np.testing.assert_array_equal(ours[name], getattr(expected, name))
-    assert result.contacts.count.numpy()[0] == len(expected.contacts)
-    contacts = result.contacts.to_host()
-    for name, values in vars(expected.contacts).items():
-        np.testing.assert_array_equal(getattr(contacts, name), values)
-
-
-def sheet(n, size=1.0):
-    """A square grid of (n + 1)² vertices in the plane z = 0."""
-    k = np.arange(n + 1) / n - 0.5
-    vertices = size * np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((n + 1, n + 1))], axis=-1).reshape(-1, 3)
-    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    faces = np.concatenate([np.stack([a, a + n + 1, a + 1], 1), np.stack([a + 1, a + n + 1, a + n + 2], 1)])
-    return vertices, faces
-
-
-def sheet_over_ball():
-    """A sheet that falls through a ball at rest: mesh and both frames."""
-    vertices, faces = sheet(12)
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
-    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
-    start = np.concatenate([vertices + [0.013, 0.007, 0.5], ball.vertices])
-    end = start.copy()
-    end[: len(vertices), 2] -= 1.0
-    return mesh, start, end
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])

@@ -1,47 +1,23 @@
 """The step of a line search: certain to be free for the scene, for bodies and for vertices, by exact arithmetic."""
 
-import itertools
-
 import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.oracle import exact_tois
+from oracles import exact_contacts, num_touching
+from scenes import FACE, TRIANGLE, stacked
 
 import ccd_warp as ccd
-from ccd_warp._contact_corners import contact_vertices
 from ccd_warp._device_step import LineSearch
 from ccd_warp._launch import Slot
 
 PER = ("scene", "body", "vertex")
 every_per = pytest.mark.parametrize("per", PER)
-TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
-FACE = np.array([[0, 1, 2]])
-
-
-def _exact_contacts(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray) -> list[tuple]:
-    """Pairs that share no vertex, have a vertex that moves, and touch: brute force and exact arithmetic."""
-    moved = (start != end).any(axis=1)
-    found = []
-    for kind, pairs in (
-        ("vertex-face", [(v, *f) for v in range(len(start)) for f in mesh.faces.tolist()]),
-        ("edge-edge", [(*a, *b) for a, b in itertools.combinations(mesh.edges.tolist(), 2)]),
-    ):
-        corners = np.array([c for c in pairs if len(set(c)) == 4 and moved[list(c)].any()], dtype=int).reshape(-1, 4)
-        if len(corners):
-            exact = exact_tois(kind, start[corners], end[corners])
-            found += [(kind, *c) for c, e in zip(corners.tolist(), exact, strict=True) if e.hit]
-    return found
-
-
-def _stacked(*heights: float) -> tuple[ccd.CollisionMesh, np.ndarray]:
-    bodies = [(TRIANGLE + [0.1 * k, 0.07 * k, z], FACE) for k, z in enumerate(heights)]
-    return ccd.CollisionMesh.from_arrays(bodies), np.concatenate([vertices for vertices, _ in bodies])
 
 
 @every_per
 def test_nothing_in_the_way_moves_all_the_way(per):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     end = start + [0.3, 0.2, 0.1]
     step = ccd.line_search(mesh, start, end, per=per)
     assert step.num_rounds == 1 and step.fraction == 1.0 and not step.is_limited
@@ -52,11 +28,11 @@ def test_nothing_in_the_way_moves_all_the_way(per):
 @every_per
 @pytest.mark.parametrize("safety", [0.5, 0.9, 0.999])
 def test_one_body_falls_on_another(per, safety):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     end = start.copy()
     end[3:, 2] -= 2.0
     step = ccd.line_search(mesh, start, end, per=per, safety=safety)
-    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert exact_contacts(mesh, start, step.vertices) == []
     assert step.fraction == pytest.approx(0.5 * safety, rel=1e-9)  # the toi is a half, up to rounding
     if per != "vertex":  # one fraction for all that moves together
         for vertices in (slice(0, 3), slice(3, 6)) if per == "body" else (slice(0, 6),):
@@ -68,17 +44,17 @@ def test_a_vertex_that_is_stopped_stops_the_one_behind_it():
 
     Shortening each vertex by its own toi would leave the first in the way of the second.
     """
-    mesh, start = _stacked(0.0, 1.0, 2.0)
+    mesh, start = stacked(0.0, 1.0, 2.0)
     end = start.copy()
     end[3:6, 2] = -0.9  # through the wall
     end[6:, 2] = 0.05  # ends between the wall and where the first is stopped, at a tenth above it
     naive = ccd.mesh_ccd(mesh, start, end).vertex_toi
     assert np.isinf(naive[6:]).all(), "the second touches nothing in the original motion"
     shortened = start + np.minimum(0.9 * naive, 1.0)[:, None] * (end - start)
-    assert _exact_contacts(mesh, start, shortened), "so the fractions of the tois alone do not do"
+    assert exact_contacts(mesh, start, shortened), "so the fractions of the tois alone do not do"
     for per in PER:
         step = ccd.line_search(mesh, start, end, per=per)
-        assert _exact_contacts(mesh, start, step.vertices) == []
+        assert exact_contacts(mesh, start, step.vertices) == []
         assert step.fraction > 0
 
 
@@ -91,12 +67,12 @@ def test_random_soup_is_free_by_exact_arithmetic(per, seed):
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     end = start + rng.uniform(-1, 1, start.shape)
     step = ccd.line_search(mesh, start, end, per=per)
-    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert exact_contacts(mesh, start, step.vertices) == []
     assert ((step.vertex_fraction >= 0) & (step.vertex_fraction <= 1)).all()
 
 
 def test_finer_fractions_move_more():
-    mesh, start = _stacked(0.0, 1.0, 5.0, 9.0)
+    mesh, start = stacked(0.0, 1.0, 5.0, 9.0)
     end = start.copy()
     end[3:6, 2] -= 2.0
     end[6:] += [1.0, 0, 0]
@@ -117,7 +93,7 @@ def test_touching_at_the_start_holds_those_that_touch(per):
     assert len(step.touching) > 0 and not step.is_limited
     assert step.vertex_fraction[3] == 0.0
     assert np.array_equal(step.vertices[3], start[3])
-    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert exact_contacts(mesh, start, step.vertices) == []
     if per != "scene":
         assert (step.vertex_fraction[6:] == 1.0).all()
 
@@ -154,7 +130,7 @@ def test_a_search_that_takes_too_long_moves_by_one_fraction_or_not_at_all():
     step = ccd.line_search(mesh, start, end, per="vertex", max_rounds=3)
     assert step.is_limited and step.num_rounds <= 3
     assert len(set(step.vertex_fraction)) == 1
-    assert _exact_contacts(mesh, start, step.vertices) == []
+    assert exact_contacts(mesh, start, step.vertices) == []
 
 
 def test_a_world_whose_search_takes_too_long_does_not_hold_others():
@@ -170,7 +146,7 @@ def test_a_world_whose_search_takes_too_long_does_not_hold_others():
 
 
 def test_the_held_object_gives_the_same():
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     end = start - [0, 0, 2.0] * (np.arange(6)[:, None] >= 3)
     pipeline = ccd.CollisionPipeline(mesh)
     ours, held = ccd.line_search(mesh, start, end, per="vertex"), pipeline.line_search(start, end, per="vertex")
@@ -189,14 +165,14 @@ def test_the_held_object_gives_the_same():
     ],
 )
 def test_bad_options_are_named(options, message):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     with pytest.raises(ValueError, match=message):
         ccd.line_search(mesh, start, start, **options)
 
 
 @every_per
 def test_coordinates_that_rest_do_not_move_by_a_rounding(per):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     start += np.random.default_rng(0).uniform(0.1, 0.3, start.shape) * [1, 1, 0]
     end = start.copy()
     end[3:, 2] -= 2.0
@@ -232,28 +208,28 @@ def test_soup_on_the_device_is_free_by_exact_arithmetic(per, dtype, seed, device
     wished = np.concatenate([vertices for vertices, _ in bodies])
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     start, end, result = _launched(mesh, wished, wished + rng.uniform(-1, 1, wished.shape), dtype, device, per=per)
-    assert _exact_contacts(mesh, start, end) == []
+    assert exact_contacts(mesh, start, end) == []
     assert np.isinf(result.toi.numpy()[0]) and (start != end).all(axis=1).any()
 
 
 @pytest.mark.parametrize("per", EVERY_PER)
 def test_one_body_falls_on_another_on_the_device(per, device):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     wished = start.copy()
     wished[3:, 2] -= 2.0
     start, end, _ = _launched(mesh, start, wished, device=device, per=per, safety=0.5)
-    assert _exact_contacts(mesh, start, end) == []
+    assert exact_contacts(mesh, start, end) == []
     assert end[3:, 2].min() == pytest.approx(0.5, rel=1e-9)
 
 
 def test_a_vertex_that_is_stopped_stops_the_one_behind_it_on_the_device(device):
-    mesh, start = _stacked(0.0, 1.0, 2.0)
+    mesh, start = stacked(0.0, 1.0, 2.0)
     wished = start.copy()
     wished[3:6, 2] = -0.9
     wished[6:, 2] = 0.05
     for per in EVERY_PER:
         _, end, result = _launched(mesh, start, wished, device=device, per=per)
-        assert _exact_contacts(mesh, start, end) == []
+        assert exact_contacts(mesh, start, end) == []
         assert np.isinf(result.toi.numpy()[0])
         assert (end[3:] != start[3:]).any(axis=1).all()
 
@@ -273,7 +249,7 @@ def test_what_rests_on_the_device_may_touch(device):
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     for per, free in (("scene", False), ("world", False), ("body", True), ("vertex", True)):
         _, end, result = _launched(mesh, start, wished, device=device, per=per)
-        assert _exact_contacts(mesh, start, end) == []
+        assert exact_contacts(mesh, start, end) == []
         np.testing.assert_array_equal(end[3], start[3])
         np.testing.assert_array_equal(end[6:], wished[6:] if free else start[6:])
         assert np.isinf(result.toi.numpy()[0])
@@ -344,19 +320,13 @@ def _two_worlds_of_one_body():
     return mesh, wished
 
 
-def _num_touching(mesh, start, end, **options):
-    """Contacts of vertices that move, by the call on the host."""
-    corners = contact_vertices(mesh, ccd.mesh_ccd(mesh, start, end, length_scale=1.0, **options).contacts)
-    return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())
-
-
 @pytest.mark.parametrize("per", EVERY_PER)
 def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, device):
     mesh, wished = _two_worlds_of_one_body()
     free = ccd.mesh_ccd(mesh, mesh.vertices, wished, length_scale=1.0).world_toi
     assert np.isfinite(free[0]) and np.isinf(free[1])
     start, end, _ = _launched(mesh, mesh.vertices, wished, device=device, per=per)
-    assert (start != end).any() and _num_touching(mesh, start, end) == 0
+    assert (start != end).any() and num_touching(mesh, start, end, length_scale=1.0) == 0
 
 
 def test_a_world_that_another_shortens_is_looked_at_again(device, monkeypatch):
@@ -421,13 +391,13 @@ def test_random_scenes_are_free_whatever_the_room(per, dtype, device):
         pipeline.launch_line_search(x_t0, x_t1, per=per, num_rounds=int(rng.integers(1, 7)))
         start, end = (x.numpy().astype(np.float64) for x in (x_t0, x_t1))
         end[mesh.static[mesh.vertex_body]] = start[mesh.static[mesh.vertex_body]]
-        assert _num_touching(mesh, start, end, **options) == 0
+        assert num_touching(mesh, start, end, length_scale=1.0, **options) == 0
         num_moved += (start != end).any()
     assert num_moved > 20
 
 
 def test_coordinates_that_are_no_numbers_stop_their_world(device):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     wished = start + [0.1, 0, 0]
     wished[4, 1] = np.nan
     _, end, result = _launched(mesh, start, wished, device=device, per="vertex")
@@ -444,7 +414,7 @@ def test_without_room_for_pairs_nothing_moves_into_another(device):
     x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, max_pairs=1, device=device)
     result = pipeline.launch_line_search(x_t0, x_t1, per="vertex")
-    assert _exact_contacts(mesh, start, x_t1.numpy()) == []
+    assert exact_contacts(mesh, start, x_t1.numpy()) == []
     assert result.flags.numpy()[0] == ccd.LaunchFlag.PAIRS_OVERFLOW
     pipeline.reserve(max_pairs=1000)
     x_t1.assign(wished)
@@ -503,7 +473,7 @@ def test_rounding_afterwards_goes_through_the_face():
 
 
 def test_line_search_in_a_graph(device):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     x_t0, x_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
     pipeline.launch_line_search(x_t0, x_t1)
@@ -526,12 +496,12 @@ def test_line_search_in_a_graph(device):
     ],
 )
 def test_bad_options_on_the_device_are_named(options, message):
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     with pytest.raises(ValueError, match=message):
         _launched(mesh, start, start, **options)
 
 
 def test_part_of_a_step_is_no_line_search_on_the_device():
-    mesh, start = _stacked(0.0, 1.0)
+    mesh, start = stacked(0.0, 1.0)
     with pytest.raises(ValueError, match=r"t_max is 0.5; expected 1"):
         ccd.CollisionPipeline(mesh, t_max=0.5).launch_line_search(start, start)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from oracles import num_touching
+from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
 from ccd_warp._contact_corners import contact_vertices
 
 every_per = pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
-TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
-FACE = np.array([[0, 1, 2]])
 LENGTH = 0.1  # of the wished steps
 
 
@@ -28,12 +28,6 @@ def _cloth_on_a_ball(gap: float, seed: int = 0) -> tuple[ccd.CollisionMesh, np.n
     return mesh, mesh.vertices, end
 
 
-def _num_touching(mesh, start, end, **options) -> int:
-    """Contacts in float64 of vertices that move."""
-    corners = contact_vertices(mesh, ccd.mesh_ccd(mesh, start, end, **options).contacts)
-    return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())
-
-
 @every_per
 @pytest.mark.parametrize("gap", [1e-6, 1e-7, 1e-8])
 def test_cloth_that_is_close_to_a_ball_moves_on_in_float32(per, gap):
@@ -44,7 +38,7 @@ def test_cloth_that_is_close_to_a_ball_moves_on_in_float32(per, gap):
     assert step.fraction > (0.1 * exact if per != "vertex" else 0.0)
     assert step.vertex_fraction[mesh.moving_vertices].mean() > 0.1 * exact
     assert len(step.touching) == 0 and not step.is_limited and step.num_rounds <= 6
-    assert _num_touching(mesh, start, step.vertices) == 0
+    assert num_touching(mesh, start, step.vertices) == 0
 
 
 @every_per
@@ -54,7 +48,7 @@ def test_cloth_that_is_close_to_a_ball_moves_on_in_float64(per):
     assert ccd.mesh_ccd(mesh, start, end).toi == 0
     step = ccd.line_search(mesh, start, end, per=per)
     assert step.fraction > 0 and len(step.touching) == 0
-    assert _num_touching(mesh, start, step.vertices) == 0
+    assert num_touching(mesh, start, step.vertices) == 0
 
 
 @every_per
@@ -69,7 +63,7 @@ def test_cloth_that_is_close_to_a_ball_moves_on_on_the_device(per, gap, device):
     moved = np.linalg.norm(end - start, axis=1)[mesh.moving_vertices]
     assert moved.min() > 0 and moved.mean() > 0.05 * exact * LENGTH
     assert np.isinf(result.toi.numpy()[0]) and result.flags.numpy()[0] == 0
-    assert _num_touching(mesh, start, end) == 0
+    assert num_touching(mesh, start, end) == 0
 
 
 def test_a_toi_above_0_costs_no_round_more():
@@ -166,5 +160,5 @@ def test_a_search_that_takes_too_long_leaves_bodies_of_free_worlds_where_they_we
     end[:, 2] = np.repeat([height for *_, height in layers], 3)
     step = ccd.line_search(mesh, mesh.vertices, end, per="body", max_rounds=3, length_scale=1.0)
     assert step.is_limited
-    assert _num_touching(mesh, mesh.vertices, step.vertices, length_scale=1.0) == 0
+    assert num_touching(mesh, mesh.vertices, step.vertices, length_scale=1.0) == 0
     assert (step.vertices != mesh.vertices).any()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.benchmarks.memory import resident
-from test_first_calls import random_pairs, sheet_and_floor
+from scenes import random_pairs, sheet_over_floor
 
 import ccd_warp as ccd
 
@@ -30,7 +30,7 @@ class Calls:
     """Calls of all sorts with options that are never the same."""
 
     def __init__(self):
-        self.mesh, self.start, self.end = sheet_and_floor()
+        self.mesh, self.start, self.end = sheet_over_floor()
         self.host = [np.array(self.start), np.array(self.end)]
         self.x_t0, self.x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in self.host)
         self.held = ccd.CollisionPipeline(self.mesh, device="cpu", length_scale=1.0, num_threads=2)
@@ -57,7 +57,7 @@ class Calls:
         ccd.mesh_ccd(*self.frames, tolerance=1e-6 * (1 + 1e-4 * k), num_threads=1 + k % 3)
 
     def mesh_that_is_new(self, k):
-        ccd.mesh_ccd(*sheet_and_floor(), minimum_separation=1e-5 * k)
+        ccd.mesh_ccd(*sheet_over_floor(), minimum_separation=1e-5 * k)
 
     def other_calls(self, k):
         ccd.collision_free_step(*self.frames, t_max=1.0 - 1e-5 * k)

@@ -4,27 +4,22 @@ import faults
 import numpy as np
 import pytest
 import warp as wp
+from scenes import CORNERS, random_pairs
 
 import ccd_warp as ccd
 
-CORNERS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
 OPTIONS = {"minimum_separation": 0.02, "device": "cpu"}
-
-
-def random_points(kind, seed, count=10_000, dimension=3):
-    start = np.random.default_rng(seed).uniform(-1, 1, (count, CORNERS[kind], dimension))
-    return start, start[:, ::-1] + 0.1
 
 
 @pytest.mark.parametrize("num_threads", [1, 4])
 @pytest.mark.parametrize("kind", CORNERS)
 def test_graph_holds_all_pairs_and_answers_for_what_its_arrays_hold_by_then(kind, num_threads):
     call = getattr(ccd, f"{kind}_ccd")
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_points(kind, 0))
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs(kind, 10_000))
     with wp.ScopedCapture(device="cpu") as capture:
         result = call(x_t0, x_t1, num_threads=num_threads, **OPTIONS)
     for seed in (0, 1, 2):
-        start, end = random_points(kind, seed)
+        start, end = random_pairs(kind, 10_000, seed)
         x_t0.assign(start)
         x_t1.assign(end)
         wp.capture_launch(capture.graph)
@@ -35,10 +30,10 @@ def test_graph_holds_all_pairs_and_answers_for_what_its_arrays_hold_by_then(kind
 
 @pytest.mark.parametrize("num_threads", [1, 4])
 def test_graph_of_pairs_in_the_plane(num_threads):
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec2d, device="cpu") for x in random_points("point_segment", 0, dimension=2))
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec2d, device="cpu") for x in random_pairs("point_segment", 10_000, dimension=2))
     with wp.ScopedCapture(device="cpu") as capture:
         result = ccd.point_segment_ccd(x_t0, x_t1, num_threads=num_threads, **OPTIONS)
-    start, end = random_points("point_segment", 1, dimension=2)
+    start, end = random_pairs("point_segment", 10_000, 1, dimension=2)
     x_t0.assign(start)
     x_t1.assign(end)
     wp.capture_launch(capture.graph)
@@ -47,10 +42,10 @@ def test_graph_of_pairs_in_the_plane(num_threads):
 
 
 def test_graph_of_both_precisions():
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_points("edge_edge", 3))
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs("edge_edge", 10_000, 3))
     with wp.ScopedCapture(device="cpu") as capture:
         results = [ccd.edge_edge_ccd(x_t0, x_t1, precision=p, **OPTIONS) for p in ("float32", "float64")]
-    for array, values in zip((x_t0, x_t1), random_points("edge_edge", 4), strict=True):
+    for array, values in zip((x_t0, x_t1), random_pairs("edge_edge", 10_000, 4), strict=True):
         array.assign(values)
     wp.capture_launch(capture.graph)
     for precision, result in zip(("float32", "float64"), results, strict=True):
@@ -61,7 +56,7 @@ def test_graph_of_both_precisions():
 @pytest.mark.parametrize("kind", CORNERS)
 def test_pairs_of_numpy_in_a_capture_are_refused(kind):
     call = getattr(ccd, f"{kind}_ccd")
-    start, end = random_points(kind, 0, count=100)
+    start, end = random_pairs(kind, 100)
     with pytest.raises(RuntimeError, match=r"(?i)captur.*(warp|device)"), wp.ScopedCapture(device="cpu"):
         call(start, end, **OPTIONS)
     # and once the capture is over they are answered

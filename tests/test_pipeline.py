@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
+from oracles import corners_of
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd
@@ -31,16 +32,10 @@ def bullet_and_wall(**options):
 
 def points_of(mesh, result, vertices):
     """Points of the contacts of each kind, [m, 4, 3], [m, 3, 3] or [m, 2, 3]."""
-    return {kind: np.asarray(vertices)[contact_vertices(mesh, result, kind)] for kind in ccd.PairKind}
-
-
-def contact_vertices(mesh, result, kind):
-    """Vertices of the contacts of one kind, [m, 4], [m, 3] or [m, 2]."""
-    first, second = result.contacts.primitives[result.contacts.kind == kind].T
-    if kind == ccd.PairKind.EDGE_EDGE:
-        return np.column_stack([mesh.edges[first], mesh.edges[second]])
-    others = {ccd.PairKind.VERTEX_FACE: mesh.faces, ccd.PairKind.POINT_SEGMENT: mesh.edges}
-    return np.column_stack([first, others[kind][second] if kind in others else second])
+    return {
+        kind: np.asarray(vertices)[corners_of(mesh, kind, result.contacts.primitives[result.contacts.kind == kind])]
+        for kind in ccd.PairKind
+    }
 
 
 def brute_force_toi(mesh, start, end, t_max=1.0):
@@ -381,7 +376,7 @@ def test_sheet_cables_and_particles_match_brute_force(seed, precision):
     }
     vertex_toi = np.full(mesh.num_vertices, np.inf)
     for kind in ccd.PairKind:
-        vertices = contact_vertices(mesh, result, kind)
+        vertices = corners_of(mesh, kind, result.contacts.primitives[result.contacts.kind == kind])
         name = kind.name.lower().replace("_", "-")
         tois = contacts.toi[contacts.kind == kind]
         for row, toi in zip(vertices, tois, strict=True):

@@ -12,20 +12,14 @@ import pytest
 import trimesh
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
-from test_candidates import brute_force, check, single, soup
+from oracles import brute_force, check_candidates, corners_of
+from scenes import crowd, leaning_stack, single, soup
 
 import ccd_warp as ccd
 from ccd_warp import _step as ccd_step
 from ccd_warp._launch import Execution
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width")
-
-
-def corners_of(mesh, kind, pairs):
-    """The four vertices of each pair, shape [n, 4]."""
-    if kind == ccd.PairKind.VERTEX_FACE:
-        return np.concatenate([pairs[:, :1], mesh.faces[pairs[:, 1]]], axis=1)
-    return mesh.edges[pairs].reshape(-1, 4)
 
 
 def check_contacts(mesh, start, end, **options):
@@ -88,23 +82,10 @@ def check_minima(mesh, result):
     assert np.array_equal(order, np.arange(len(contacts)))
 
 
-def crowd(rng, num_faces=400, size=0.08, speed=0.1):
-    """Faces at random places that move at random."""
-    start, faces = soup(rng, num_faces, size)
-    return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
-
-
 def as_bytes(result):
     arrays = [getattr(result.contacts, name) for name in FIELDS]
     arrays += [result.vertex_toi, result.body_toi, result.vertex_contact, result.body_contact]
     return b"".join(array.tobytes() for array in arrays)
-
-
-def leaning_stack(count, gap=1e-4):
-    """Copies of a leaning triangle, ``gap`` apart, that rise together: all boxes overlap, and nothing ever touches."""
-    triangle = np.array([[0.0, 0, 0], [1, 0, 1], [0, 1, 0.5]])
-    start = (triangle + np.arange(count)[:, None, None] * [0, 0, gap]).reshape(-1, 3)
-    return single(start, np.arange(3 * count).reshape(-1, 3)), start, start + [0, 0, 0.5]
 
 
 def least_bytes(error):
@@ -200,7 +181,7 @@ def test_body_pairs_and_rings_against_brute_force(device):
     for self_collision in (True, False, [True, False, True]):
         mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=self_collision, body_pairs=allowed)
         start, end = mesh.vertices, mesh.vertices + 0.1
-        found = ccd.find_candidates(mesh, start, end, device=device)
+        found = ccd.find_candidates(mesh, start, end, device=device).sorted()
         vertex_face, edge_edge, _, _ = brute_force(mesh, start, end)
         body = mesh.vertex_body
         expected = [(v, f) for v, f in vertex_face if {body[v], mesh.face_body[f]} != {0, 2}]
@@ -214,7 +195,7 @@ def test_rings_leave_out_neighbours(rings):
     ball = trimesh.creation.icosphere(subdivisions=2)
     mesh = ccd.CollisionMesh.from_arrays([(ball.vertices, ball.faces)], exclusion_rings=rings)
     start = np.array(ball.vertices)
-    found = ccd.find_candidates(mesh, start, start, inflation=0.2)
+    found = ccd.find_candidates(mesh, start, start, inflation=0.2).sorted()
     near = np.eye(mesh.num_vertices, dtype=bool)
     joined = near.copy()
     joined[mesh.edges[:, 0], mesh.edges[:, 1]] = joined[mesh.edges[:, 1], mesh.edges[:, 0]] = True
@@ -256,7 +237,7 @@ def test_boxes_of_what_rests_are_made_once():
     assert counts == [every, every - resting, every - resting, every - resting]
     start = mesh.vertices + 1e-3  # what rests was put elsewhere between two steps
     assert pipeline.mesh_ccd(start, start).counts["boxes"] == every
-    check(mesh, start, start + 0.1)
+    check_candidates(mesh, start, start + 0.1)
 
 
 def test_bodies_that_nothing_comes_near_have_no_boxes_that_count():
@@ -341,7 +322,7 @@ def test_stack_of_faces_within_little_memory(count, kinds):
         import sys
         sys.path.insert(0, {str(__file__).rsplit("/", 1)[0]!r})
         import ccd_warp as ccd
-        from test_step import leaning_stack
+        from scenes import leaning_stack
 
         mesh, start, end = leaning_stack({count}, 1e-5)
         few, few_start, few_end = leaning_stack(50)

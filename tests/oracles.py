@@ -1,0 +1,86 @@
+"""What the answers on meshes are compared with: all pairs, without a tree, and exact arithmetic."""
+
+import itertools
+
+import numpy as np
+from ccd_warp.benchmarks.oracle import exact_tois
+
+import ccd_warp as ccd
+from ccd_warp._contact_corners import contact_vertices
+
+
+def corners_of(mesh, kind, pairs):
+    """The vertices of each pair of one kind, shape [n, 4], [n, 3] or [n, 2]."""
+    first, second = np.asarray(pairs).T
+    if kind == ccd.PairKind.EDGE_EDGE:
+        return np.column_stack([mesh.edges[first], mesh.edges[second]])
+    others = {ccd.PairKind.VERTEX_FACE: mesh.faces, ccd.PairKind.POINT_SEGMENT: mesh.edges}
+    return np.column_stack([first, others[kind][second] if kind in others else second])
+
+
+def boxes_of(primitives, frames, inflation):
+    """Lower and upper corners, shape [n, 3] each, of primitives given by vertex indices, shape [n, k]."""
+    points = np.concatenate([np.asarray(frame, dtype=np.float64)[primitives] for frame in frames], axis=1)
+    lower, upper = points.min(axis=1), points.max(axis=1)
+    if inflation > 0:
+        with np.errstate(over="ignore"):
+            lower, upper = np.nextafter(lower - inflation, -np.inf), np.nextafter(upper + inflation, np.inf)
+    return lower, upper
+
+
+def brute_force(mesh, start, end, inflation=0.0):
+    """All candidates of each kind, as sorted lists of tuples."""
+    end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+    vertices = np.arange(mesh.num_vertices)
+    ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
+    ids |= {"p": mesh.loose_points, "s": mesh.loose_edges}
+    kinds = {"v": vertices[:, None], "e": mesh.edges, "f": mesh.faces}
+    kinds |= {"p": kinds["v"][mesh.loose_points], "s": mesh.edges[mesh.loose_edges]}
+    body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
+    body |= {"p": mesh.vertex_body[mesh.loose_points], "s": mesh.edge_body[mesh.loose_edges]}
+    found = []
+    for first, second in ("vf", "ee", "ps", "pp"):
+        (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))
+        pairs = []
+        for i in range(len(lower_i)):
+            overlap = ((lower_i[i] <= upper_j) & (lower_j <= upper_i[i])).all(axis=1)
+            overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
+            overlap &= ~(mesh.static[body[first][i]] & mesh.static[body[second]])
+            overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
+            pairs += [
+                (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
+            ]
+        found.append(pairs)
+    return found
+
+
+def check_candidates(mesh, start, end, inflation=0.0, device=None, num_threads=1):
+    """Assert equality with brute force, order included; returns the number of pairs."""
+    found = ccd.find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads).sorted()
+    all_expected = brute_force(mesh, start, end, inflation)
+    kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
+    for pairs, expected in zip(kinds, all_expected, strict=True):
+        assert pairs.dtype == np.int32 and pairs.ndim == 2 and pairs.shape[1] == 2
+        assert [tuple(pair) for pair in pairs.tolist()] == expected
+    return sum(map(len, all_expected))
+
+
+def exact_contacts(mesh, start, end):
+    """Pairs that share no vertex, have a vertex that moves, and touch: (kind, vertices…), by exact arithmetic."""
+    moved = (start != end).any(axis=1)
+    found = []
+    for kind, pairs in (
+        ("vertex-face", [(v, *f) for v in range(len(start)) for f in mesh.faces.tolist()]),
+        ("edge-edge", [(*a, *b) for a, b in itertools.combinations(mesh.edges.tolist(), 2)]),
+    ):
+        corners = np.array([c for c in pairs if len(set(c)) == 4 and moved[list(c)].any()], dtype=int).reshape(-1, 4)
+        if len(corners):
+            exact = exact_tois(kind, start[corners], end[corners])
+            found += [(kind, *c) for c, e in zip(corners.tolist(), exact, strict=True) if e.hit]
+    return found
+
+
+def num_touching(mesh, start, end, **options):
+    """Contacts of vertices that move, by `mesh_ccd` on the host."""
+    corners = contact_vertices(mesh, ccd.mesh_ccd(mesh, start, end, **options).contacts)
+    return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())

@@ -1,0 +1,90 @@
+"""Scenes that test modules share: meshes, pairs, and where their vertices are at both ends of a step."""
+
+import numpy as np
+import trimesh
+
+import ccd_warp as ccd
+
+TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+FACE = np.array([[0, 1, 2]])
+# Points of a pair.
+CORNERS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
+
+
+def single(vertices, faces):
+    """A mesh of one body."""
+    return ccd.CollisionMesh.from_arrays([(vertices, faces)])
+
+
+# --- at random places ---
+
+
+def soup(rng, num_faces, size, num_vertices=None):
+    """Faces at random places: vertices [3 num_faces, 3] and faces; shared vertices where num_vertices is given."""
+    vertices = (rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
+    faces = np.arange(3 * num_faces).reshape(-1, 3)
+    return vertices, faces if num_vertices is None else faces % num_vertices
+
+
+def crowd(rng, num_faces=400, size=0.08, speed=0.1):
+    """Faces at random places that move at random: mesh and both frames."""
+    start, faces = soup(rng, num_faces, size)
+    return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
+
+
+def cables_and_particles(rng, count, size):
+    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and loose edges."""
+    start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))
+    start = start.reshape(-1, 3)
+    groups = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)
+    return start, groups[0], np.concatenate([groups[1][:, :2], groups[1][:, 1:]])
+
+
+def random_pairs(kind, count=200, seed=0, dimension=3):
+    """Points of pairs at both ends of a step, [count, 4, 3] or as the kind has it, in which some touch."""
+    start = np.random.default_rng(seed).uniform(-1, 1, (count, CORNERS[kind], dimension))
+    return start, start[:, ::-1] + 0.1
+
+
+# --- laid out ---
+
+
+def stacked(*heights):
+    """Triangles above each other, each a little aside of the one before, a body each: mesh and positions."""
+    bodies = [(TRIANGLE + [0.1 * k, 0.07 * k, z], FACE) for k, z in enumerate(heights)]
+    return ccd.CollisionMesh.from_arrays(bodies), np.concatenate([vertices for vertices, _ in bodies])
+
+
+def leaning_stack(count, gap=1e-4):
+    """Copies of a leaning triangle, ``gap`` apart, that rise together: all boxes overlap, and nothing ever touches."""
+    triangle = np.array([[0.0, 0, 0], [1, 0, 1], [0, 1, 0.5]])
+    start = (triangle + np.arange(count)[:, None, None] * [0, 0, gap]).reshape(-1, 3)
+    return single(start, np.arange(3 * count).reshape(-1, 3)), start, start + [0, 0, 0.5]
+
+
+def sheet(n, size=1.0):
+    """A square grid of (n + 1)² vertices in the plane z = 0: vertices and faces."""
+    k = np.arange(n + 1) / n - 0.5
+    vertices = size * np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((n + 1, n + 1))], axis=-1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    faces = np.concatenate([np.stack([a, a + n + 1, a + 1], 1), np.stack([a + 1, a + n + 1, a + n + 2], 1)])
+    return vertices, faces
+
+
+def sheet_over_ball():
+    """A sheet that falls through a static ball: mesh and both frames."""
+    vertices, faces = sheet(12)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
+    start = np.concatenate([vertices + [0.013, 0.007, 0.5], ball.vertices])
+    end = start.copy()
+    end[: len(vertices), 2] -= 1.0
+    return mesh, start, end
+
+
+def sheet_over_floor():
+    """A sheet that falls through a static floor: mesh and both frames."""
+    vertices, faces = sheet(8)
+    floor = vertices * 1.3 + [0.013, 0.007, -0.2]
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (floor, faces)], static=[1])
+    return mesh, mesh.vertices, mesh.vertices - [0, 0, 0.4] * (mesh.vertex_body == 0)[:, None]

@@ -1,0 +1,132 @@
+"""The modules as layers: no import circle, few levels, and the kernels know nothing of the package above them."""
+
+import ast
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+# Folders in the tree, and what they are called once installed.
+PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
+
+# Imports that close a circle and are known: (importer, imported). To be emptied.
+KNOWN_CIRCLES: set[tuple[str, str]] = set()
+# Modules in the longest chain of imports. To be lowered to 10.
+MOST_LEVELS = 18
+
+
+def module_files() -> dict[str, Path]:
+    """Every module of the packages by its installed name."""
+    files = {}
+    for folder, package in PACKAGES.items():
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
+            files[".".join([package, *(part for part in parts if part != "__init__")])] = path
+    return files
+
+
+def imported_names(module: str, source: str, is_package: bool) -> set[str]:
+    """All that a module imports, with full names: at its top, within functions, and for type checkers alone.
+
+    `from a import b` may import the module a.b or the name b of the module a, and is given as a.b.
+    """
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = module.split(".")[: len(module.split(".")) - node.level + is_package] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            names |= {f"{base}.{alias.name}" for alias in node.names}
+    return names
+
+
+def target_of(name: str, modules: set[str]) -> str | None:
+    """The module of ours that an imported name is, or belongs to."""
+    while name not in modules and "." in name:
+        name = name.rpartition(".")[0]
+    return name if name in modules else None
+
+
+def import_graph(sources: dict[str, tuple[str, bool]]) -> dict[str, set[str]]:
+    """For each module those of ours that it imports, of sources with a mark for packages."""
+    modules = set(sources)
+    found = {m: {target_of(name, modules) for name in imported_names(m, *sources[m])} for m in modules}
+    return {module: targets - {None, module} for module, targets in found.items()}
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    files = module_files()
+    return import_graph({name: (path.read_text("utf-8"), path.name == "__init__.py") for name, path in files.items()})
+
+
+def circle(graph: dict[str, set[str]], left_out=frozenset()) -> list[str]:
+    """A circle of imports, or an empty list."""
+    kept = {module: {t for t in targets if (module, t) not in left_out} for module, targets in graph.items()}
+    try:
+        TopologicalSorter(kept).prepare()
+    except CycleError as error:
+        return error.args[1][::-1]
+    return []
+
+
+def longest_chain(graph: dict[str, set[str]], left_out=frozenset()) -> list[str]:
+    """Modules of which each imports the next, as many as there are."""
+    chains: dict[str, list[str]] = {}
+    kept = {module: {t for t in targets if (module, t) not in left_out} for module, targets in graph.items()}
+    for module in TopologicalSorter(kept).static_order():
+        chains[module] = [module, *max((chains[t] for t in sorted(kept[module])), key=len, default=[])]
+    return max(chains.values(), key=len)
+
+
+def test_no_circle_of_imports_but_those_known():
+    found = circle(graph(), KNOWN_CIRCLES)
+    assert not found, " imports ".join(found)
+
+
+@pytest.mark.parametrize("known", sorted(KNOWN_CIRCLES), ids=" imports ".join)
+def test_a_known_circle_is_still_there(known):
+    """Once it is gone, its mark has to go, too."""
+    assert circle(graph(), KNOWN_CIRCLES - {known}), f"no circle any more: take {known} out of KNOWN_CIRCLES"
+
+
+def test_the_longest_chain_of_imports_has_no_more_levels_than_before():
+    chain = longest_chain(graph(), KNOWN_CIRCLES)
+    assert len(chain) <= MOST_LEVELS, " imports ".join(chain)
+
+
+def test_kernels_import_nothing_of_the_package_above_them():
+    kernels = PACKAGES["kernels"]
+    for module, path in module_files().items():
+        if f"{module}.".startswith(f"{kernels}."):
+            names = imported_names(module, path.read_text("utf-8"), path.name == "__init__.py")
+            above = {name for name in names if f"{name}.".startswith("ccd_warp.")}
+            assert all(name.startswith(f"{kernels}.") for name in above), f"{module} imports {sorted(above)}"
+
+
+def test_every_form_of_import_is_seen():
+    found = import_graph(
+        {
+            "ccd_warp": ("from ccd_warp._a import f", True),
+            "ccd_warp._a": ("import numpy\nfrom ccd_warp import _b\nimport ccd_warp._f", False),
+            "ccd_warp._b": ("def f():\n    from ._c import g", False),
+            "ccd_warp._c": ("if TYPE_CHECKING:\n    from ccd_warp._d._e import G", False),
+            "ccd_warp._d": ("from . import _e\nfrom .. import _a", True),
+            "ccd_warp._d._e": ("from ccd_warp import h", False),
+            "ccd_warp._f": ("", False),
+        }
+    )
+    assert found == {
+        "ccd_warp": {"ccd_warp._a"},
+        "ccd_warp._a": {"ccd_warp._b", "ccd_warp._f"},
+        "ccd_warp._b": {"ccd_warp._c"},
+        "ccd_warp._c": {"ccd_warp._d._e"},
+        "ccd_warp._d": {"ccd_warp._d._e", "ccd_warp._a"},
+        "ccd_warp._d._e": {"ccd_warp"},
+        "ccd_warp._f": set(),
+    }
+    assert circle(found) and not circle(found, {("ccd_warp._d._e", "ccd_warp"), ("ccd_warp._d", "ccd_warp._a")})
+    assert len(longest_chain(found, {("ccd_warp._d._e", "ccd_warp"), ("ccd_warp._d", "ccd_warp._a")})) == 5
