@@ -1,7 +1,13 @@
 """Batched, conservative continuous collision detection (CCD) for deforming triangle meshes, on NVIDIA Warp.
 
 CCD here means: every vertex moves on a straight line over a step, and the question is the earliest time of impact (toi)
-in [0, t_max]. A collision is never missed and never reported late.
+in [0, t_max]. A collision is never missed and never reported late. All functions share the options of
+:class:`MeshOptions`, which are given by keyword.
+
+Guarantee: if the exact trajectories of a pair first touch (or come within the minimum separation) at τ ≤ t_max, every
+reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where
+the L∞ gap falls below separation + δ + ε, with δ the tolerance and ε the bound on the rounding errors, or where a limit
+was reached, which the status says. It holds in floating point, in both precisions, for every finite input.
 """
 
 from ccd_warp import datasets
@@ -10,6 +16,7 @@ from ccd_warp._line_search import LineSearchResult
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
+from ccd_warp._option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
@@ -18,6 +25,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "CCDStatus",
+    "CandidateOptions",
     "Candidates",
     "CollisionMesh",
     "CollisionPipeline",
@@ -25,9 +33,12 @@ __all__ = [
     "DeviceContacts",
     "LaunchFlag",
     "LaunchResult",
+    "LineSearchOptions",
     "LineSearchResult",
+    "MeshOptions",
     "MeshResult",
     "PairKind",
+    "PairOptions",
     "PairResult",
     "__version__",
     "collision_free_step",

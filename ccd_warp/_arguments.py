@@ -6,12 +6,14 @@ import os
 import reprlib
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 _MOST_BITS = 2000  # of an integer that is written out; Python refuses to write the largest
 _MOST_CHARACTERS = 80  # of a value in a message
+
+_Choice = TypeVar("_Choice", bound=str)
 
 _repr = reprlib.Repr()
 _repr.maxstring = _repr.maxother = _repr.maxlong = _MOST_CHARACTERS
@@ -70,7 +72,7 @@ def check_count(name: str, value: Any, largest: int, least: int = 1) -> int:
     return int(value)
 
 
-def check_choice(name: str, value: Any, choices: Collection[str]) -> str:
+def check_choice(name: str, value: Any, choices: Collection[_Choice]) -> _Choice:
     """One of a few words.
 
     Raises:
@@ -80,7 +82,7 @@ def check_choice(name: str, value: Any, choices: Collection[str]) -> str:
         *others, last = map(repr, choices)
         words = f"{others[0]} or {last}" if len(others) == 1 else f"one of {', '.join([*others, last])}"
         raise ValueError(f"{name} is {shown(value)}; expected {words}")
-    return str(value)
+    return next(choice for choice in choices if choice == value)
 
 
 def check_flag(name: str, value: Any) -> bool:

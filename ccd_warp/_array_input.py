@@ -50,6 +50,8 @@ def as_float64(array: NDArray[Any], name: str, given: Any, row_name: str = "row"
     Raises:
         ValueError: If the numbers are not real, or float64 does not hold one of them.
     """
+    if array is given and array.dtype == np.float64 and array.flags.c_contiguous:
+        return array
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected real numbers")
     with np.errstate(over="ignore", invalid="ignore"):

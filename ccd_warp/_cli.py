@@ -19,22 +19,6 @@ if TYPE_CHECKING:
     from ccd_warp._cli_progress import ProgressLine
     from ccd_warp._files import Body
 
-_OPTIONS = (
-    "tolerance",
-    "minimum_separation",
-    "start_gap_fraction",
-    "t_max",
-    "max_iterations",
-    "max_work",
-    "length_scale",
-    "precision",
-    "method",
-    "pair_kinds",
-    "memory_limit",
-    "device",
-    "num_threads",
-)
-
 
 class _BadUsageError(ValueError):
     """A command line that argparse refuses."""
@@ -181,7 +165,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _given_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    return {name: value for name in _OPTIONS if (value := getattr(arguments, name)) is not None}
+    from ccd_warp._option_types import MeshOptions
+
+    names = MeshOptions.__optional_keys__
+    return {name: value for name in sorted(names) if (value := getattr(arguments, name)) is not None}
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -335,6 +322,7 @@ def _solve(
 
     import ccd_warp as ccd
     from ccd_warp._cli_progress import ProgressLine
+    from ccd_warp._options import Options
 
     begin = time.perf_counter()
     mesh = ccd.CollisionMesh.from_arrays(
@@ -346,13 +334,14 @@ def _solve(
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
     build_seconds = time.perf_counter() - begin
     line = ProgressLine(is_quiet)
-    pipeline = ccd.CollisionPipeline(mesh, **options)
-    pipeline._show_progress = line.show
-    try:
-        with _warnings_on_stderr(line, is_quiet=is_quiet):
-            result = pipeline.mesh_ccd(vertices_t0, vertices_t1)
-    finally:
-        line.clear()
+    # options made here, so that no message names a function that is not on the command line
+    with ccd.CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
+        pipeline._show_progress = line.show
+        try:
+            with _warnings_on_stderr(line, is_quiet=is_quiet):
+                result = pipeline.mesh_ccd(vertices_t0, vertices_t1)
+        finally:
+            line.clear()
     stages = {name: seconds for name, seconds in result.timings.items() if name != "total"}
     return mesh, result, {"build mesh": build_seconds, **stages}
 

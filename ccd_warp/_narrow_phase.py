@@ -1,7 +1,9 @@
 """Earliest time of impact of batches of primitive pairs."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import warp as wp
@@ -10,7 +12,9 @@ from numpy.typing import ArrayLike
 from ccd_warp._array_input import as_array, as_float64, check_finite
 from ccd_warp._interop import as_warp, is_device_array
 from ccd_warp._launch import Execution, load
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_TOLERANCE, Options, resolve_device
+from ccd_warp._option_types import PairOptions
+from ccd_warp._options import Options, naming, options_of, resolve_device
+from ccd_warp._small_batch import CAPACITY, borrowed_batch
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._threads import StopFlag
 from ccd_warp.kernels.contacts import lift
@@ -58,17 +62,7 @@ class PairResult:
 def vertex_face_ccd(
     points_t0: ArrayLike,
     points_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[PairOptions],
 ) -> PairResult:
     """Earliest time of impact of vertex-face pairs whose points move on straight lines.
 
@@ -76,66 +70,29 @@ def vertex_face_ccd(
         points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4]. Arrays of Warp or with DLPack are read where they are: float64, contiguous.
         points_t1: End positions, likewise.
-        tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
-            ``length_scale``, above 0.
-        minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
-        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
-            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
-            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
-        t_max: End of the step that is checked, in [0, 1].
-        max_iterations: Limit of the work on a pair; at the limit the toi is early, never late.
-        length_scale: Length that the two multiples refer to. By default each pair has its own: the longest side of the
-            box around its motion; scaling a pair by a power of two then changes no bit of its toi.
-        precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
-        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
-        device: Warp device; by default that of the arrays, or Warp's current one.
-        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
+        **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
 
     References:
         Wang et al. 2021, "A large-scale benchmark and an inclusion-based algorithm for continuous collision detection",
         sections 3 and 4; Snyder 1992, "Interval analysis for computer graphics". The rounding analysis stands in
         ``ccd_warp.kernels.rounding``.
 
-    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
-    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
-    says.
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        device=device,
-        num_threads=num_threads,
-    )
     return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
 
 
 def edge_edge_ccd(
     points_t0: ArrayLike,
     points_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[PairOptions],
 ) -> PairResult:
     """Earliest time of impact of edge-edge pairs whose points move on straight lines.
 
@@ -143,60 +100,27 @@ def edge_edge_ccd(
         points_t0: Start positions of ea0, ea1, eb0, eb1, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4].
         points_t1: End positions, likewise.
-        tolerance: See :func:`vertex_face_ccd`, as all that follow.
-        minimum_separation: Distance (L∞) at which a pair counts as touching.
-        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
-        t_max: End of the step that is checked.
-        max_iterations: Limit of the work on a pair.
-        length_scale: Length that the two multiples refer to.
-        precision: ``"float64"`` or ``"float32"``.
-        method: ``"clipping"`` or ``"bisection"``.
-        device: Warp device.
-        num_threads: Threads on the CPU.
+        **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
 
     References:
         As of :func:`vertex_face_ccd`.
 
-    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
-    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
-    says.
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        device=device,
-        num_threads=num_threads,
-    )
     return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
 
 
 def point_segment_ccd(
     points_t0: ArrayLike,
     points_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[PairOptions],
 ) -> PairResult:
     """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
 
@@ -207,60 +131,27 @@ def point_segment_ccd(
         points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
             vec2d or vec3d, shape [n, 3].
         points_t1: End positions, likewise.
-        tolerance: See :func:`vertex_face_ccd`, as all that follow.
-        minimum_separation: Distance (L∞) at which a pair counts as touching.
-        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
-        t_max: End of the step that is checked.
-        max_iterations: Limit of the work on a pair.
-        length_scale: Length that the two multiples refer to.
-        precision: ``"float64"`` or ``"float32"``.
-        method: ``"clipping"`` or ``"bisection"``.
-        device: Warp device.
-        num_threads: Threads on the CPU.
+        **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
 
     References:
         As of :func:`vertex_face_ccd`.
 
-    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
-    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
-    says.
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        device=device,
-        num_threads=num_threads,
-    )
     return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
 
 
 def point_point_ccd(
     points_t0: ArrayLike,
     points_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[PairOptions],
 ) -> PairResult:
     """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
 
@@ -270,43 +161,20 @@ def point_point_ccd(
         points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
             or vec3d, shape [n, 2].
         points_t1: End positions, likewise.
-        tolerance: See :func:`vertex_face_ccd`, as all that follow.
-        minimum_separation: Distance (L∞) at which a pair counts as touching.
-        start_gap_fraction: Largest separation of a pair as a fraction of its start gap.
-        t_max: End of the step that is checked.
-        max_iterations: Limit of the work on a pair.
-        length_scale: Length that the two multiples refer to.
-        precision: ``"float64"`` or ``"float32"``.
-        method: ``"clipping"`` or ``"bisection"``.
-        device: Warp device.
-        num_threads: Threads on the CPU.
+        **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
         toi, status, parameters, gap, width and iterations of each pair.
 
     Raises:
         ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
 
     References:
         As of :func:`vertex_face_ccd`.
 
-    Guarantee: if the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported
-    toi is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where the L∞ gap falls below
-    separation + δ + ε, with δ the tolerance and ε the rounding bound, or where a limit was reached, which the status
-    says.
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        device=device,
-        num_threads=num_threads,
-    )
     return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
 
 
@@ -322,7 +190,7 @@ class PairArrays:
     iterations: wp.array
 
     @classmethod
-    def empty(cls, count: int, device: Any) -> "PairArrays":
+    def empty(cls, count: int, device: Any) -> PairArrays:
         dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
         return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
 
@@ -330,6 +198,7 @@ class PairArrays:
         return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
+_STATUS = 1  # its place among the outputs
 _LIMIT = int(CCDStatus.ITERATION_LIMIT)
 # Pairs from which on a part may take long: some 0.2 s if all of them reach the limit of the first round.
 _LONG_PART = 1 << 10
@@ -343,7 +212,9 @@ _POINTS = {
 }
 
 
-def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options) -> PairResult:
+def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptions) -> PairResult:
+    function = f"{kind.name.lower()}_ccd"
+    options = options_of(function, PairOptions, given)
     on_device = is_device_array(points_t0)
     if is_device_array(points_t1) != on_device:
         raise ValueError(
@@ -351,7 +222,8 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
         )
     if on_device:
         points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
-        device = resolve_device(options.device, points_t0.device)
+        with naming(function):
+            device = resolve_device(options.device, points_t0.device)
         x_t0 = _as_points(kind, points_t0, "points_t0")
         x_t1 = _as_points(kind, points_t1, "points_t1")
         if points_t1.device != device:
@@ -369,7 +241,10 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
         b = _validated_points(kind, points_t1, "points_t1")
         if b.shape != a.shape:
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
-        x_t0, x_t1 = (wp.array(_in_3d(x), dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
+        a, b = _in_3d(a), _in_3d(b)
+        if device.is_cpu and 0 < len(a) <= CAPACITY:
+            return PairResult(*_solve_few(kind, a, b, options, device))
+        x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
 
     out = _solve(kind, x_t0, x_t1, options, device)
     if on_device:
@@ -377,20 +252,54 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, options: Options
     return PairResult(*(array.numpy() for array in out.as_list()))
 
 
+def _solve_few(
+    kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
+) -> list[np.ndarray]:
+    """As :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than they do."""
+    packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
+    with borrowed_batch(kind, options.real, device, points_t0.shape[1], packed) as batch:
+        results = batch.solve(points_t0, points_t1, packed)
+    is_open = _open_pairs(results[_STATUS], options)
+    if is_open is not None:
+        _solve_open(kind, points_t0, points_t1, results, is_open, options, device)
+    return results
+
+
 def _solve(kind: PairKind, x_t0: wp.array, x_t1: wp.array, options: Options, device: Any) -> PairArrays:
     """Launch the solver; on the CPU in two rounds, the second for the pairs that take more than a few iterations."""
     is_one_round = device.is_cuda or device.is_capturing  # neither the host nor a graph knows which those are
     first = int(options.max_iterations) if is_one_round else options.first_iterations
     out = _launch(kind, x_t0, x_t1, options, first, device)
-    if first < options.max_iterations:
-        is_open = out.status.numpy() == _LIMIT
-        if is_open.any():
-            open_t0: wp.array = wp.array(x_t0.numpy()[is_open], dtype=wp.vec3d, device=device)
-            open_t1: wp.array = wp.array(x_t1.numpy()[is_open], dtype=wp.vec3d, device=device)
-            solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
-            for array, new in zip(out.as_list(), solved.as_list(), strict=True):
-                array.numpy()[is_open] = new.numpy()
+    is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
+    if is_open is not None:
+        results = [array.numpy() for array in out.as_list()]
+        _solve_open(kind, x_t0.numpy(), x_t1.numpy(), results, is_open, options, device)
     return out
+
+
+def _open_pairs(status: np.ndarray, options: Options) -> np.ndarray | None:
+    """Which pairs the first round left open, or None where there are none."""
+    if options.first_iterations == options.max_iterations:
+        return None
+    is_open = status == _LIMIT
+    return is_open if is_open.any() else None
+
+
+def _solve_open(
+    kind: PairKind,
+    points_t0: np.ndarray,
+    points_t1: np.ndarray,
+    results: list[np.ndarray],
+    is_open: np.ndarray,
+    options: Options,
+    device: Any,
+) -> None:
+    """The second round: solve the pairs that the first left open, and put their results in place."""
+    x_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
+    x_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
+    solved = _launch(kind, x_t0, x_t1, options, int(options.max_iterations), device)
+    for array, new in zip(results, solved.as_list(), strict=True):
+        array[is_open] = new.numpy()
 
 
 def _launch(

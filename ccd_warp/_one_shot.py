@@ -1,17 +1,18 @@
 """The one-shot calls: two frames of a mesh in, earliest times of impact out."""
 
-from collections.abc import Sequence
-from typing import Any
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
+from typing import Unpack
 
 from numpy.typing import ArrayLike
 
 from ccd_warp._candidates import Candidates
-from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
+from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import DEFAULT_MAX_ITERATIONS, DEFAULT_MAX_WORK, DEFAULT_TOLERANCE, Options
+from ccd_warp._option_types import CandidateOptions, LineSearchOptions, MeshOptions
+from ccd_warp._options import options_of
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import MeshResult
-from ccd_warp._status import PairKind
 
 
 def find_candidates(
@@ -19,10 +20,7 @@ def find_candidates(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
-    *,
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
 
@@ -48,17 +46,16 @@ def find_candidates(
         vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
             only, shape [V_moving, 3].
         inflation: Growth of every box on every side, a length in the unit of the mesh, finite and not negative.
-        pair_kinds: Kinds of pairs to look for (:class:`ccd_warp.PairKind` or their names); by default all.
-        device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
+        **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
         The pairs, in an order that depends on the mesh, the frames and ``inflation`` alone; on CUDA it is that of the
         indices, which :meth:`ccd_warp.Candidates.sorted` gives anywhere.
 
     Raises:
-        ValueError: If the frames do not match the mesh, a value that is read is not finite, ``inflation`` is negative
-            or not finite, or ``num_threads`` is less than one.
+        ValueError: If the frames do not match the mesh, a value that is read is not finite, or ``inflation`` or an
+            option is out of its range.
+        TypeError: If there is no such option.
 
     References:
         Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (boxes along a
@@ -67,8 +64,8 @@ def find_candidates(
     Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair. The boxes of two primitives
     that come within ``inflation`` of each other (L∞) during the step overlap.
     """
-    options = Options(pair_kinds=pair_kinds, device=device, num_threads=num_threads)
-    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+    chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation"])
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
 
 
@@ -76,20 +73,7 @@ def mesh_ccd(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    max_work: int = DEFAULT_MAX_WORK,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    memory_limit: int | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[MeshOptions],
 ) -> MeshResult:
     """Earliest times of impact of a step: of the scene, per vertex, per body, and of every contact.
 
@@ -98,27 +82,7 @@ def mesh_ccd(
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving vertices
             only, shape [V_moving, 3].
-        tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
-            ``length_scale``, above 0.
-        minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``.
-        start_gap_fraction: In (0, 1), or None. Where a pair starts closer than the minimum separation, or close to it,
-            its separation is this fraction of its start gap at most: its toi is then positive, unless it touches at
-            the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive step.
-        t_max: End of the step that is checked, in [0, 1].
-        max_iterations: Limit of the work on a pair; at the limit its toi is early, never late.
-        max_work: Limit of the work on a step: iterations that the pairs of a kind may take in all once each has had
-            its first 256. Where they would take more, all that are still open get an equal share, and those that reach
-            it are marked as at ``max_iterations``. The share depends on the pairs alone, so results stay the same.
-        length_scale: Length that the two multiples refer to; by default the longest side of the box around the whole
-            motion.
-        precision: ``"float64"`` or ``"float32"``, of the iteration. Differences are always formed in float64.
-        method: ``"clipping"``, or ``"bisection"``: the literature's plain inclusion bisection, for comparison.
-        pair_kinds: Kinds of pairs to look at (:class:`ccd_warp.PairKind` or their names, as ``"vertex_face"``); by
-            default all that the mesh can form.
-        memory_limit: Bytes that the step may take beside its input, its contacts included. Where the pairs do not fit
-            they come in batches; no result depends on it. By default what the boxes need, and 1 GiB for the pairs.
-        device: Warp device; by default Warp's current one.
-        num_threads: Threads on the CPU, at most 1,024; by default one a core. The result does not depend on it.
+        **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
         The result, NumPy arrays.
@@ -126,31 +90,17 @@ def mesh_ccd(
     Raises:
         ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
             ``memory_limit`` is too small, with the least that works.
+        TypeError: If there is no such option.
 
     References:
         Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
 
-    Guarantee: if the exact trajectories of a pair that passes the mesh's filter (vertex-face, edge-edge, and where the
-    mesh has loose primitives point-segment and point-point) first touch (or come within the minimum separation) at
-    τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
-    possible only where the L∞ gap falls below separation + δ + ε, or where a limit was reached, which the status says.
+    Guarantee: that of :mod:`ccd_warp`, of every pair that passes the mesh's filter (vertex-face, edge-edge, and where
+    the mesh has loose primitives point-segment and point-point): no toi that covers the pair is late, ``inf`` is
+    certain.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        max_work=max_work,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        pair_kinds=pair_kinds,
-        memory_limit=memory_limit,
-        device=device,
-        num_threads=num_threads,
-    )
-    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+    chosen = options_of("mesh_ccd", MeshOptions, options)
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.mesh_ccd(vertices_t0, vertices_t1)
 
 
@@ -158,41 +108,16 @@ def collision_free_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    minimum_separation: float = 0.0,
-    start_gap_fraction: float | None = None,
-    t_max: float = 1.0,
-    max_iterations: int = DEFAULT_MAX_ITERATIONS,
-    max_work: int = DEFAULT_MAX_WORK,
-    length_scale: float | None = None,
-    precision: str = "float64",
-    method: str = "clipping",
-    pair_kinds: Sequence[PairKind | str] | None = None,
-    memory_limit: int | None = None,
-    device: Any = None,
-    num_threads: int | None = None,
+    **options: Unpack[MeshOptions],
 ) -> float:
     """Largest step fraction that is certain to be free of collisions.
 
     Args:
         mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`, as all that follow.
-        vertices_t1: End positions.
-        tolerance: Largest gap that counts as contact.
-        minimum_separation: Distance at which a pair counts as touching.
-        start_gap_fraction: Largest separation of a pair as a fraction of its start gap; makes a line search's step
-            positive where the minimum separation alone would make it 0.
-        t_max: End of the step that is checked.
-        max_iterations: Limit of the work on a pair.
-        max_work: Limit of the work on a step.
-        length_scale: Length that the two multiples refer to.
-        precision: ``"float64"`` or ``"float32"``.
-        method: ``"clipping"`` or ``"bisection"``.
-        pair_kinds: Kinds of pairs to look at.
-        memory_limit: Bytes that the step may take beside its input.
-        device: Warp device.
-        num_threads: Threads on the CPU.
+        vertices_t0: Start positions, as in :func:`mesh_ccd`.
+        vertices_t1: End positions, likewise.
+        **options: Options of :class:`ccd_warp.MeshOptions`. With ``start_gap_fraction`` the step is positive where the
+            minimum separation alone would make it 0.
 
     Returns:
         A fraction of the step in [0, t_max], dimensionless: t_max if there is certainly no collision, 0 if bodies touch
@@ -201,29 +126,16 @@ def collision_free_step(
     Raises:
         ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values; or if
             ``memory_limit`` is too small, with the least that works.
+        TypeError: If there is no such option.
 
     References:
         Wang et al. 2021, section 4.
 
-    Guarantee: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` looks at, touches (or comes
-    within the minimum separation) before the returned fraction.
+    Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` looks
+    at, touches (or comes within the minimum separation) before the returned fraction.
     """
-    options = Options(
-        tolerance=tolerance,
-        minimum_separation=minimum_separation,
-        start_gap_fraction=start_gap_fraction,
-        t_max=t_max,
-        max_iterations=max_iterations,
-        max_work=max_work,
-        length_scale=length_scale,
-        precision=precision,
-        method=method,
-        pair_kinds=pair_kinds,
-        memory_limit=memory_limit,
-        device=device,
-        num_threads=num_threads,
-    )
-    with CollisionPipeline.borrowed(mesh, options) as pipeline:
+    chosen = options_of("collision_free_step", MeshOptions, options)
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.collision_free_step(vertices_t0, vertices_t1)
 
 
@@ -232,10 +144,10 @@ def line_search(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    per: str = "scene",
+    per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
-    **options: Any,
+    **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:
     """Shorten a step until it is certain to be free of collisions: as a whole, by bodies, or vertex by vertex.
 
@@ -262,13 +174,14 @@ def line_search(
         max_rounds: Most calls of :func:`mesh_ccd`, at least 3; where they do not do, all vertices of a world move by
             one fraction, or not at all, and ``is_limited`` says so. Bodies and vertices with toi 0 are stopped at once
             where fewer than 6 rounds are left.
-        **options: Options of :func:`mesh_ccd`, all but ``t_max``.
+        **options: Options of :class:`ccd_warp.LineSearchOptions`: those of :func:`mesh_ccd`, all but ``t_max``.
 
     Returns:
         The end positions that can be taken, and the fractions that led there.
 
     Raises:
         ValueError: If an option is out of its range, the frames do not match the mesh, or hold non-finite values.
+        TypeError: If there is no such option.
 
     References:
         Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
@@ -279,5 +192,6 @@ def line_search(
     every pair with a vertex that moves had toi ``inf`` there, which is certain. (After it at most whole worlds were put
     back to their start.)
     """
-    with CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
+    chosen = options_of("line_search", LineSearchOptions, options, others=["per", "safety", "max_rounds"])
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds)

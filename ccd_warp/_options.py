@@ -1,7 +1,9 @@
 """Options of every query, validated once, on construction."""
 
+import difflib
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,17 +13,15 @@ import warp as wp
 
 from ccd_warp._arguments import check_choice, check_count, check_items, check_real, shown
 from ccd_warp._launch import start_warp
+from ccd_warp._option_types import MeshOptions, Method, Precision
 from ccd_warp._status import PairKind
 from ccd_warp._threads import default_num_threads
 from ccd_warp.kernels import narrow_phase
 
-DEFAULT_TOLERANCE = 1e-6
-DEFAULT_MAX_ITERATIONS = 10_000
-DEFAULT_MAX_WORK = 5_000_000
 MOST_THREADS = 1024  # far beyond what brings anything: a step gets no more threads than there are cores
 
-_PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
-_METHODS = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
+_PRECISIONS: dict[Precision, Any] = {"float64": wp.float64, "float32": wp.float32}
+_METHODS: dict[Method, int] = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
 # Fields of the struct that the kernels take.
 _FIELDS = (
     "tolerance",
@@ -35,24 +35,26 @@ _FIELDS = (
     "max_work",
     "method",
 )
+# Values of these types are what they are; others may be read but once, or change.
+_PLAIN = frozenset((float, int, str, type(None)))
 # Iterations of every pair in the first round of a step. Contacts take 2 in the mean; a box of the bisection is cheaper.
-_FIRST_ITERATIONS = {"clipping": 256, "bisection": 4096}
+_FIRST_ITERATIONS: dict[Method, int] = {"clipping": 256, "bisection": 4096}
 
 
 @dataclass(frozen=True)
 class Options:
-    """Validated options; see any public function for their meaning."""
+    """Validated options with their defaults; :class:`MeshOptions` tells what they mean."""
 
-    tolerance: float = DEFAULT_TOLERANCE
+    tolerance: float = 1e-6
     minimum_separation: float = 0.0
     start_gap_fraction: float | None = None
     t_max: float = 1.0
-    max_iterations: int = DEFAULT_MAX_ITERATIONS
-    max_work: int = DEFAULT_MAX_WORK
+    max_iterations: int = 10_000
+    max_work: int = 5_000_000
     length_scale: float | None = None
-    precision: str = "float64"
-    method: str = "clipping"
-    pair_kinds: Sequence[PairKind | str] | None = None
+    precision: Precision = "float64"
+    method: Method = "clipping"
+    pair_kinds: Iterable[PairKind | str] | None = None
     memory_limit: int | None = None
     device: Any = None
     num_threads: int | None = None
@@ -145,6 +147,59 @@ class Options:
         return default_num_threads() if self.num_threads is None else int(self.num_threads)
 
 
+def options_of(
+    function: str, kind: type[Mapping[str, object]], given: Mapping[str, Any], *, others: Collection[str] = ()
+) -> Options:
+    """The options of a call.
+
+    Args:
+        function: Name of the public function, for the messages.
+        kind: Typed dictionary of the options that it takes.
+        given: Options of the call.
+        others: What else it takes by name, which may have been misspelled.
+
+    Raises:
+        TypeError: If it does not take one of them.
+        ValueError: If one is out of its range.
+    """
+    names = kind.__optional_keys__  # type: ignore[attr-defined]
+    if not given.keys() <= names:
+        name = next(name for name in given if name not in names)
+        raise TypeError(_why_not_taken(function, name, {*names, *others}))
+    make = _made_once if all(type(value) in _PLAIN for value in given.values()) else _made
+    with naming(function):
+        return make(**given)
+
+
+@contextmanager
+def naming(function: str) -> Iterator[None]:
+    """Let a ValueError about an option begin with the name of the public function."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{function}: {error}") from error.__cause__
+
+
+def _made(**given: Any) -> Options:
+    """Options all of which can be used here, the device included."""
+    options = Options(**given)
+    resolve_device(options.device)
+    return options
+
+
+# Validation takes a tenth of a call with one pair. By type, because 1 and True are one key.
+_made_once = lru_cache(maxsize=64, typed=True)(_made)
+
+
+def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
+    """A message for an option that a function does not take."""
+    if name in MeshOptions.__optional_keys__:
+        return f"{function}() does not take the option {name!r}; mesh_ccd() does"
+    closest = difflib.get_close_matches(name, sorted(names), n=1)
+    hint = f"did you mean {closest[0]!r}?" if closest else f"expected one of {', '.join(sorted(names))}"
+    return f"{function}() got an unexpected option {shown(name)}; {hint}"
+
+
 def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
     """The struct of the kernels, from the values of its fields in their order."""
     options = narrow_phase.make_narrow_phase(real).Options()
@@ -162,7 +217,11 @@ def _packed_once(real: Any, values: tuple[Any, ...]) -> Any:
 
 
 def resolve_device(device: Any, of_arrays: Any = None) -> Any:
-    """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one."""
+    """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one.
+
+    Raises:
+        ValueError: If there is no such device, or the arrays are on another.
+    """
     start_warp()
     if device is None:
         return wp.get_device() if of_arrays is None else of_arrays

@@ -2,10 +2,10 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,27 +23,22 @@ from ccd_warp._interop import check_writable
 from ccd_warp._line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
+    EVERY_PER,
     LineSearchResult,
+    Per,
     check_step_is_whole,
     search_step,
 )
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._options import (
-    DEFAULT_MAX_ITERATIONS,
-    DEFAULT_MAX_WORK,
-    DEFAULT_TOLERANCE,
-    Options,
-    resolve_device,
-)
+from ccd_warp._option_types import MeshOptions
+from ccd_warp._options import Options, naming, options_of, resolve_device
 from ccd_warp._progress import Progress
 from ccd_warp._results import LaunchResult, MeshResult
-from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 from ccd_warp._workspace import Workspace
 
 DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100
-_PER = ("scene", "world", "body", "vertex")
 
 
 _T = TypeVar("_T")
@@ -67,45 +62,27 @@ class CollisionPipeline:
         self,
         mesh: CollisionMesh,
         *,
-        tolerance: float = DEFAULT_TOLERANCE,
-        minimum_separation: float = 0.0,
-        start_gap_fraction: float | None = None,
-        t_max: float = 1.0,
-        max_iterations: int = DEFAULT_MAX_ITERATIONS,
-        max_work: int = DEFAULT_MAX_WORK,
-        length_scale: float | None = None,
-        precision: str = "float64",
-        method: str = "clipping",
-        pair_kinds: Sequence[PairKind | str] | None = None,
-        memory_limit: int | None = None,
-        device: Any = None,
-        num_threads: int | None = None,
         max_pairs: int | None = None,
         max_contacts: int | None = None,
+        **options: Unpack[MeshOptions],
     ) -> None:
-        """Hold a mesh and options, which are those of :func:`ccd_warp.mesh_ccd`, and the capacities of :meth:`reserve`.
+        """Hold a mesh and options.
+
+        Args:
+            mesh: The bodies.
+            max_pairs: Capacity for pairs, as of :meth:`reserve`.
+            max_contacts: Capacity for contacts, likewise.
+            **options: Options of :class:`ccd_warp.MeshOptions`.
 
         Raises:
             ValueError: If an option is out of its range.
+            TypeError: If there is no such option.
         """
-        options = Options(
-            tolerance=tolerance,
-            minimum_separation=minimum_separation,
-            start_gap_fraction=start_gap_fraction,
-            t_max=t_max,
-            max_iterations=max_iterations,
-            max_work=max_work,
-            length_scale=length_scale,
-            precision=precision,
-            method=method,
-            pair_kinds=pair_kinds,
-            memory_limit=memory_limit,
-            device=device,
-            num_threads=num_threads,
-        )
+        chosen = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
         check_instance("mesh", mesh, CollisionMesh)
-        self._hold(options, Workspace(mesh, resolve_device(device)))
-        self._capacities = self._with_capacities(max_pairs, max_contacts)
+        self._hold(chosen, Workspace(mesh, resolve_device(chosen.device)))
+        with naming("CollisionPipeline"):
+            self._capacities = self._with_capacities(max_pairs, max_contacts)
 
     def _hold(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
@@ -204,7 +181,8 @@ class CollisionPipeline:
         with self._lock:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; call reserve() before the capture")
-            capacities = self._with_capacities(max_pairs, max_contacts)
+            with naming("reserve"):
+                capacities = self._with_capacities(max_pairs, max_contacts)
             layout = None if vertices is None else self.mesh.frame(vertices, "vertices").copy()
             self._reserve(capacities, layout)
             assert self._device_step
@@ -267,7 +245,7 @@ class CollisionPipeline:
         x_t0: Any,
         x_t1: Any,
         *,
-        per: str = "scene",
+        per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         num_rounds: int = DEFAULT_NUM_ROUNDS,
     ) -> LaunchResult:
@@ -312,9 +290,10 @@ class CollisionPipeline:
         very positions, as they are rounded, and where its toi was not inf the vertices do not move.
         """
         check_writable(x_t1, "x_t1")
-        per, safety = _validated_line_search(per, safety)
-        num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
-        check_step_is_whole(self._options.t_max)
+        with naming("launch_line_search"):
+            per, safety = _validated_line_search(per, safety)
+            num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
+            check_step_is_whole(self._options.t_max)
         return self._launch(x_t0, x_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 
     def _launch(self, x_t0: Any, x_t1: Any, **arguments: Any) -> LaunchResult:
@@ -360,7 +339,8 @@ class CollisionPipeline:
 
         Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair.
         """
-        inflation = validated_inflation(inflation)
+        with naming("find_candidates"):
+            inflation = validated_inflation(inflation)
         return self._on_step(vertices_t0, vertices_t1, lambda step: candidates_of(step, inflation))
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
@@ -402,7 +382,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        per: str = "scene",
+        per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
     ) -> LineSearchResult:
@@ -423,17 +403,18 @@ class CollisionPipeline:
 
         Guarantee: as there; no pair with a vertex that moves touches on the way to the end positions.
         """
-        check_step_is_whole(self._options.t_max)
-        per, safety = _validated_line_search(per, safety)
-        max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
+        with naming("line_search"):
+            check_step_is_whole(self._options.t_max)
+            per, safety = _validated_line_search(per, safety)
+            max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
         return search_step(
             self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
         )
 
 
-def _validated_line_search(per: str, safety: float) -> tuple[str, float]:
+def _validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
     """What moves together and how far, or a ValueError."""
     return (
-        check_choice("per", per, _PER),
+        check_choice("per", per, EVERY_PER),
         check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),
     )

@@ -4,6 +4,7 @@ import copy
 import functools
 import inspect
 import pickle
+import typing
 from dataclasses import is_dataclass
 
 import hostile
@@ -323,16 +324,28 @@ def test_every_public_argument_is_among_those_tried(calls):
     functions += [viz.render_step, viz.show_step, viz.contact_points, datasets.Queries.id, datasets.Queries.joined]
     functions += [member for owner in (ccd.CollisionMesh, ccd.CollisionPipeline) for member in _methods(owner)]
     outputs = {ccd.Candidates, ccd.Contacts, ccd.DeviceContacts, ccd.LaunchResult, ccd.LineSearchResult, ccd.MeshResult}
+    outputs |= {ccd.MeshOptions, ccd.PairOptions, ccd.LineSearchOptions, ccd.CandidateOptions}
     outputs |= {ccd.PairResult, ccd.CCDStatus, ccd.LaunchFlag, ccd.PairKind, datasets.SimulationStep, ccd.CollisionMesh}
     tried = {}
     for function, arguments in calls.values():
         tried.setdefault(function.__qualname__, set()).update(arguments)
     for function in functions:
         if callable(function) and function not in outputs:
-            parameters = {p.name for p in inspect.signature(function).parameters.values() if p.kind != p.VAR_KEYWORD}
-            parameters -= {"self"}
+            parameters = _parameters(function) - {"self"}
             # `name` of `frame` is a word for messages; `borrowed` serves the one-shot functions
             assert parameters - {"name"} <= tried.get(function.__qualname__, set()), function.__qualname__
+
+
+def _parameters(function):
+    """Names of all that a function takes, the options of its typed dictionary included."""
+    parameters = inspect.signature(function).parameters.values()
+    names = {p.name for p in parameters if p.kind != p.VAR_KEYWORD}
+    for p in parameters:
+        if p.kind == p.VAR_KEYWORD:
+            hints = typing.get_type_hints(function.__init__ if isinstance(function, type) else function)
+            (kind,) = typing.get_args(hints[p.name])
+            names |= kind.__optional_keys__
+    return names
 
 
 def _methods(owner):
