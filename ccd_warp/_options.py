@@ -16,12 +16,12 @@ from ccd_warp._launch import start_warp
 from ccd_warp._option_types import MeshOptions, Method, Precision
 from ccd_warp._status import PairKind
 from ccd_warp._threads import default_num_threads
-from ccd_warp.kernels import narrow_phase
+from ccd_warp.kernels import query
 
 MOST_THREADS = 1024  # far beyond what brings anything: a step gets no more threads than there are cores
 
 _PRECISIONS: dict[Precision, Any] = {"float64": wp.float64, "float32": wp.float32}
-_METHODS: dict[Method, int] = {"clipping": int(narrow_phase.CLIPPING), "bisection": int(narrow_phase.BISECTION)}
+_METHODS: dict[Method, int] = {"clipping": int(query.CLIPPING), "bisection": int(query.BISECTION)}
 # Fields of the struct that the kernels take.
 _FIELDS = (
     "tolerance",
@@ -202,7 +202,7 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
 
 def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
     """The struct of the kernels, from the values of its fields in their order."""
-    options = narrow_phase.make_narrow_phase(real).Options()
+    options = query.make_query(real).Options()
     for name, value in zip(_FIELDS, values, strict=True):
         setattr(options, name, value)
     if stop is not None:

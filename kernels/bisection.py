@@ -16,19 +16,19 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .facets import make_facets
-from .interrupts import is_stopped
-from .once import once
-from .patch import make_patch
-from .rounding import MAX_SPLITS, MOVING
-from .subdivide import (
+from .answer import (
     STACK_DEPTH,
     STATUS_COLLISION,
     STATUS_ITERATION_LIMIT,
     STATUS_NO_COLLISION,
     STATUS_RESOLUTION_LIMIT,
-    make_subdivide,
+    make_answer,
 )
+from .facets import make_facets
+from .interrupts import is_stopped
+from .once import once
+from .patch import make_patch
+from .rounding import MAX_SPLITS, MOVING
 
 
 @once
@@ -42,8 +42,8 @@ def make_bisection(real) -> SimpleNamespace:
     Corners = types.Corners
     sub_corners = types.sub_corners
     corners_at = make_facets(real).corners_at
-    Answer = make_subdivide(real).Answer
-    parameters = make_subdivide(real).parameters
+    Answer = make_answer(real).Answer
+    parameters = make_answer(real).parameters
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
     moving = wp.constant(real(MOVING))
     half = wp.constant(real(0.5))

@@ -9,6 +9,14 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
+from .answer import (
+    STATUS_COLLISION,
+    STATUS_INITIAL_CONTACT,
+    STATUS_INVALID,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+    make_answer,
+)
 from .atomics import claim, claim_int, lower_to
 from .bisection import make_bisection
 from .closest_point import make_closest_point
@@ -32,6 +40,7 @@ from .points import (
     scaled,
     total,
 )
+from .query import BISECTION, CLIPPING, make_query
 from .rounding import (
     LARGEST,
     PROJECTION_PATCH,
@@ -41,19 +50,8 @@ from .rounding import (
     UNIT_ROUNDOFF,
     inverse_power_of_two,
 )
-from .subdivide import (
-    STATUS_COLLISION,
-    STATUS_INITIAL_CONTACT,
-    STATUS_INVALID,
-    STATUS_ITERATION_LIMIT,
-    STATUS_NO_COLLISION,
-    make_subdivide,
-)
+from .subdivide import make_subdivide
 from .volume import make_volume
-
-# Methods; ccd_warp.METHODS mirrors these.
-CLIPPING = wp.constant(0)
-BISECTION = wp.constant(1)
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
@@ -72,15 +70,17 @@ def make_narrow_phase(real) -> SimpleNamespace:
     Patch = types.Patch
     Problem = types.Problem
     Corners = types.Corners
+    Options = make_query(real).Options
+    share_of_work = make_query(real).share_of_work
     advance = make_advance(real).advance
     with_volume = make_volume(real).with_volume
     point_of = make_advance(real).point_of
     closest_weights = make_closest_point(real).closest_weights
     corners_at = make_facets(real).corners_at
     bisect = make_bisection(real).bisect
-    Answer = make_subdivide(real).Answer
+    Answer = make_answer(real).Answer
     subdivide = make_subdivide(real).subdivide
-    parameters = make_subdivide(real).parameters
+    parameters = make_answer(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
     start_gap_share = make_facets(real).start_gap_share
@@ -99,22 +99,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
         r.q = vec3(wp.cw_mul(c.q, s))
         r.r = vec3(wp.cw_mul(c.r, s))
         return r
-
-    @wp.struct
-    class Options:
-        """Options of a query."""
-
-        tolerance: wp.float64
-        minimum_separation: wp.float64
-        start_gap_fraction: wp.float64  # 0: the minimum separation holds for every pair
-        length_scale: wp.float64  # 0 stands for the pair's own
-        t_max: wp.float64
-        t_end: real  # t_max rounded up
-        first_iterations: int  # of a pair in the first round of a step
-        max_iterations: int
-        max_work: wp.int64  # iterations of all pairs of a kind that the first round leaves open
-        method: int
-        stop: wp.array[wp.int32]  # set where the host wants the kernel to end
 
     @wp.struct
     class Outcome:
@@ -284,12 +268,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 outcome.gap = gap_of(answer.point, n)
         return outcome
 
-    @wp.func
-    def share_of_work(options: Options, num_open: wp.int64) -> int:
-        """Iterations of each pair that the first round left open; ``Options.share_of_work`` on the host is the same."""
-        share = wp.max(options.max_work / num_open, wp.int64(options.first_iterations))
-        return wp.int32(wp.min(share, wp.int64(options.max_iterations)))
-
     def own_module(name: str):
         """A Warp module a kernel, so that a scene compiles only the one that it launches."""
         module = wp.get_module(f"ccd_warp.{name}.{real.__name__}")
@@ -448,7 +426,6 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 lower_to(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
     return SimpleNamespace(
-        Options=Options,
         normalise=normalise,
         points_toi=points_toi,
         solve_pairs=solve_pairs,

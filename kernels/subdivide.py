@@ -5,20 +5,18 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
+from .answer import (
+    STACK_DEPTH,
+    STATUS_COLLISION,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+    STATUS_RESOLUTION_LIMIT,
+    make_answer,
+)
 from .interrupts import is_stopped
 from .once import once
-from .patch import POINT_SEGMENT, VERTEX_FACE, make_patch
+from .patch import make_patch
 from .rounding import MAX_SPLITS
-
-STACK_DEPTH = 64
-
-# Status of a pair; ccd_warp.CCDStatus mirrors these.
-STATUS_NO_COLLISION = wp.constant(0)
-STATUS_COLLISION = wp.constant(1)
-STATUS_INITIAL_CONTACT = wp.constant(2)
-STATUS_ITERATION_LIMIT = wp.constant(3)
-STATUS_RESOLUTION_LIMIT = wp.constant(4)
-STATUS_INVALID = wp.constant(5)
 
 
 @once
@@ -31,45 +29,14 @@ def make_subdivide(real) -> SimpleNamespace:
     Problem = types.Problem
     sub_corners = types.sub_corners
     advance = make_advance(real).advance
+    Answer = make_answer(real).Answer
+    parameters = make_answer(real).parameters
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
     depth = wp.constant(STACK_DEPTH)
-
-    @wp.struct
-    class Answer:
-        """Earliest contact of a pair."""
-
-        toi: real  # 2: none
-        width: real  # of the reported box in time: 0 but for boxes of the bisection
-        status: int
-        iterations: int
-        parameters: wp.vec2d
-        point: vec3  # a point of the patch at toi, in normalised units: its size bounds the gap
 
     @wp.func
     def longest(a: vec3) -> real:
         return wp.max(wp.max(wp.abs(a[0]), wp.abs(a[1])), wp.abs(a[2]))
-
-    @wp.func
-    def parameters(kind: int, u0: real, u1: real, v0: real, v1: real, wb: real, wc: real, from_w11: bool) -> wp.vec2d:
-        """Barycentric (u, v) of f1 and f2, or positions (u, v) along the edges, from weights on a sub-patch."""
-        uc = u0
-        vc = v0
-        if from_w11:
-            uc = u1
-            vc = v1
-        # the neighbours of the corner (uc, vc) are w01 = (u0, v1) and w10 = (u1, v0)
-        c = wp.vec2d(wp.float64(uc), wp.float64(vc))
-        b01 = wp.vec2d(wp.float64(u0), wp.float64(v1))
-        b10 = wp.vec2d(wp.float64(u1), wp.float64(v0))
-        if kind == POINT_SEGMENT:
-            c = wp.vec2d(c[1], c[0])
-            b01 = wp.vec2d(b01[1], b01[0])
-            b10 = wp.vec2d(b10[1], b10[0])
-        if kind == VERTEX_FACE:
-            c = wp.vec2d((wp.float64(1.0) - c[0]) * c[1], c[0])
-            b01 = wp.vec2d((wp.float64(1.0) - b01[0]) * b01[1], b01[0])
-            b10 = wp.vec2d((wp.float64(1.0) - b10[0]) * b10[1], b10[0])
-        return c + wp.float64(wb) * (b01 - c) + wp.float64(wc) * (b10 - c)
 
     @wp.func
     def subdivide(
@@ -175,4 +142,4 @@ def make_subdivide(real) -> SimpleNamespace:
                     answer.parameters = parameters(kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11)
         return answer
 
-    return SimpleNamespace(Answer=Answer, subdivide=subdivide, parameters=parameters)
+    return SimpleNamespace(subdivide=subdivide)

@@ -24,6 +24,7 @@ from ccd_warp.kernels.inclusion import make_inclusion
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.patch import make_patch
 from ccd_warp.kernels.points import corners, row_points
+from ccd_warp.kernels.query import make_query
 from ccd_warp.kernels.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
 from ccd_warp.kernels.volume import make_volume
 
@@ -71,7 +72,7 @@ def make_probe(real):
     vec4 = wp.types.vector(length=4, dtype=real)
     types = make_patch(real)
     Patch = types.Patch
-    Options = make_narrow_phase(real).Options
+    Options = make_query(real).Options
     normalise = make_narrow_phase(real).normalise
     sub_corners = types.sub_corners
     inclusion = make_inclusion(real)

@@ -1,0 +1,40 @@
+"""The options of a query, as the kernels take them."""
+
+from types import SimpleNamespace
+
+import warp as wp
+
+from .once import once
+
+# Methods; the names of ``PairOptions.method`` stand for these.
+CLIPPING = wp.constant(0)
+BISECTION = wp.constant(1)
+
+
+@once
+def make_query(real) -> SimpleNamespace:
+    """Struct and function for one floating-point type."""
+
+    @wp.struct
+    class Options:
+        """Options of a query."""
+
+        tolerance: wp.float64
+        minimum_separation: wp.float64
+        start_gap_fraction: wp.float64  # 0: the minimum separation holds for every pair
+        length_scale: wp.float64  # 0 stands for the pair's own
+        t_max: wp.float64
+        t_end: real  # t_max rounded up
+        first_iterations: int  # of a pair in the first round of a step
+        max_iterations: int
+        max_work: wp.int64  # iterations of all pairs of a kind that the first round leaves open
+        method: int
+        stop: wp.array[wp.int32]  # set where the host wants the kernel to end
+
+    @wp.func
+    def share_of_work(options: Options, num_open: wp.int64) -> int:
+        """Iterations of each pair that the first round left open; ``Options.share_of_work`` on the host is the same."""
+        share = wp.max(options.max_work / num_open, wp.int64(options.first_iterations))
+        return wp.int32(wp.min(share, wp.int64(options.max_iterations)))
+
+    return SimpleNamespace(Options=Options, share_of_work=share_of_work)
