@@ -158,7 +158,7 @@ def describe_contacts(
     begin: int,
     # in
     kind: int,
-    order: wp.array[wp.int64],
+    order: wp.array[wp.int32],
     contacts: Contacts,
     first_corners: wp.array[wp.vec3i],
     second_corners: wp.array[wp.vec3i],
@@ -177,7 +177,7 @@ def describe_contacts(
 ):
     """Write the contacts of a kind in their order, with their normals."""
     n = begin + wp.tid()
-    k = wp.int32(order[n])
+    k = order[n]
     slot = first_contact + n
     pair = pair_of(contacts.pair[k])
     first = first_corners[pair[0]]
@@ -258,15 +258,3 @@ def first_contacts(
             wp.atomic_min(vertex_contact, v, n)
         if body_toi_bits[vertex_body[v]] == bits:
             wp.atomic_min(body_contact, vertex_body[v], n)
-
-
-@wp.kernel
-def widen(
-    # in
-    places: wp.array[wp.int32],
-    # out
-    order: wp.array[wp.int64],
-):
-    """The places of a 32-bit sort as those of a 64-bit one."""
-    k = wp.tid()
-    order[k] = wp.int64(places[k])
