@@ -129,7 +129,9 @@ class ContactStore:
         device = self._execution.device
         pairs = self._buffers.get(f"{kind.name} contact pair", 0, wp.int64)
         if not self._execution.is_cuda:
-            return wp.array(np.argsort(pairs.numpy()[:count]).astype(np.int32), dtype=wp.int32, device=device, copy=False)
+            return wp.array(
+                np.argsort(pairs.numpy()[:count]).astype(np.int32), dtype=wp.int32, device=device, copy=False
+            )
         keys = wp.empty(2 * count, dtype=wp.int64, device=device)
         wp.copy(keys, pairs, count=count)
         places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=device)

@@ -28,6 +28,7 @@ from ccd_warp._line_search import (
     search_step,
 )
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_cache import MeshCache
 from ccd_warp._options import (
     DEFAULT_MAX_ITERATIONS,
     DEFAULT_MAX_WORK,
@@ -129,7 +130,7 @@ class CollisionPipeline:
         """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
-        idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
+        idle = MeshCache.of(mesh).idle_workspaces.setdefault(str(device), [])
         try:
             workspace = idle.pop()
         except IndexError:
