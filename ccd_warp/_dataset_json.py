@@ -9,6 +9,7 @@ import numpy as np
 from ccd_warp._arguments import check_path, shown
 from ccd_warp._array_input import as_array
 from ccd_warp._dataset_paths import replacing
+from ccd_warp._mesh_input import unique_edges
 
 
 def read_truth(path: str | Path) -> np.ndarray:
@@ -113,7 +114,8 @@ def edges_by_max(faces: np.ndarray) -> np.ndarray:
         faces: Vertex indices, any integer dtype, shape [F, 3].
 
     Returns:
-        Each edge once, as (min, max) of its vertices, sorted by (max, min), dtype of ``faces``, shape [E, 2].
+        Each edge once, as (min, max) of its vertices, sorted by (max, min), dtype of ``faces``, shape [E, 2]; those of
+        ``CollisionMesh``, where a pair (a, a) is not an edge.
 
     Raises:
         ValueError: If ``faces`` has another dtype or shape.
@@ -124,8 +126,10 @@ def edges_by_max(faces: np.ndarray) -> np.ndarray:
     faces = as_array(faces, "faces", "integers of shape (F, 3)")
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"faces is {shown(faces.dtype)} of shape {faces.shape}; expected integers of shape (F, 3)")
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(edges[:, ::-1], axis=0)[:, ::-1]
+    # Ranks are in the order of the indices, and small whatever those are.
+    indices, ranks = np.unique(faces, return_inverse=True)
+    edges, _ = unique_edges(ranks.reshape(faces.shape), np.zeros((0, 2), dtype=np.int32))
+    return indices[edges]
 
 
 def _read_json_list(path: Path) -> list[Any]:

@@ -1,6 +1,7 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import InitVar, dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +25,7 @@ from ccd_warp._mesh_input import (
 )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class CollisionMesh:
     """What may collide: vertices, unique edges and faces of all bodies, one after the other.
 
@@ -58,72 +60,49 @@ class CollisionMesh:
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
-    edges: NDArray[np.int32]
-    loose_edges: NDArray[np.int32]
-    loose_points: NDArray[np.int32]
-    vertex_body: NDArray[np.int32]
-    edge_body: NDArray[np.int32]
-    face_body: NDArray[np.int32]
+    edges: NDArray[np.int32] = field(init=False)
+    loose_edges: NDArray[np.int32] = field(init=False)
+    loose_points: NDArray[np.int32] = field(init=False)
+    vertex_body: NDArray[np.int32] = field(init=False)
+    edge_body: NDArray[np.int32] = field(init=False)
+    face_body: NDArray[np.int32] = field(init=False)
     body_vertex_range: NDArray[np.int32]
     static: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
-    moving_vertices: NDArray[np.int32]
+    moving_vertices: NDArray[np.int32] = field(init=False)
     body_pairs: NDArray[np.bool_] | None
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
+    # What the constructor takes beside fields. It checks nothing, and so does dataclasses.replace, which is refused
+    # because these have no defaults.
+    given_edges: InitVar[NDArray[np.int32]]
+    with_loose_points: InitVar[NDArray[np.bool_]]
 
-    def __init__(
-        self,
-        vertices: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        body_vertex_range: NDArray[np.int32],
-        static: NDArray[np.bool_],
-        self_collision: NDArray[np.bool_],
-        given_edges: NDArray[np.int32],
-        with_loose_points: NDArray[np.bool_],
-        body_pairs: NDArray[np.bool_] | None,
-        exclusion_rings: int,
-        vertex_world: NDArray[np.int32],
-    ) -> None:
-        """Join already validated arrays; use :meth:`from_trimesh` or :meth:`from_arrays` instead."""
-        num_bodies = len(static)
-        vertex_body = np.repeat(np.arange(num_bodies, dtype=np.int32), np.diff(body_vertex_range))
-        edges, loose_edges = unique_edges(faces, given_edges)
-        values: dict[str, Any] = {
-            "vertices": vertices,
-            "faces": faces,
+    def __post_init__(self, given_edges: NDArray[np.int32], with_loose_points: NDArray[np.bool_]) -> None:
+        """Derive the other fields from those that are given and already validated."""
+        vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
+        edges, loose_edges = unique_edges(self.faces, given_edges)
+        derived = {
             "edges": edges,
             "loose_edges": loose_edges,
-            "loose_points": find_loose_points(faces, edges, with_loose_points, vertex_body),
+            "loose_points": find_loose_points(self.faces, edges, with_loose_points, vertex_body),
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
-            "face_body": vertex_body[faces[:, 0]],
-            "body_vertex_range": body_vertex_range,
-            "static": static,
-            "self_collision": self_collision,
-            "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
-            "vertex_world": vertex_world,
+            "face_body": vertex_body[self.faces[:, 0]],
+            "moving_vertices": np.flatnonzero(~self.static[vertex_body]).astype(np.int32),
         }
-        self.__setstate__(values | {"body_pairs": body_pairs, "exclusion_rings": exclusion_rings})
+        self.__setstate__(vars(self) | derived)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy or a pickle holds: the mesh, without what it keeps on devices."""
-        return {name: value for name, value in vars(self).items() if name in type(self).__annotations__}
+        """What a copy or a pickle holds: the fields, without what calls keep with the mesh."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Hold the mesh; its arrays become read-only, which no pickle keeps, and nothing is on a device yet."""
-        for name, value in state.items():
+        """Hold the fields; their arrays become read-only, which no pickle keeps."""
+        for value in state.values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "_device_cache", {})
-        object.__setattr__(self, "_idle_steps", {})
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"CollisionMesh does not change after construction; cannot set {name}")
-
-    def __delattr__(self, name: str) -> None:
-        raise AttributeError(f"CollisionMesh does not change after construction; cannot delete {name}")
+        vars(self).update(state)
 
     def __repr__(self) -> str:
         parts = [f"{self.num_bodies} bodies", f"{self.num_vertices} vertices", f"{self.num_edges} edges"]
@@ -245,16 +224,16 @@ class CollisionMesh:
         faces = np.concatenate(all_faces).astype(np.int32)
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)
         return cls(
-            np.concatenate(all_vertices),
-            faces,
-            np.array(offsets, dtype=np.int32),
-            validated_static(static, len(bodies)),
-            validated_flags(self_collision, len(bodies), "self_collision"),
-            edges,
-            validated_flags(loose_points, len(bodies), "loose_points"),
-            validated_body_pairs(body_pairs, len(bodies)),
-            validated_rings(exclusion_rings),
-            validated_worlds(vertex_world, offsets[-1], {"face": faces, "loose edge": edges}),
+            vertices=np.concatenate(all_vertices),
+            faces=faces,
+            body_vertex_range=np.array(offsets, dtype=np.int32),
+            static=validated_static(static, len(bodies)),
+            self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
+            given_edges=edges,
+            with_loose_points=validated_flags(loose_points, len(bodies), "loose_points"),
+            body_pairs=validated_body_pairs(body_pairs, len(bodies)),
+            exclusion_rings=validated_rings(exclusion_rings),
+            vertex_world=validated_worlds(vertex_world, offsets[-1], {"face": faces, "loose edge": edges}),
         )
 
     @property

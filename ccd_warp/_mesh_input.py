@@ -13,9 +13,9 @@ from ccd_warp._interop import on_host
 
 
 def unique_edges(
-    faces: NDArray[np.int32], given_edges: NDArray[np.int32]
+    faces: NDArray[np.integer], given_edges: NDArray[np.integer]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face.
+    """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face; indices within int32.
 
     One sort of 64-bit keys, and NumPy sorts those with SIMD.
     """
@@ -30,7 +30,7 @@ def unique_edges(
     return edges, np.searchsorted(keys, loose).astype(np.int32)
 
 
-def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> NDArray[np.int64]:
+def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.integer]]]) -> NDArray[np.int64]:
     """Ascending keys (max << 32) | min of the edges among pairs of vertices; (a, a) is none."""
     wide = [(p.astype(np.int64), q.astype(np.int64)) for p, q in pairs]
     keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in wide])

@@ -30,6 +30,7 @@ from ccd_warp._line_search import (
     search_step,
 )
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_cache import MeshCache
 from ccd_warp._option_types import MeshOptions
 from ccd_warp._options import Options, naming, options_of, resolve_device
 from ccd_warp._progress import Progress
@@ -106,7 +107,7 @@ class CollisionPipeline:
         """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
-        idle: list[Workspace] = mesh._idle_steps.setdefault(str(device), [])  # type: ignore[attr-defined]
+        idle = MeshCache.of(mesh).idle_workspaces.setdefault(str(device), [])
         try:
             workspace = idle.pop()
         except IndexError:

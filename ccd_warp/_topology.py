@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_cache import MeshCache
 from ccd_warp._rings import vertex_rings
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
@@ -92,7 +93,7 @@ class Topology:
     @staticmethod
     def of(mesh: CollisionMesh, device: Any) -> "Topology":
         """The topology of a mesh on a device."""
-        cache: dict[str, Topology] = mesh._device_cache  # type: ignore[attr-defined]
+        cache = MeshCache.of(mesh).topologies
         key = str(device)
         if key not in cache:
             cache.setdefault(key, Topology(mesh, device))  # one of two threads that come here at once is kept

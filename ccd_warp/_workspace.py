@@ -31,16 +31,16 @@ class Workspace:
             points = np.zeros((mesh.num_bodies, 3))
             every = np.ones(mesh.num_bodies, dtype=bool)
             hull = CollisionMesh(
-                points,
-                np.zeros((0, 3), dtype=np.int32),
-                np.arange(mesh.num_bodies + 1, dtype=np.int32),
-                ~every,
-                every,
-                np.zeros((0, 2), dtype=np.int32),
-                every,
-                mesh.body_pairs,
-                1,
-                np.zeros(mesh.num_bodies, dtype=np.int32),
+                vertices=points,
+                faces=np.zeros((0, 3), dtype=np.int32),
+                body_vertex_range=np.arange(mesh.num_bodies + 1, dtype=np.int32),
+                static=~every,
+                self_collision=every,
+                given_edges=np.zeros((0, 2), dtype=np.int32),
+                with_loose_points=every,
+                body_pairs=mesh.body_pairs,
+                exclusion_rings=1,
+                vertex_world=np.zeros(mesh.num_bodies, dtype=np.int32),
             )
             self._body_hull = Workspace(hull, self.topology.device)
         return self._body_hull

@@ -35,18 +35,6 @@ def next_below(x: wp.float64) -> wp.float64:
 
 
 @wp.func
-def vec3_min(a: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
-    """Componentwise minimum, exact."""
-    return wp.vec3d(wp.min(a[0], b[0]), wp.min(a[1], b[1]), wp.min(a[2], b[2]))
-
-
-@wp.func
-def vec3_max(a: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
-    """Componentwise maximum, exact."""
-    return wp.vec3d(wp.max(a[0], b[0]), wp.max(a[1], b[1]), wp.max(a[2], b[2]))
-
-
-@wp.func
 def point_box(a: wp.vec3d) -> Box:
     """The box of a point."""
     box = Box()
@@ -59,8 +47,8 @@ def point_box(a: wp.vec3d) -> Box:
 def united(a: Box, b: Box) -> Box:
     """The box around two boxes."""
     box = Box()
-    box.lower = vec3_min(a.lower, b.lower)
-    box.upper = vec3_max(a.upper, b.upper)
+    box.lower = wp.min(a.lower, b.lower)
+    box.upper = wp.max(a.upper, b.upper)
     return box
 
 
@@ -70,10 +58,10 @@ def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
     if not t_end < _ONE:
         return point_box(b)
     end = (_ONE - t_end) * a + t_end * b
-    error = _INTERPOLATION * vec3_max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
+    error = _INTERPOLATION * wp.max(wp.abs(a), wp.abs(b)) + wp.vec3d(_UNDERFLOW, _UNDERFLOW, _UNDERFLOW)
     box = Box()
-    box.lower = vec3_max(end - error, vec3_min(a, b))
-    box.upper = vec3_min(end + error, vec3_max(a, b))
+    box.lower = wp.max(end - error, wp.min(a, b))
+    box.upper = wp.min(end + error, wp.max(a, b))
     return box
 
 
@@ -132,7 +120,7 @@ def chunk_bounds(
     low = x_t0[c * chunk]
     high = low
     for i in range(c * chunk, wp.min((c + 1) * chunk, x_t0.shape[0])):
-        low = vec3_min(low, vec3_min(x_t0[i], x_t1[i]))
-        high = vec3_max(high, vec3_max(x_t0[i], x_t1[i]))
+        low = wp.min(low, wp.min(x_t0[i], x_t1[i]))
+        high = wp.max(high, wp.max(x_t0[i], x_t1[i]))
     lower[c] = low
     upper[c] = high

@@ -207,13 +207,17 @@ def first_contacts(
     kind = contacts.kind[n]
     pair = contacts.primitives[n]
     bits = wp.cast(contacts.toi[n], wp.int64)
-    first = vertex_corners[pair[0]]
-    second = vertex_corners[pair[1]]
+    first = wp.vec3i()
+    second = wp.vec3i()
     if kind == EDGE_EDGE:
         first = edge_corners[pair[0]]
+    else:
+        first = vertex_corners[pair[0]]
     if kind == VERTEX_FACE:
         second = face_corners[pair[1]]
-    elif kind != POINT_POINT:
+    elif kind == POINT_POINT:
+        second = vertex_corners[pair[1]]
+    else:
         second = edge_corners[pair[1]]
     first_of_primitive(first, minima, bits, n, vertex_contact, body_contact)
     first_of_primitive(second, minima, bits, n, vertex_contact, body_contact)

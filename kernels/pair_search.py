@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .atomics import claim
-from .box_tree import WIDTH, BoxTree, box_corners
+from .box_tree import WIDTH, BoxTree, box_corners, vec8i
 from .boxes import swept_lower
 from .cull import is_free
 from .interrupts import is_stopped
@@ -28,7 +28,6 @@ from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 
 vec8u = wp.types.vector(length=8, dtype=wp.uint32)
-vec8i = wp.types.vector(length=8, dtype=wp.int32)
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))

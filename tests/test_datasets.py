@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
 from published import DATA, requires_data
 
+import ccd_warp as ccd
 from ccd_warp import _dataset_csv, datasets
 
 ROW = "1,2,-3,4,0,1"
@@ -539,6 +540,25 @@ def test_truth_beside_the_queries(tmp_path):
 def test_edges_are_sorted_by_their_larger_vertex():
     faces = np.array([[3, 1, 0], [0, 1, 2], [4, 2, 1]])
     assert datasets.edges_by_max(faces).tolist() == [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [1, 4], [2, 4]]
+
+
+def test_edges_of_faces_with_a_repeated_vertex_are_those_of_the_mesh():
+    faces = np.array([[0, 0, 1], [2, 2, 2], [1, 3, 2]])
+    edges = datasets.edges_by_max(faces)
+    assert edges.tolist() == [[0, 1], [1, 2], [1, 3], [2, 3]]
+    mesh = ccd.CollisionMesh.from_arrays([(np.eye(4, 3), faces)])
+    assert np.array_equal(edges, mesh.edges)
+
+
+@pytest.mark.parametrize(
+    ("index", "dtype"), [(2**63 - 2, np.int64), (2**64 - 2, np.uint64), (-2, np.int8), (254, np.uint8)]
+)
+def test_edges_of_any_integers_are_exact(index, dtype):
+    faces = np.array([[index + 1, 0, index]], dtype=dtype)
+    edges = datasets.edges_by_max(faces)
+    assert edges.dtype == dtype
+    ends = sorted(map(int, faces[0]))
+    assert edges.tolist() == [[ends[0], ends[1]], [ends[0], ends[2]], [ends[1], ends[2]]]
 
 
 # ---- Folders ---------------------------------------------------------------------------------------------------------

@@ -1,10 +1,19 @@
 """CollisionMesh: joining, unique edges, frames and messages."""
 
+import copy
+import gc
+import pickle
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 import trimesh
 
+from ccd_warp import mesh_ccd
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_cache import MeshCache
 
 TRIANGLE = (np.eye(3), [[0, 1, 2]])
 TETRAHEDRON = (np.eye(4, 3), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
@@ -105,11 +114,45 @@ def test_mesh_is_frozen():
         mesh.faces = None
     with pytest.raises(AttributeError):
         del mesh.faces
-    for name, kind in CollisionMesh.__annotations__.items():
-        if "NDArray" not in str(kind) or getattr(mesh, name) is None:
-            continue
+    arrays = [value for field in fields(mesh) if isinstance(value := getattr(mesh, field.name), np.ndarray)]
+    assert len(arrays) == 13
+    for array in arrays:
         with pytest.raises(ValueError):
-            getattr(mesh, name)[...] = 0
+            array[...] = 0
+
+
+def test_a_mesh_cannot_be_changed_in_part_past_the_checks():
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    with pytest.raises((TypeError, ValueError), match="given_edges"):
+        replace(mesh, faces=np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32))
+
+
+def test_threads_that_come_at_once_share_one_cache():
+    meshes = [CollisionMesh.from_arrays([TRIANGLE]) for _ in range(50)]
+    with ThreadPoolExecutor(8) as threads:
+        for mesh in meshes:
+            caches = list(threads.map(lambda _, m=mesh: MeshCache.of(m), range(32)))
+            assert all(cache is caches[0] for cache in caches)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))])
+def test_a_copy_of_a_mesh_that_was_used_begins_with_nothing_on_a_device(copied):
+    vertices, _ = TRIANGLE
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    mesh_ccd(mesh, vertices, vertices, device="cpu")
+    assert MeshCache.of(mesh).topologies and MeshCache.of(mesh).idle_workspaces
+    cache = MeshCache.of(copied(mesh))
+    assert not cache.topologies and not cache.idle_workspaces
+
+
+def test_a_mesh_that_was_used_goes_with_all_that_was_kept_for_it():
+    vertices, _ = TRIANGLE
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    mesh_ccd(mesh, vertices, vertices, device="cpu")
+    gone = weakref.ref(mesh), weakref.ref(MeshCache.of(mesh).topologies["cpu"])
+    del mesh
+    gc.collect()
+    assert [ref() for ref in gone] == [None, None]
 
 
 def test_mesh_does_not_freeze_the_arrays_of_the_caller():
