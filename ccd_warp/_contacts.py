@@ -83,14 +83,15 @@ class ContactStore:
         self._largest = largest
         self._counter = buffers.get("contact counter", 1, wp.int32)
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
-        self._toi = {name: self._full(size, np.inf, wp.float64) for name, size in sizes.items()}
-        flags = {
-            name: self._full(sizes[of], 0, wp.int32) for name, of in (("world_flags", "world"), ("flags", "scene"))
-        }
-        self.minima = new_minima(topology, **self._toi, **flags)
+        every = wp.full(sum(sizes.values()), value=np.inf, dtype=wp.float64, device=execution.device)
+        ends = itertools.accumulate(sizes.values())
+        self._toi = {name: every[end - sizes[name] : end] for name, end in zip(sizes, ends, strict=True)}
+        # flags tell of too little room alone, and here the counts do
+        flags, world_flags = buffers.get("flags", 1, wp.int32), buffers.get("world flags", mesh.num_worlds, wp.int32)
+        self.minima = new_minima(topology, **self._toi, flags=flags, world_flags=world_flags)
 
-    def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
-        return wp.full(count, value=value, dtype=dtype, device=self._execution.device)
+    def _full(self, count: int, value: int) -> wp.array:
+        return wp.full(count, value=value, dtype=wp.int32, device=self._execution.device)
 
     @property
     def is_complete(self) -> bool:
@@ -117,7 +118,7 @@ class ContactStore:
         mesh, topology = self._topology.mesh, self._topology
         device, count = self._execution.device, self.total
         arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        first_of = [self._full(n, _LAST if count else -1, wp.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
+        first_of = [self._full(n, _LAST if count else -1) for n in (mesh.num_vertices, mesh.num_bodies)]
         if count > 0:
             found = new_contact_list({"count": self._counter, **self._kept()})
             ordered = new_contact_list({"count": self._counter, **arrays})

@@ -28,6 +28,7 @@ _NUM_COUNTS = int(kernels.NUM_COUNTS)
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
+_MOST_PAIRS = int(np.iinfo(np.int32).max)
 # Tests of pairs of boxes from which on a part of a search may take long: some 0.3 s if all of them meet.
 LONG_SEARCH = 1 << 22
 
@@ -157,7 +158,8 @@ class Found:
 
     def host_keys(self) -> NDArray[np.int64]:
         """The keys; on the CPU where they are, which the next batch overwrites."""
-        if self.keys.device.is_cuda:  # type: ignore[union-attr]
+        assert self.keys.device
+        if self.keys.device.is_cuda:
             return self.keys[self.begin : self.begin + self.count].numpy()
         return self.keys.numpy()[self.begin : self.begin + self.count]
 
@@ -217,6 +219,7 @@ class PairSearch:
         num_batches: Times that the room was filled.
         num_launches: Launches of the search, by kind.
         room: Pairs that the last batch had room for.
+        largest_room: Pairs that a batch may have room for.
     """
 
     def __init__(
@@ -228,7 +231,7 @@ class PairSearch:
         with_cull: bool,
         t_end: float,
         separation: float,
-        largest_room: int,
+        largest_room: int = _MOST_PAIRS,
         progress: Progress | None = None,
     ) -> None:
         self.execution = execution
@@ -243,7 +246,7 @@ class PairSearch:
         self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
         self._with_cull = with_cull
         self._t_end, self._separation = t_end, separation
-        self._largest_room = largest_room
+        self.largest_room = largest_room
         self._progress = progress or Progress()
         self._num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
@@ -278,7 +281,7 @@ class PairSearch:
         least = max(join.target.primitives.count for join in joins)
         wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
         last = self.buffers.rooms.get(self._with_cull, 0)  # what the last step came to need
-        room = min(self._largest_room, max(self._num_workers * least, wanted, last, 1 << 16))
+        room = min(self.largest_room, max(self._num_workers * least, wanted, last, 1 << 16))
         total = 0
         while pending:
             self.buffers.get("keys", room, wp.int64)
@@ -291,9 +294,9 @@ class PairSearch:
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
                 # threads find unequal shares, so twice the room is what the next step does in one batch
-                self.buffers.rooms[self._with_cull] = min(2 * total, self._largest_room)
+                self.buffers.rooms[self._with_cull] = min(2 * total, self.largest_room)
             yield [found for region in regions for found in region.found]
-            room = min(2 * room, self._largest_room)
+            room = min(2 * room, self.largest_room)
 
     def _parts(self, join: Join, number: int, first: int, stride: int) -> list[_Part]:
         level = 0 if self.execution.is_cuda else 1

@@ -199,16 +199,17 @@ class Step:
 
     def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
         """A search with the room that the memory limit leaves."""
-        return PairSearch(
+        search = PairSearch(
             self.boxes,
             self.execution,
             self.buffers,
             with_cull=with_cull,
             t_end=t_end,
             separation=self.separation,
-            largest_room=self.room(bytes_per_pair),
             progress=self.progress,
         )
+        search.largest_room = self.room(bytes_per_pair)  # which counts what the search has just allocated
+        return search
 
     def room(self, bytes_per_pair: int) -> int:
         """Pairs that the memory limit has room for at a time."""

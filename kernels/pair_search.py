@@ -169,7 +169,10 @@ def make_pair_search(end: str) -> SimpleNamespace:
         q: int,
         p: int,
         is_certain: bool,
-        part: SearchRange,
+        is_shared: int,
+        row: int,
+        first_key: int,
+        capacity: int,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
         minima: Minima,
@@ -215,16 +218,16 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 if is_free(join.kind, c0, c1, join.separation, join.t_end):
                     return 1
         if wp.static(with_cull):
-            if part.is_shared != 0:
-                n = claim(counts, part.row, FOUND_BY_ALL)
-                if n < wp.int64(part.capacity):
+            if is_shared != 0:
+                n = claim(counts, row, FOUND_BY_ALL)
+                if n < wp.int64(capacity):
                     keys[n] = pair_key(i, j)
                 else:
                     drop_pair(minima, a, b)
                 return 1
-        n = wp.atomic_add(counts, part.row, FOUND, wp.int64(1))
-        if n < wp.int64(part.capacity):
-            keys[part.first_key + wp.int32(n)] = pair_key(i, j)
+        n = wp.atomic_add(counts, row, FOUND, wp.int64(1))
+        if n < wp.int64(capacity):
+            keys[first_key + wp.int32(n)] = pair_key(i, j)
         return 1
 
     @wp.kernel(module=module)
@@ -246,10 +249,15 @@ def make_pair_search(end: str) -> SimpleNamespace:
         """Find the partners of the query boxes of an item: those of a block (level 1), or a single one (level 0)."""
         # the item is box `item` of its level
         item = part.first + (begin + wp.tid()) * part.stride
-        item_block = query.block_begin[part.level] + item / WIDTH
+        item_level = part.level
+        is_shared = part.is_shared
+        row = part.row
+        first_key = part.first_key
+        capacity = part.capacity
+        item_block = query.block_begin[item_level] + item / WIDTH
         item_lane = item % WIDTH
         query_block = item
-        if part.level == 0:
+        if item_level == 0:
             query_block = item / WIDTH
         num_candidates = int(0)
         pending = vec8u()
@@ -270,16 +278,16 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 if child >= target.block_begin[level] - target.block_begin[level - 1]:
                     continue  # an empty place, which only a box that is infinite in the image meets
                 if level > 1:
+                    if is_stopped(join.stop):  # not at every leaf, which costs 3 % of a search
+                        return
                     level -= 1
                     block = target.block_begin[level] + child
                     mask = overlaps(target.nodes, block, query.nodes, item_block, item_lane, 0)
                     node[level] = child
                     pending[level] = ahead(mask, join.within, query_block, level, child)
                 else:
-                    if is_stopped(join.stop):
-                        return
                     queries = wp.uint32(1) << wp.uint32(item_lane)
-                    if part.level == 1:
+                    if item_level == 1:
                         parent = target.block_begin[1] + node[1]
                         queries = overlaps(query.nodes, query_block, target.nodes, parent, lane, 0)
                     while queries != _NONE:
@@ -313,12 +321,15 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                 query_block * WIDTH + query_lane,
                                 child * WIDTH + target_lane,
                                 is_certain,
-                                part,
+                                is_shared,
+                                row,
+                                first_key,
+                                capacity,
                                 counts,
                                 keys,
                                 minima,
                             )
-        if num_candidates > 0 and part.is_shared == 0:
-            wp.atomic_add(counts, part.row, CANDIDATES, wp.int64(num_candidates))
+        if num_candidates > 0 and is_shared == 0:
+            wp.atomic_add(counts, row, CANDIDATES, wp.int64(num_candidates))
 
     return SimpleNamespace(search_pairs=search_pairs)
