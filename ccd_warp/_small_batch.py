@@ -1,7 +1,7 @@
 """A recorded launch of the solver for a few pairs on the CPU, with arrays of its own, kept from call to call.
 
-One pair takes less than a microsecond; to make eight Warp arrays and pack a launch takes fifty. What is kept is used by
-one call at a time: a call takes it out of the list, and puts it back only when it has ended well.
+One pair takes less than a microsecond; making eight Warp arrays and packing a launch takes nearly a hundred. What is
+kept is used by one call at a time: a call takes it out of the list, and puts it back only when it has ended well.
 """
 
 from collections.abc import Iterator
@@ -16,8 +16,8 @@ from ccd_warp._launch import load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
-CAPACITY = 64  # pairs, of some 300 bytes; beyond it the launch no longer counts
-_MOST_IDLE = 64  # kept for each kind and precision, however many threads called at once
+CAPACITY = 256  # pairs, of some 240 bytes; beyond it the solving takes longer than the launch
+_MOST_IDLE = 16  # kept for each kind and precision, however many threads called at once
 _OUTPUTS = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
 _OPTIONS = 4  # their place among the kernel's parameters
 
