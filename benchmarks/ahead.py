@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ccd_warp.benchmarks.methods import SHORT
 from ccd_warp.benchmarks.numbers import OURS, bound, error_of, error_text, is_peer, rows_of, set_name, time_text
-from ccd_warp.benchmarks.sections import scene_name
+from ccd_warp.benchmarks.sections import SMALL_CALLS, SMALL_PEERS, pair_name, scene_name
 
 _ERRORS = {"median": "median", "p99": "99th percentile of the", "max": "largest"}
 
@@ -44,6 +44,15 @@ def places_ahead(raw: dict) -> list[tuple[str, str, str]]:
         for name, ratio in row["ratio"].items():
             if ratio < 1:
                 found.append((scene_name(row), name, f"`{name}` takes {1 / ratio:.2f} times the time of the peer"))
+    for row in raw.get("small", []):
+        for peer in SMALL_PEERS:
+            for name in SMALL_CALLS:
+                if (ratio := row["seconds"][name] / row["seconds"][peer]) > 1:
+                    found.append((f"{scene_name(row)}, {peer}", "time", f"`{name}` takes {ratio:.1f} times its time"))
+    for row in raw.get("pairs", []):
+        ratio = row["seconds"]["ours"] / row["seconds"][SMALL_PEERS[1]]
+        if ratio > 1:
+            found.append(("a call with one pair", "time", f"{pair_name(row)}: {ratio:.0f} times additive CCD's"))
     return found
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import scaling, whole_step
+from ccd_warp.benchmarks import scaling, small_scenes, whole_step
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal, fingerprint
@@ -18,11 +18,12 @@ from ccd_warp.benchmarks.machine import machine
 from ccd_warp.benchmarks.methods import KINDS, Method, all_methods
 from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE
 from ccd_warp.benchmarks.query_sets import GENERATED, QuerySet, generated_sets, make_set, published_sets
-from ccd_warp.benchmarks.raw_file import write_raw
+from ccd_warp.benchmarks.raw_file import merged, write_raw
 from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
+from ccd_warp.benchmarks.scenes import small_scenes as all_small_scenes
 from tqdm import tqdm
 
-SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "growth")
+SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "small", "pairs", "growth")
 JOURNAL = "bench.journal"
 RAW = "bench.json"
 
@@ -46,6 +47,7 @@ class Settings:
         rounds: Interleaved repeats of everything else.
         step_seconds: Time of the rounds of a scene.
         step_rounds: Least rounds of a scene.
+        small_rounds: Rounds of a small scene, and of a single pair.
         growth: Faces of the scenes of growing size.
     """
 
@@ -63,6 +65,7 @@ class Settings:
     rounds: int
     step_seconds: float
     step_rounds: int
+    small_rounds: int
     growth: tuple[int, ...]
 
     @classmethod
@@ -95,6 +98,7 @@ class Settings:
                 rounds=3,
                 step_seconds=2.0,
                 step_rounds=2,
+                small_rounds=7,
                 growth=(10_000, 30_000, 100_000),
             )
         return cls(
@@ -109,6 +113,7 @@ class Settings:
             rounds=5,
             step_seconds=10.0,
             step_rounds=3,
+            small_rounds=25,
             growth=(10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000),
         )
 
@@ -195,6 +200,23 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
                     settings.step_seconds + 5.0,
                     lambda m=make, d=device: whole_step.measure(m(), d, settings.step_seconds, settings.step_rounds),
                 )
+    rounds = settings.small_rounds
+    if "small" in settings.sections:
+        for scene in all_small_scenes():
+            for device in settings.devices:
+                yield Task(
+                    f"small|{scene.name}|{device}",
+                    0.05 * rounds + 0.5,
+                    lambda s=scene, d=device: small_scenes.measure(s, d, rounds),
+                )
+    if "pairs" in settings.sections:
+        for kind in small_scenes.PAIR_KINDS:
+            for device in settings.devices:
+                yield Task(
+                    f"pairs|{kind}|{device}",
+                    0.01 * rounds + 0.2,
+                    lambda k=kind, d=device: small_scenes.measure_pair(k, d, rounds),
+                )
     if "growth" in settings.sections:
         for size in settings.growth:
             yield Task(f"growth|{size}", 4.0 + 8e-6 * size, lambda s=size: whole_step.grow_apart(s))
@@ -220,13 +242,14 @@ def case_set(name: str, kind: str, count: int) -> QuerySet:
     return make_set(name, kind, *points, most=count, separation=case.minimum_separation, length_scale=scale)
 
 
-def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict | None, bool]:
+def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | None = None) -> tuple[dict | None, bool]:
     """Measure what the journal does not hold yet.
 
     Args:
         settings: What to measure.
         folder: Where journal and raw file are.
         quiet: No progress bar.
+        kept: Raw figures of which the other parts are kept.
 
     Returns:
         The raw figures, and whether they are complete: False after an interruption by Ctrl-C. None, and nothing is
@@ -267,6 +290,8 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False) -> tuple[dict 
     if not journal.records:
         return None, complete
     raw = assemble(settings, about, journal.records, complete, mark)
+    if kept is not None:
+        raw = merged(kept, raw, settings.sections)
     write_raw(folder / RAW, raw)
     if complete:
         journal.close()

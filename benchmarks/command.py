@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ccd_warp.benchmarks import require_extra
 
-SECTIONS_HELP = "sweep, cases, batches, start, threads, steps, growth"
+SECTIONS_HELP = "sweep, cases, batches, start, threads, steps, small, pairs, growth"
 INTERRUPTED = 130
 
 
@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of raw figures, pictures and report (ccd_warp_bench)",
     )
     parser.add_argument("--only", metavar="PART", nargs="+", help=f"parts to measure: {SECTIONS_HELP} (all)")
+    parser.add_argument(
+        "--merge", action="store_true", help="with --only: keep the other parts that --output holds, and replace these"
+    )
     parser.add_argument("--devices", metavar="NAME", nargs="+", help="Warp devices of ours (the CPU and every GPU)")
     parser.add_argument("--max-queries", metavar="N", type=int, help="most queries of a set (20000; quick: 2000)")
     parser.add_argument(
@@ -70,17 +73,20 @@ def run(arguments: argparse.Namespace) -> int:
     # all that can be wrong is found before the hours of measuring
     old = None if arguments.compare is None else read_raw(arguments.compare)
     folder: Path = arguments.output
+    if arguments.merge and not arguments.only:
+        raise ValueError("merge is given without --only; expected both, or neither")
+    kept = read_raw(folder / bench.RAW) if arguments.merge else None
     if arguments.docs is not None:
         check_docs(arguments.docs)
-        if arguments.only:
-            raise ValueError("docs are written from all parts; expected --docs without --only")
+        if arguments.only and kept is None:
+            raise ValueError("docs are written from all parts; expected --docs without --only, or with --merge")
     say = (lambda line: None) if arguments.quiet else print
     if arguments.render:
         raw: dict | None = read_raw(folder / bench.RAW)
         complete = True
     else:
-        if arguments.only and (folder / bench.RAW).exists():
-            raise ValueError(f"{folder} holds figures that --only would drop; expected another --output")
+        if arguments.only and kept is None and (folder / bench.RAW).exists():
+            raise ValueError(f"{folder} holds figures that --only would drop; expected another --output, or --merge")
         data = arguments.data if arguments.data is not None else default_data()
         if arguments.data is not None and not arguments.data.is_dir():
             raise ValueError(f"data is {arguments.data}; expected a folder")
@@ -98,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
             (folder / bench.JOURNAL).touch()
         except OSError as error:
             raise ValueError(f"output is {folder}; expected a folder to write to ({error.strerror})") from error
-        raw, complete = bench.run(settings, folder, quiet=arguments.quiet)
+        raw, complete = bench.run(settings, folder, quiet=arguments.quiet, kept=kept)
     if raw is None:
         print("interrupted before the first figure", file=sys.stderr)
         return INTERRUPTED

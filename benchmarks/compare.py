@@ -3,7 +3,8 @@
 Times are divided by those of the peer in the same run, on queries and scenes that both runs have finished, so that a
 slower machine cancels; they are the least of the rounds, which noise can only raise. The peer runs on one core, so that
 noise on others, or on a GPU, stays. A figure of one set and method is the geometric mean over the tolerances of both
-runs. Not compared: growth, batches, threads, memory.
+runs. Small scenes and single
+pairs are compared with ipc-toolkit's additive CCD. Not compared: growth, batches, threads, memory.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import error_text, rows_of, set_name
-from ccd_warp.benchmarks.sections import scene_name
+from ccd_warp.benchmarks.sections import SMALL_PEERS, pair_name, scene_name
 
 DEFAULT_THRESHOLD = 1.25
 # An error below this many is rounding of a toi near one; a ratio of such errors says nothing.
@@ -112,9 +113,7 @@ def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
         for call in before[name]["ratio"]:
             was, now = (_least_ratio(rows[name], call) for rows in (before, after))
             found.append(Change(f"{name}, {call}: time", was / now, f"peer's / ours {was:.2f} → {now:.2f}"))
-        steps = [rows[name]["step"] for rows in (before, after)]
-        ratio = steps[0] / steps[1] if steps[1] else (math.inf if steps[0] else 1.0)
-        found.append(Change(f"{name}: collision-free step", ratio, f"{steps[0]:.6g} → {steps[1]:.6g}"))
+        found.append(_step_change(name, *(rows[name]["step"] for rows in (before, after))))
         others = [rows[name]["disagreements"] for rows in (before, after)]
         found.append(
             Change(
@@ -123,7 +122,32 @@ def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
                 f"{others[0]} → {others[1]}",
             )
         )
+    found += _small_changes(old, new, notes)
     return sorted(found, key=lambda change: (-change.ratio, change.what)), notes
+
+
+def _small_changes(old: dict, new: dict, notes: list[str]) -> list[Change]:
+    """Times on small scenes and single pairs over those of the peer, and the steps."""
+    before, after = (
+        {(scene_name(row) if "scene" in row else f"one {pair_name(row)} pair"): row for row in rows_of_both}
+        for rows_of_both in ([*raw.get("small", []), *raw.get("pairs", [])] for raw in (old, new))
+    )
+    if only := len(before.keys() ^ after.keys()):
+        notes.append(f"{only} small scenes or single pairs are in one run only")
+    found = []
+    for name in before.keys() & after.keys():
+        spreads = [rows[name]["spread"] for rows in (before, after)]
+        for call in (spreads[0].keys() & spreads[1].keys()) - set(SMALL_PEERS):
+            was, now = (spread[SMALL_PEERS[1]][0] / spread[call][0] for spread in spreads)
+            found.append(Change(f"{name}, {call}: time", was / now, f"peer's / ours {was:.2f} → {now:.2f}"))
+        if "step" in before[name]:
+            found.append(_step_change(name, *(rows[name]["step"] for rows in (before, after))))
+    return found
+
+
+def _step_change(name: str, old: float, new: float) -> Change:
+    ratio = old / new if new else (math.inf if old else 1.0)
+    return Change(f"{name}: collision-free step", ratio, f"{old:.6g} → {new:.6g}")
 
 
 def compare(old: dict, new: dict, threshold: float) -> tuple[list[str], bool]:

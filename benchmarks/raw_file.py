@@ -48,6 +48,22 @@ def read_raw(path: Path) -> dict:
     return raw
 
 
+def merged(kept: dict, new: dict, sections: tuple[str, ...]) -> dict:
+    """Raw figures with some parts of another run, which are marked with what they were measured on, and when.
+
+    Args:
+        kept: Figures of all parts.
+        new: Figures of the run that measured some of them anew.
+        sections: Which.
+    """
+    mark = {"machine": new["machine"], "fingerprint": new["fingerprint"], "quick": new["settings"]["quick"]}
+    marks = kept.get("measured_apart", {}) | dict.fromkeys(sections, mark)
+    parts = {section: new[section] for section in sections}
+    if "exponents" in new:
+        parts["exponents"] = new["exponents"]
+    return {**kept, **parts, "measured_apart": marks, "complete": kept["complete"] and new["complete"]}
+
+
 def tables(raw: dict) -> dict[str, list[dict]]:
     """The lists of the raw figures as flat rows."""
     result: dict[str, list[dict]] = {}
@@ -57,7 +73,7 @@ def tables(raw: dict) -> dict[str, list[dict]]:
             for unit in raw.get(name, [])
             for row in unit["rows"]
         ]
-    for name in ("steps", "growth", "start", "threads"):
+    for name in ("steps", "small", "pairs", "growth", "start", "threads"):
         result[name] = [_flat(row) for row in raw.get(name) or []]
     result["batches"] = list((raw.get("batches") or {"rows": []})["rows"])
     return result

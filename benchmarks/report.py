@@ -70,8 +70,8 @@ def document(raw: dict, figures: str = "figures") -> str:
             "## Where another method is ahead",
             "",
             "Found by comparing every figure of the sweep and of the hard cases with that of ours in float64 on one "
-            "thread, errors and phantoms on the same queries; and the whole steps. `<` marks a time that the call's "
-            "overhead hides: it may be less than ours or not.",
+            "thread, errors and phantoms on the same queries; and the whole steps, small scenes and single pairs. `<` "
+            "marks a time that the call's overhead hides: it may be less than ours or not.",
             "",
             *ahead(raw),
             "",
@@ -127,6 +127,20 @@ def document(raw: dict, figures: str = "figures") -> str:
             "",
             *picture("steps", "Time by stage"),
         ]
+    if raw.get("small"):
+        lines += [
+            "### Small scenes",
+            "",
+            "Where a scene has few faces the fixed cost of a call counts. Both narrow phases of ipc-toolkit follow its "
+            "LBVH. A round calls each in turn, as often in a row as fits some milliseconds; medians over the rounds of "
+            "the means. `launch` takes arrays of Warp and leaves its answer there; the other calls take and give "
+            "NumPy's.",
+            "",
+            *sections.small(raw),
+            "",
+        ]
+    if raw.get("pairs"):
+        lines += ["### Single pairs", "", *sections.single_pairs(raw), ""]
     if raw["growth"]:
         lines += ["### Growth", "", *sections.growth(raw), ""]
         lines += picture("growth", "Time and memory against the faces of a scene") if "exponents" in raw else []

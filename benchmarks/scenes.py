@@ -132,6 +132,45 @@ def long_step(num_faces: int) -> Scene:
     )
 
 
+def two_small_spheres(subdivisions: int) -> Scene:
+    """Two icospheres, of 40 faces in all and four times as many for each subdivision, fly into each other."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5)
+    faces = np.asarray(ball.faces)
+    left, right = ball.vertices - [0.6, 0, 0], ball.vertices + [0.6, 0.013, 0.017]
+    move = np.array([0.3, 0, 0])
+    parts = [(left, left + move, faces), (right, right - move, faces)]
+    return joined(f"two spheres, {2 * len(faces):,}", parts)
+
+
+def few_boxes(num_boxes: int) -> Scene:
+    """Boxes close to each other that fall and turn a little."""
+    rng = np.random.default_rng(0)
+    box = trimesh.creation.box()
+    faces = np.asarray(box.faces)
+    side = round(num_boxes ** (1 / 3) + 0.499)
+    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)[:num_boxes] * 1.1
+    parts = []
+    for place in places:
+        turn = trimesh.transformations.rotation_matrix(0.2, rng.standard_normal(3))[:3, :3]
+        parts.append((box.vertices + place, box.vertices @ turn.T + place - [0, 0, 0.05], faces))
+    return joined(f"{num_boxes} boxes, {num_boxes * len(faces)}", parts)
+
+
+def tetrahedron_on_a_plane() -> Scene:
+    """A tetrahedron that falls on a static square of two faces."""
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.2
+    start = corners + [0.05, 0.03, 0.25]
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    plane, plane_faces = grid(2, 2)
+    parts = [(start, start - [0, 0, 0.2], faces), (plane, plane, plane_faces)]
+    return joined("tetrahedron on a plane, 6", parts, static=(1,))
+
+
+def small_scenes() -> list[Scene]:
+    """Scenes where the fixed cost of a call counts."""
+    return [*(two_small_spheres(k) for k in range(4)), few_boxes(20), tetrahedron_on_a_plane()]
+
+
 def published_scenes(folder: Path | None) -> list[tuple[str, Callable[[], Scene]]]:
     """The steps that a folder in the public formats holds, by name."""
     if folder is None:

@@ -310,6 +310,47 @@ def steps(raw: dict) -> list[str]:
     return [*lines, "", *table([*header, "other than the peer's", "rounds"], ratios)]
 
 
+# Calls of the table of small scenes; `small_scenes.measure` names them.
+SMALL_PEERS = ("LBVH, Tight-Inclusion", "LBVH, additive")
+SMALL_CALLS = ("collision_free_step", "mesh_ccd", "pipeline.collision_free_step", "pipeline.mesh_ccd", "launch")
+
+
+def small(raw: dict) -> list[str]:
+    """Times of a call on small scenes, and the steps that they give."""
+    rows = (
+        [
+            scene_name(row),
+            *(time_text(row["seconds"][name]) for name in (*SMALL_PEERS, *SMALL_CALLS)),
+            f"{row['step']:.5g} / {row['peer_step']:.5g} / {row['additive_step']:.5g}",
+            f"{row['contacts']:,}",
+        ]
+        for row in raw["small"]
+    )
+    header = ["scene, faces", *SMALL_PEERS, *(f"`{name}`" for name in SMALL_CALLS)]
+    lines = table([*header, "step: ours / Tight-Inclusion's / additive's", "contacts"], rows)
+    return [*lines, *apart(raw, "small")]
+
+
+def pair_name(row: dict) -> str:
+    return row["pair"].replace("_", "-") + ("" if row["device"] == "cpu" else f" ({row['device']})")
+
+
+def single_pairs(raw: dict) -> list[str]:
+    """Times of a call with one pair."""
+    rows = ([pair_name(row), *map(time_text, row["seconds"].values())] for row in raw["pairs"])
+    return [*table(["a call with one pair", "additive CCD", "ours"], rows), *apart(raw, "pairs")]
+
+
+def apart(raw: dict, section: str) -> list[str]:
+    """What a part was measured on that is not of the run of the others."""
+    mark = raw.get("measured_apart", {}).get(section)
+    if mark is None:
+        return []
+    quick = " with `--quick`" if mark["quick"] else ""
+    about = f"Measured apart{quick} on: {describe(mark['machine'])}. Code and settings: {mark['fingerprint'][:12]}."
+    return ["", f"{about} Made again by `ccd-warp bench --only {section} --merge --output benchmarks/results --docs .`"]
+
+
 def growth(raw: dict) -> list[str]:
     rows = [
         [

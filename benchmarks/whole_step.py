@@ -47,13 +47,13 @@ class ToolkitScene:
         candidates.build(self.mesh, self.scene.vertices_t0, self.scene.vertices_t1, broad_phase=ipctk.LBVH())
         return candidates
 
-    def step(self, candidates) -> float:
-        """The collision-free step of Tight-Inclusion."""
+    def step(self, candidates, narrow_phase=None) -> float:
+        """The collision-free step of a narrow phase, Tight-Inclusion if none is given."""
         return candidates.compute_collision_free_stepsize(
             self.mesh,
             self.scene.vertices_t0,
             self.scene.vertices_t1,
-            narrow_phase_ccd=ipctk.TightInclusionCCD(),
+            narrow_phase_ccd=narrow_phase or ipctk.TightInclusionCCD(),
         )
 
 

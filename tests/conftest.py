@@ -1,5 +1,6 @@
 """Set-up of the test suite: the installed package, a quiet Warp, and the fixtures every module shares."""
 
+import gc
 import importlib.util
 import sys
 from contextlib import contextmanager
@@ -24,6 +25,12 @@ def loaded_example(name: str):
     spec.loader.exec_module(module)
     yield module
     del sys.modules[name]
+
+
+def pytest_collection_finish():
+    """What was imported stays to the end: the collector need not go through it at each of its full passes."""
+    gc.collect()
+    gc.freeze()
 
 
 def _devices() -> list[str]:

@@ -14,12 +14,13 @@ from ccd_warp.benchmarks import command, require_extra
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
 
+import ccd_warp as ccd
 from ccd_warp._cli import main
 
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
-from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report, separation
+from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report, scenes, separation, small_scenes
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
@@ -326,7 +327,7 @@ def _row(method: str, seconds: float, **values) -> dict:
     return {**row, "error": error, **values}
 
 
-def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, bound: float = 0.5, **values) -> dict:
+def _raw(*, ours=1e-6, peer=1e-3, step=20.0, bound=0.5, small=2.0, single=3.0, **values) -> dict:
     unit = {
         "set": "a",
         "kind": "vertex-face",
@@ -337,8 +338,12 @@ def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, bound: floa
     spread = {"peer build": [0.25 * step, 9.0], "peer step": [0.75 * step, 9.0], "mesh_ccd": [1.0, 9.0]}
     scene = {"scene": "s", "device": "cpu", "ratio": {"mesh_ccd": step}, "spread": spread}
     scene |= {"step": bound, "disagreements": 0}
-    sections = {name: [] for name in ("methods", "sets", "cases", "batches", "start", "threads")}
-    return {"machine": {}, "settings": {}, "complete": True, "sweep": [unit], "steps": [scene], **sections}
+    spread = {"LBVH, Tight-Inclusion": [1.0, 9.0], "LBVH, additive": [small, 9.0], "mesh_ccd": [1.0, 9.0]}
+    few = {"scene": "few", "device": "cpu", "spread": spread, "step": bound}
+    one = {"pair": "edge_edge", "device": "cpu", "spread": {"LBVH, additive": [single, 9.0], "ours": [1.0, 9.0]}}
+    parts = {name: [] for name in ("methods", "sets", "cases", "batches", "start", "threads")}
+    parts |= {"small": [few], "pairs": [one]}
+    return {"machine": {}, "settings": {}, "complete": True, "sweep": [unit], "steps": [scene], **parts}
 
 
 @pytest.mark.parametrize(
@@ -359,6 +364,9 @@ def _raw(ours: float = 1e-6, peer: float = 1e-3, step: float = 20.0, bound: floa
         (_raw(step=25.0), False),
         (_raw(bound=0.3), True),
         (_raw(limited=5), True),
+        (_raw(small=1.5), True),
+        (_raw(small=1.9, single=2.9), False),
+        (_raw(single=2.0), True),
     ],
 )
 def test_compare_sees_what_became_worse(new, is_worse):
@@ -376,7 +384,7 @@ def test_other_queries_under_the_same_name_are_not_compared():
 def test_runs_with_nothing_in_common_do_not_pass():
     other = _raw()
     other["sweep"][0]["set"] = "b"
-    other["steps"] = []
+    other["steps"] = other["small"] = other["pairs"] = []
     lines, is_worse = compare.compare(_raw(), other, 1.25)
     assert is_worse and "nothing to compare" in lines[-1]
 
@@ -420,6 +428,8 @@ def test_compare_exits_with_1(tmp_path, capsys, monkeypatch):
         (["--render", "--output", "nowhere"], "bench.json cannot be read"),
         (["--docs", "nowhere"], "docs is nowhere; expected the root of a checkout"),
         (["--docs", str(ROOT), "--only", "start"], "docs are written from all parts"),
+        (["--merge"], "merge is given without --only"),
+        (["--merge", "--only", "pairs", "--output", "nowhere"], "bench.json cannot be read"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_is_measured(arguments, message, tmp_path, capsys, monkeypatch):
@@ -470,6 +480,40 @@ def test_no_raw_file_is_taken_for_one(tmp_path):
 
 def test_the_parts_of_the_help_are_those_there_are():
     assert ", ".join(bench.SECTIONS) == command.SECTIONS_HELP
+
+
+# ---- Small scenes ----------------------------------------------------------------------------------------------------
+
+
+def test_small_scenes_are_those_that_their_names_say():
+    made = scenes.small_scenes()
+    assert [len(scene.faces) for scene in made] == [int(scene.name.split(", ")[1].replace(",", "")) for scene in made]
+    meshes = [scene.mesh(ccd) for scene in made]
+    assert [mesh.num_bodies for mesh in meshes] == [2, 2, 2, 2, 20, 2]
+    assert [mesh.static.any() for mesh in meshes] == [False] * 5 + [True]
+
+
+def test_a_row_of_a_small_scene(monkeypatch):
+    monkeypatch.setattr(small_scenes, "_SECONDS", 0.0)
+    row = small_scenes.measure(scenes.two_small_spheres(0), "cpu", 1)
+    assert row["launch_flags"] == 0 and row["contacts"] > 0
+    # all answer the same question: ours to 1e-6 of the scene, the peers short of it by shares of the start gap
+    assert row["step"] == row["toi"] == pytest.approx(row["launch_toi"], abs=1e-5)
+    assert 0.8 * row["toi"] < row["additive_step"] < row["toi"] > row["peer_step"] > 0.99 * row["toi"]
+    assert set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 7
+
+
+def test_a_part_that_is_measured_apart_replaces_itself_alone(settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(small_scenes, "_SECONDS", 0.0)
+    kept = raw_file.read_raw(RESULTS / bench.RAW)
+    few = replace(settings, sections=("pairs",), small_rounds=1)
+    raw, complete = bench.run(few, tmp_path, quiet=True, kept=kept)
+    assert complete and raw["complete"]
+    assert {key for key in raw if raw[key] != kept.get(key)} == {"pairs", "measured_apart"}
+    assert [row["pair"] for row in raw["pairs"]] == list(small_scenes.PAIR_KINDS)
+    lines = report.document(raw).splitlines()
+    assert sum("Measured apart with `--quick`" in line and "--only pairs --merge" in line for line in lines) == 1
+    assert any(line.startswith("| point-point |") for line in lines)
 
 
 # ---- Steps on the device ---------------------------------------------------------------------------------------------

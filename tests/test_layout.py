@@ -130,3 +130,10 @@ def test_every_form_of_import_is_seen():
     }
     assert circle(found) and not circle(found, {("ccd_warp._d._e", "ccd_warp"), ("ccd_warp._d", "ccd_warp._a")})
     assert len(longest_chain(found, {("ccd_warp._d._e", "ccd_warp"), ("ccd_warp._d", "ccd_warp._a")})) == 5
+
+
+def test_no_test_imports_another():
+    """What two of them need stands in a module of its own: scenes, oracles, launches, and the like."""
+    for path in Path(__file__).parent.glob("*.py"):
+        names = imported_names(path.stem, path.read_text("utf-8"), False)
+        assert not [name for name in names if name.startswith("test_")], path.name

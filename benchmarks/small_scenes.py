@@ -1,0 +1,108 @@
+"""Scenes of a few faces and single pairs, where the fixed cost of a call is all: ours beside ipc-toolkit.
+
+Peers: `Candidates.build` with `LBVH`, then `compute_collision_free_stepsize` with `TightInclusionCCD` and with
+`AdditiveCCD`; for a single pair, the query of `AdditiveCCD`. A round calls each in turn, as often in a row as fits some
+milliseconds, and takes the mean; medians over the rounds.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import ipctk
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.scenes import Scene
+from ccd_warp.benchmarks.sections import SMALL_PEERS
+from ccd_warp.benchmarks.whole_step import ToolkitScene
+
+import ccd_warp as ccd
+
+# What the figures are divided by, in tables and by --compare.
+PEER = SMALL_PEERS[1]
+PAIR_KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
+_SECONDS = 4e-3  # of a call's repetitions in a round
+_MOST_CALLS = 100
+
+
+def timed_in_turn(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Seconds of each call in each round, the mean over its repetitions; after two calls to warm up."""
+    repetitions = {}
+    for name, call in calls.items():
+        call()
+        begin = time.perf_counter()
+        call()
+        repetitions[name] = int(min(max(_SECONDS / (time.perf_counter() - begin), 1), _MOST_CALLS))
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            call()  # threads of the library that ran before spin for a while
+            begin = time.perf_counter()
+            for _ in range(repetitions[name]):
+                call()
+            seconds[name].append((time.perf_counter() - begin) / repetitions[name])
+    return seconds
+
+
+def _with_times(row: dict, calls: dict[str, Callable[[], Any]], rounds: int) -> dict:
+    seconds = timed_in_turn(calls, rounds)
+    row["seconds"] = {name: statistics.median(values) for name, values in seconds.items()}
+    row["spread"] = {name: [min(values), max(values)] for name, values in seconds.items()}
+    return row
+
+
+def measure(scene: Scene, device: str, rounds: int) -> dict:
+    """One row: the peers, ours as one-shot functions and by a pipeline, and a launch of arrays on the device."""
+    mesh = scene.mesh(ccd)
+    frames = (scene.vertices_t0, scene.vertices_t1)
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    launched = ccd.CollisionPipeline(mesh, device=device)
+    launched.reserve(vertices=scene.vertices_t0)
+    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in frames)
+    peer = ToolkitScene(scene, mesh)
+
+    def launch():
+        result = launched.launch(x_t0, x_t1)
+        wp.synchronize_device(device)
+        return result
+
+    calls = {
+        SMALL_PEERS[0]: lambda: peer.step(peer.build()),
+        PEER: lambda: peer.step(peer.build(), ipctk.AdditiveCCD()),
+        "collision_free_step": lambda: ccd.collision_free_step(mesh, *frames, device=device),
+        "mesh_ccd": lambda: ccd.mesh_ccd(mesh, *frames, device=device),
+        "pipeline.collision_free_step": lambda: pipeline.collision_free_step(*frames),
+        "pipeline.mesh_ccd": lambda: pipeline.mesh_ccd(*frames),
+        "launch": launch,
+    }
+    result = calls["mesh_ccd"]()
+    row = {
+        "scene": scene.name,
+        "device": device,
+        "faces": len(scene.faces),
+        "contacts": len(result.contacts),
+        "toi": result.toi,
+        "step": calls["collision_free_step"](),
+        "launch_toi": float(launch().toi.numpy()[0]),
+        "launch_flags": int(launch().flags.numpy()[0]),
+        "peer_step": calls[SMALL_PEERS[0]](),
+        "additive_step": calls[PEER](),
+    }
+    return _with_times(row, calls, rounds)
+
+
+def measure_pair(kind: str, device: str, rounds: int) -> dict:
+    """One row: a call with a single pair that touches."""
+    points = [x[0] for x in FAMILIES["random_colliding"](kind.replace("_", "-"), 1, np.random.default_rng(1))]
+    solve = getattr(ccd, f"{kind}_ccd")
+    names = {"vertex_face": "point_triangle", "point_segment": "point_edge"}
+    query = getattr(ipctk.AdditiveCCD(), f"{names.get(kind, kind)}_ccd")
+    corners = [*points[0], *points[1]]
+    batch = [x[None] for x in points]
+    calls = {PEER: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
+    row = {"pair": kind, "device": device, "toi": float(calls["ours"]().toi[0])}
+    return _with_times(row, calls, rounds)
