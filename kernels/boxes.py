@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from .lanes import least_coordinate
 from .rounding import INTERPOLATION, UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -82,26 +81,6 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
             box.lower[k] = inflated_below(box.lower[k], inflation)
             box.upper[k] = -inflated_below(-box.upper[k], inflation)
     return box
-
-
-@wp.func
-def swept_lower(
-    c: wp.vec3i,
-    num_corners: int,
-    axis: int,
-    sign: wp.float64,
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    inflation: wp.float64,
-) -> wp.float64:
-    """Where the box around a primitive over the whole step begins on an axis, or, with sign -1, minus where it ends.
-
-    Exactly as `fill_records` makes it.
-    """
-    lower = least_coordinate(x_t0, x_t1, c[0], c[1], c[2], num_corners, axis, sign)
-    if inflation > wp.float64(0.0):
-        lower = inflated_below(lower, inflation)
-    return lower
 
 
 @wp.kernel

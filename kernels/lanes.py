@@ -293,31 +293,6 @@ def shared_vertex_mask(
 
 @wp.func_native(
     """
-    const float* b = nodes.data + (long long)block * 96 + lane;
-    const float* q = query_nodes.data + (long long)query_block * 96 + query_lane;
-    unsigned ties = 0;
-    for (int k = 0; k < 3; ++k)
-        ties |= (unsigned)(b[16 * k] == q[16 * k + 48]) << k | (unsigned)(b[16 * k + 48] == q[16 * k]) << (k + 3);
-    return ties;
-"""
-)
-def tied_sides(
-    nodes: wp.array[wp.float32],
-    block: int,
-    lane: int,
-    query_nodes: wp.array[wp.float32],
-    query_block: int,
-    query_lane: int,
-) -> wp.uint32:
-    """Axes on which a box begins where a query ends, and above those on which it ends where the query begins.
-
-    That is in the image, where only the exact boxes can tell more.
-    """
-    ...
-
-
-@wp.func_native(
-    """
 #if defined(__CUDA_ARCH__)
     return __ffs((int)mask) - 1;
 #else
@@ -327,34 +302,6 @@ def tied_sides(
 )
 def lowest_bit(mask: wp.uint32) -> int:
     """Place of the lowest bit that is set; the mask is not 0."""
-    ...
-
-
-@wp.func_native(
-    """
-    const double* a = (const double*)x_t0.data + axis;
-    const double* b = (const double*)x_t1.data + axis;
-    const int c[3] = {v0, v1, v2};
-    double least = sign * a[3LL * v0];
-    for (int k = 0; k < num_corners; ++k) {
-        const double x = sign * a[3LL * c[k]], y = sign * b[3LL * c[k]];
-        least = x < least ? x : least;
-        least = y < least ? y : least;
-    }
-    return least;
-"""
-)
-def least_coordinate(
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    v0: int,
-    v1: int,
-    v2: int,
-    num_corners: int,
-    axis: int,
-    sign: wp.float64,
-) -> wp.float64:
-    """Least sign·coordinate of vertices on an axis at both frames; the arrays are contiguous."""
     ...
 
 

@@ -17,13 +17,13 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i
-from .boxes import swept_lower
 from .cull import is_free
 from .interrupts import is_stopped
-from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask, tied_sides
+from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
 from .minima import FOUND as FOUND_BY_ALL
 from .minima import Minima, drop_pair
 from .once import once
+from .pair_lanes import append_keys, separated_mask
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
 
@@ -87,6 +87,14 @@ class SearchRange:
 def lanes_after(lane: int) -> wp.uint32:
     """The lanes behind one."""
     return (_LANES << wp.uint32(lane + 1)) & _LANES
+
+
+@wp.func
+def lanes_before(count: int) -> wp.uint32:
+    """The first so many lanes, at most all."""
+    if count >= WIDTH:
+        return _LANES
+    return (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
 
 
 @wp.func
@@ -158,6 +166,68 @@ def make_pair_search(end: str) -> SimpleNamespace:
     overlaps = moving_overlap_mask if with_cull else overlap_mask
 
     @wp.func
+    def keep(
+        query: BoxTree,
+        target: BoxTree,
+        join: Join,
+        rules: Filter,
+        x_t0: wp.array[wp.vec3d],
+        x_t1: wp.array[wp.vec3d],
+        query_block: int,
+        query_lane: int,
+        block: int,
+        images: wp.uint32,  # those that meet the query's in the image
+        tied: wp.uint32,  # those of which only the exact boxes can tell
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+    ) -> int:
+        """Filter the boxes of a block that meet a query's, and keep all that is left; returns how many."""
+        q = query_block * WIDTH + query_lane
+        if q >= query.num_boxes:
+            return 0  # an empty place meets only a box that is infinite in the image
+        mask = images & lanes_before(target.num_boxes - block * WIDTH)
+        if rules.by_body + rules.by_world + rules.by_ring > 0:
+            a = box_corners(query, q)
+            left = wp.uint32(mask)
+            while left != _NONE:
+                lane = lowest_bit(left)
+                left = left & (left - wp.uint32(1))
+                if is_excluded(a, box_corners(target, block * WIDTH + lane), rules):
+                    mask = mask & ~(wp.uint32(1) << wp.uint32(lane))
+        if (mask & tied) != _NONE:
+            mask = mask & ~separated_mask(
+                x_t0,
+                x_t1,
+                join.inflation,
+                target.corners,
+                block,
+                join.num_target_corners,
+                query.corners,
+                query_block,
+                query_lane,
+                join.num_query_corners,
+                mask & tied,
+            )
+        if mask == _NONE:
+            return 0
+        order = wp.where(join.symmetric != 0, 2, join.swapped)
+        return append_keys(
+            query.primitive,
+            q,
+            target.primitive,
+            block,
+            mask,
+            order,
+            counts,
+            part.row,
+            FOUND,
+            part.capacity,
+            part.first_key,
+            keys,
+        )
+
+    @wp.func
     def visit(
         query: BoxTree,
         target: BoxTree,
@@ -167,7 +237,6 @@ def make_pair_search(end: str) -> SimpleNamespace:
         x_t1: wp.array[wp.vec3d],
         q: int,
         p: int,
-        is_certain: bool,
         is_shared: int,
         row: int,
         first_key: int,
@@ -176,31 +245,14 @@ def make_pair_search(end: str) -> SimpleNamespace:
         keys: wp.array[wp.int64],
         minima: Minima,
     ) -> int:
-        """Filter a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
+        """Filter and cull a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
             return 0  # an empty place meets only a box that is infinite in the image
-        a = wp.vec3i()
-        b = wp.vec3i()
-        has_rules = rules.by_body + rules.by_world + rules.by_ring > 0
-        if wp.static(with_cull) or has_rules or not is_certain:
-            a = box_corners(query, q)
-            b = box_corners(target, p)
-        if has_rules:
+        a = box_corners(query, q)
+        b = box_corners(target, p)
+        if rules.by_body + rules.by_world + rules.by_ring > 0:
             if is_excluded(a, b, rules):
                 return 0
-        if wp.static(not with_cull):
-            # beside the cull, which tells more, this would cost more than it saves
-            if not is_certain:
-                ties = tied_sides(target.nodes, p / WIDTH, p % WIDTH, query.nodes, q / WIDTH, q % WIDTH)
-                while ties != _NONE:
-                    k = lowest_bit(ties)
-                    ties = ties & (ties - wp.uint32(1))
-                    sign = wp.where(k < 3, wp.float64(1.0), wp.float64(-1.0))
-                    axis = k % 3
-                    # the target begins beyond the end of the query, or, mirrored, ends before its beginning
-                    end = -swept_lower(a, join.num_query_corners, axis, -sign, x_t0, x_t1, join.inflation)
-                    if swept_lower(b, join.num_target_corners, axis, sign, x_t0, x_t1, join.inflation) > end:
-                        return 0
         i = query.primitive[q]
         j = target.primitive[p]
         if join.swapped != 0 or (join.symmetric != 0 and j < i):
@@ -210,20 +262,18 @@ def make_pair_search(end: str) -> SimpleNamespace:
             k = i
             i = j
             j = k
-        if wp.static(with_cull):
-            if join.kind == EDGE_EDGE or join.kind == VERTEX_FACE:  # other pairs have no volume
-                c0 = corners(join.kind, points_of(join.kind, a, b, x_t0))
-                c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
-                if is_free(join.kind, c0, c1, join.separation, join.t_end):
-                    return 1
-        if wp.static(with_cull):
-            if is_shared != 0:
-                n = claim(counts, row, FOUND_BY_ALL)
-                if n < wp.int64(capacity):
-                    keys[n] = pair_key(i, j)
-                else:
-                    drop_pair(minima, a, b)
+        if join.kind == EDGE_EDGE or join.kind == VERTEX_FACE:  # other pairs have no volume
+            c0 = corners(join.kind, points_of(join.kind, a, b, x_t0))
+            c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
+            if is_free(join.kind, c0, c1, join.separation, join.t_end):
                 return 1
+        if is_shared != 0:
+            n = claim(counts, row, FOUND_BY_ALL)
+            if n < wp.int64(capacity):
+                keys[n] = pair_key(i, j)
+            else:
+                drop_pair(minima, a, b)
+            return 1
         n = wp.atomic_add(counts, row, FOUND, wp.int64(1))
         if n < wp.int64(capacity):
             keys[first_key + wp.int32(n)] = pair_key(i, j)
@@ -306,28 +356,45 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                 query_lane,
                                 join.num_query_corners,
                             )
-                        while mask != _NONE:
-                            target_lane = lowest_bit(mask)
-                            mask = mask & (mask - wp.uint32(1))
-                            is_certain = ((both >> wp.uint32(16 + target_lane)) & wp.uint32(1)) != _NONE
-                            num_candidates += visit(
-                                query,
-                                target,
-                                join,
-                                rules,
-                                x_t0,
-                                x_t1,
-                                query_block * WIDTH + query_lane,
-                                child * WIDTH + target_lane,
-                                is_certain,
-                                is_shared,
-                                row,
-                                first_key,
-                                capacity,
-                                counts,
-                                keys,
-                                minima,
-                            )
+                        if wp.static(not with_cull):
+                            if mask != _NONE:
+                                num_candidates += keep(
+                                    query,
+                                    target,
+                                    join,
+                                    rules,
+                                    x_t0,
+                                    x_t1,
+                                    query_block,
+                                    query_lane,
+                                    child,
+                                    mask,
+                                    ~(both >> wp.uint32(WIDTH)),
+                                    part,
+                                    counts,
+                                    keys,
+                                )
+                        else:
+                            while mask != _NONE:
+                                target_lane = lowest_bit(mask)
+                                mask = mask & (mask - wp.uint32(1))
+                                num_candidates += visit(
+                                    query,
+                                    target,
+                                    join,
+                                    rules,
+                                    x_t0,
+                                    x_t1,
+                                    query_block * WIDTH + query_lane,
+                                    child * WIDTH + target_lane,
+                                    is_shared,
+                                    row,
+                                    first_key,
+                                    capacity,
+                                    counts,
+                                    keys,
+                                    minima,
+                                )
         if num_candidates > 0 and is_shared == 0:
             wp.atomic_add(counts, row, CANDIDATES, wp.int64(num_candidates))
 

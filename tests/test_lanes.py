@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels import lanes
+from ccd_warp.kernels import lanes, pair_lanes
 
 WIDTH = 16
 _kernels = {}
@@ -177,3 +177,96 @@ def test_leaves_records_and_unions(version, num_corners, num_frames):
     assert np.array_equal(found[4, :, :3, :4], expected[:, :, :3].min(axis=3).transpose(1, 2, 0))
     assert np.array_equal(found[4, :, 3:, :4], expected[:, :, 3:].max(axis=3).transpose(1, 2, 0))
     assert np.array_equal(out.numpy().reshape(4, 8), records[corners[:, :, 0], 0].min(axis=1))
+
+
+@pytest.mark.parametrize("inflation", [0.0, 0.25, 5e-324])
+@pytest.mark.parametrize("corners", [(1, 3), (2, 2), (3, 1)])
+@pytest.mark.parametrize("version", pair_lanes.SEPARATED)
+def test_boxes_that_are_apart_in_float64(version, corners, inflation):
+    """Vertices on a coarse lattice and next to it, so that boxes touch exactly, or miss by one rounding."""
+
+    @wp.func_native(pair_lanes.SEPARATED[version])
+    def separated(
+        x_t0: wp.array[wp.vec3d],
+        x_t1: wp.array[wp.vec3d],
+        inflation: wp.float64,
+        corners: wp.array[wp.int32],
+        block: int,
+        num_corners: int,
+        query_corners: wp.array[wp.int32],
+        query_block: int,
+        query_lane: int,
+        num_query_corners: int,
+        tied: wp.uint32,
+    ) -> wp.uint32: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(
+        x_t0: wp.array[wp.vec3d],
+        x_t1: wp.array[wp.vec3d],
+        inflation: wp.float64,
+        a: wp.array[wp.int32],
+        n: int,
+        q: wp.array[wp.int32],
+        m: int,
+        tied: wp.uint32,
+        out: wp.array2d[wp.uint32],
+    ):
+        i, j = wp.tid()
+        out[i, j] = separated(x_t0, x_t1, inflation, a, j, n, q, i / 16, i % 16, m, tied)
+
+    rng = np.random.default_rng(3)
+    frames = 0.25 * rng.integers(-5, 5, (2, 40, 3))
+    frames = np.where(rng.random(frames.shape) < 0.3, np.nextafter(frames, np.inf), frames)
+    targets, queries = rng.integers(0, 40, (2, 12, 3, WIDTH)).astype(np.int32)
+    queries[:, corners[1] :], targets[:, corners[0] :] = -1, -1
+    tied = 0xBEEF
+    out = wp.zeros((12 * WIDTH, 12), dtype=wp.uint32, device="cpu")
+    vertices = [wp.array(frame, dtype=wp.vec3d, device="cpu") for frame in frames]
+    arrays = [on_cpu(targets, wp.int32), corners[0], on_cpu(queries, wp.int32), corners[1]]
+    inputs = [*vertices, inflation, *arrays, tied]
+    wp.launch(run, dim=out.shape, inputs=inputs, outputs=[out], device="cpu")
+
+    def boxes(blocks, count):
+        points = frames[:, blocks[:, :count].transpose(0, 2, 1).reshape(-1, count)].transpose(1, 0, 2, 3)
+        points = points.reshape(len(points), -1, 3)
+        lower, upper = points.min(axis=1), points.max(axis=1)
+        if inflation > 0:
+            lower, upper = np.nextafter(lower - inflation, -np.inf), np.nextafter(upper + inflation, np.inf)
+        return lower, upper
+
+    (low, high), (query_low, query_high) = boxes(targets, corners[0]), boxes(queries, corners[1])
+    apart = (low > query_high[:, None]).any(axis=2) | (query_low[:, None] > high).any(axis=2)
+    expected = (apart.reshape(-1, 12, WIDTH) * (1 << np.arange(WIDTH))).sum(axis=2) & tied
+    assert np.array_equal(out.numpy(), expected)
+    assert 0 < apart.sum() < apart.size
+
+
+@pytest.mark.parametrize("capacity", [0, 5, 1000])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_keys_of_a_query_and_a_block(order, capacity):
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(
+        primitive: wp.array[wp.int32],
+        order: int,
+        capacity: int,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        out: wp.array[wp.int32],
+    ):
+        mask = wp.uint32(0x8421)
+        for k in range(2):
+            out[k] = pair_lanes.append_keys(primitive, 20, primitive, 1, mask, order, counts, 1, 2, capacity, 3, keys)
+
+    primitive = np.random.default_rng(4).permutation(2**31 - 1 - np.arange(32)).astype(np.int32)
+    counts, keys = wp.zeros((2, 8), dtype=wp.int64, device="cpu"), wp.zeros(20, dtype=wp.int64, device="cpu")
+    out = wp.zeros(2, dtype=wp.int32, device="cpu")
+    inputs = [on_cpu(primitive, wp.int32), order, capacity]
+    wp.launch(run, dim=1, inputs=inputs, outputs=[counts, keys, out], device="cpu")
+    pairs = [(int(primitive[20]), int(primitive[16 + k])) for k in (0, 5, 10, 15)]
+    ordered = [(pair, pair[::-1], tuple(sorted(pair)))[order] for pair in pairs * 2][:capacity]
+    expected = np.zeros(20, dtype=np.int64)
+    expected[3 : 3 + len(ordered)] = [a << 32 | b for a, b in ordered]
+    assert np.array_equal(keys.numpy(), expected)
+    assert out.numpy().tolist() == [4, 4]
+    assert counts.numpy()[1, 2] == counts.numpy().sum() == 8  # what there was no capacity for counts, too
