@@ -11,7 +11,7 @@ import warp as wp
 from ccd_warp.benchmarks.univariate import ends_ccd, univariate_ccd
 
 import ccd_warp as ccd
-from ccd_warp._threads import default_num_threads
+from ccd_warp._runtime.threads import default_num_threads
 
 KINDS = ("vertex-face", "edge-edge")
 SHORT = {"vertex-face": "VF", "edge-edge": "EE"}

@@ -13,7 +13,7 @@ from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE, Method
 
 import ccd_warp as ccd
-from ccd_warp._threads import default_num_threads
+from ccd_warp._runtime.threads import default_num_threads
 
 FAMILY = "random_colliding"
 _FIRST_CALL = (

@@ -11,12 +11,12 @@ was reached, which the status says. It holds in floating point, in both precisio
 """
 
 from ccd_warp import datasets
-from ccd_warp._candidates import Candidates
-from ccd_warp._line_search import LineSearchResult
+from ccd_warp._engine.candidates import Candidates
+from ccd_warp._engine.line_search import LineSearchResult
+from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._narrow_phase import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
-from ccd_warp._option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
+from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._arguments import check_items
-from ccd_warp._array_input import check_finite
-from ccd_warp._mesh_input import (
+from ccd_warp._input.arguments import check_items
+from ccd_warp._input.arrays import check_finite
+from ccd_warp._input.mesh_checks import (
     arrays_of_trimesh,
     as_positions,
     find_loose_points,

@@ -6,11 +6,11 @@ from typing import Unpack
 
 from numpy.typing import ArrayLike
 
-from ccd_warp._candidates import Candidates
-from ccd_warp._line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
+from ccd_warp._engine.candidates import Candidates
+from ccd_warp._engine.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
+from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions
+from ccd_warp._input.options import options_of
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._option_types import CandidateOptions, LineSearchOptions, MeshOptions
-from ccd_warp._options import options_of
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import MeshResult
 

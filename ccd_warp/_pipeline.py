@@ -10,17 +10,16 @@ from typing import Any, NoReturn, TypeVar, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._arguments import check_choice, check_count, check_instance, check_real
-from ccd_warp._candidates import Candidates, candidates_of, validated_inflation
-from ccd_warp._device_step import (
+from ccd_warp._engine.candidates import Candidates, candidates_of, validated_inflation
+from ccd_warp._engine.device_step import (
     MOST_CONTACTS,
     MOST_PAIRS,
     Capacities,
     DeviceStep,
     LineSearch,
 )
-from ccd_warp._interop import check_writable
-from ccd_warp._line_search import (
+from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     EVERY_PER,
@@ -29,14 +28,15 @@ from ccd_warp._line_search import (
     check_step_is_whole,
     search_step,
 )
+from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real
+from ccd_warp._input.interop import check_writable
+from ccd_warp._input.option_types import MeshOptions
+from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_cache import MeshCache
-from ccd_warp._option_types import MeshOptions
-from ccd_warp._options import Options, naming, options_of, resolve_device
-from ccd_warp._progress import Progress
 from ccd_warp._results import LaunchResult, MeshResult
-from ccd_warp._step import Step
-from ccd_warp._workspace import Workspace
+from ccd_warp._runtime.progress import Progress
 
 DEFAULT_NUM_ROUNDS = 5
 _MOST_ROUNDS = 100

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._launch import load
+from ccd_warp._runtime.launch import load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 

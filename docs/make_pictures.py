@@ -6,7 +6,7 @@ import numpy as np
 
 import ccd_warp as ccd
 from ccd_warp import viz
-from ccd_warp._demo import DemoScene, bullet_scene, cloth_scene
+from ccd_warp._cli.demo import DemoScene, bullet_scene, cloth_scene
 
 FIGURES = Path(__file__).parent / "figures"
 

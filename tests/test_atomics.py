@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.atomics import claim, claim_int, lower_to, set_bits
 
-from ccd_warp._launch import Execution, load
+from ccd_warp._runtime.launch import Execution, load
 
 NUM_ROUNDS = 2_000
 COUNT = 3_000_000

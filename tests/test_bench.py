@@ -15,7 +15,7 @@ from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
 
 import ccd_warp as ccd
-from ccd_warp._cli import main
+from ccd_warp._cli.command import main
 
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")

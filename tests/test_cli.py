@@ -13,8 +13,8 @@ from ccd_warp.benchmarks.oracle import exact_tois
 from published import DATA, requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd
-from ccd_warp._cli import main
-from ccd_warp._files import read_frames, read_static, write_mesh
+from ccd_warp._cli.command import main
+from ccd_warp._files.frames import read_frames, read_static, write_mesh
 
 # A ball of radius 0.5 comes down five units onto a box whose top is at z = 0; it touches after 1.5 units.
 EXACT_TOI = 0.3

@@ -14,9 +14,9 @@ import pytest
 import trimesh
 
 from ccd_warp import _file_text, datasets
-from ccd_warp._cli import main
-from ccd_warp._files import InputError, read_frames, read_static, write_mesh
-from ccd_warp._messages import printable
+from ccd_warp._cli.command import main
+from ccd_warp._files.frames import InputError, read_frames, read_static, write_mesh
+from ccd_warp._input.messages import printable
 
 # Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
 VERTICES = np.round(np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3)), 3)

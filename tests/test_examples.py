@@ -65,7 +65,7 @@ def test_mesh_against_mesh(tmp_path):
 
 @pytest.mark.parametrize("name", ["bullet", "cloth"])
 def test_demo_scenes_are_what_their_titles_say(name):
-    from ccd_warp._demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
+    from ccd_warp._cli.demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
 
     scene = {"bullet": bullet_scene, "cloth": cloth_scene}[name]()
     moving, resting = scene.bodies

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ccd_warp._files import InputError, read_frames, read_static, write_mesh
+from ccd_warp._files.frames import InputError, read_frames, read_static, write_mesh
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from oracles import exact_contacts, num_touching
 from scenes import FACE, TRIANGLE, stacked
 
 import ccd_warp as ccd
-from ccd_warp._device_step import LineSearch
-from ccd_warp._launch import Slot
+from ccd_warp._engine.device_step import LineSearch
+from ccd_warp._runtime.launch import Slot
 
 PER = ("scene", "body", "vertex")
 every_per = pytest.mark.parametrize("per", PER)

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from ccd_warp import mesh_ccd
+from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_cache import MeshCache
 
 TRIANGLE = (np.eye(3), [[0, 1, 2]])
 TETRAHEDRON = (np.eye(4, 3), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])

@@ -12,8 +12,8 @@ import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp import _small_batch
-from ccd_warp._option_types import Method, PairKindName, Precision
-from ccd_warp._options import Options
+from ccd_warp._input.option_types import Method, PairKindName, Precision
+from ccd_warp._input.options import Options
 
 FACES = np.array([[0, 1, 2], [3, 4, 5]])
 START = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 0], [1, 0, 0], [0, 1, 0]])

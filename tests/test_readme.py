@@ -6,7 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import ccd_warp as ccd
-from ccd_warp._options import Options
+from ccd_warp._input.options import Options
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 

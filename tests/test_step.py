@@ -16,8 +16,8 @@ from oracles import brute_force, check_candidates, corners_of
 from scenes import crowd, leaning_stack, single, soup
 
 import ccd_warp as ccd
-from ccd_warp import _step as ccd_step
-from ccd_warp._launch import Execution
+from ccd_warp._engine import host_step as ccd_step
+from ccd_warp._runtime.launch import Execution
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width")
 

@@ -10,11 +10,11 @@ import trimesh
 
 import ccd_warp as ccd
 from ccd_warp import viz
-from ccd_warp._cli import main
-from ccd_warp._files import write_mesh
-from ccd_warp._viz_camera import make_camera
-from ccd_warp._viz_scene import make_scene
-from ccd_warp._viz_window import drawing_without_display
+from ccd_warp._cli.command import main
+from ccd_warp._files.frames import write_mesh
+from ccd_warp.viz._camera import make_camera
+from ccd_warp.viz._scene import make_scene
+from ccd_warp.viz._window import drawing_without_display
 
 SIZE = (600, 200)
 NO_FACES = np.zeros((0, 3), dtype=int)
@@ -299,7 +299,7 @@ def test_what_is_small_is_shown_close_up(tmp_path):
 
 @requires_drawing
 def test_colours_of_toi_read_in_grey(tmp_path):
-    from ccd_warp._viz_panel import _NO_TOI_COLOUR, _toi_colours
+    from ccd_warp.viz._panel import _NO_TOI_COLOUR, _toi_colours
 
     def lightness(rgb):
         return np.asarray(rgb)[..., :3] @ [0.2126, 0.7152, 0.0722]
@@ -479,7 +479,7 @@ def test_command_names_a_missing_opengl(files, capfd, monkeypatch):
     def find_none():
         raise RuntimeError("found no OpenGL to draw with")
 
-    monkeypatch.setattr("ccd_warp._viz_window._window_without_display", find_none)
+    monkeypatch.setattr("ccd_warp.viz._window._window_without_display", find_none)
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
     assert _run(files, files / "step.png") == 2
     assert capfd.readouterr().err == "ccd-warp: error: --picture: found no OpenGL to draw with\n"

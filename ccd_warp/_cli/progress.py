@@ -1,0 +1,52 @@
+"""A line on the terminal that says how far a run is and how long it will take."""
+
+import sys
+import time
+
+from ccd_warp._runtime.progress import Progress
+
+_PATIENCE = 2.0  # seconds for which a run may be silent
+_WIDTH = 24
+
+
+class ProgressLine:
+    """The stage of a run, a bar, and the time that the stage may take yet; on stderr, where that is a terminal."""
+
+    def __init__(self, is_quiet: bool) -> None:
+        self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
+        self._begin = self._stage_begin = time.monotonic()
+        self._stage = ""
+        self._length = 0
+
+    def show(self, progress: Progress) -> None:
+        """Write the line anew, once the run has taken two seconds."""
+        now = time.monotonic()
+        if progress.stage != self._stage:
+            self._stage, self._stage_begin = progress.stage, now
+        if not self._is_shown or now - self._begin < _PATIENCE:
+            return
+        self._write(line_of(progress, now - self._stage_begin))
+
+    def clear(self) -> None:
+        """Leave an empty line."""
+        if self._length:
+            self._write("")
+            sys.stderr.write("\r")
+            sys.stderr.flush()
+
+    def _write(self, text: str) -> None:
+        sys.stderr.write(f"\r{text:{self._length}}")
+        sys.stderr.flush()
+        self._length = len(text)
+
+
+def line_of(progress: Progress, seconds: float) -> str:
+    """The line of a stage that has taken so many seconds."""
+    share = min(1.0, progress.done / max(progress.total, 1))
+    bar = f"{'#' * int(share * _WIDTH):{_WIDTH}}"
+    left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "…"
+    return f"{progress.stage}  [{bar}] {share:4.0%}  {left}"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,274 @@
+"""The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.topology import (
+    BLOCK_CORNERS,
+    RECORD,
+    WIDTH,
+    PrimitiveSet,
+    Topology,
+    choose_frame,
+    choose_static_frame,
+    sorted_keys,
+)
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp.kernels import box_tree as kernels
+
+BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
+# A block whose longest side is beyond this multiple of a typical primitive's is no longer one of neighbours.
+_LARGEST_BLOCK = 12.0
+_CHECKED_BLOCKS = 64
+# Boxes of a level that are united in one launch with all levels above.
+_FEW_BOXES = 2048
+# Boxes of all trees from which on they are built by several threads.
+_WORTH_THREADS = 100_000
+_NO_END = 1.0
+# Share of the step below which making the boxes of what is left of it pays.
+_WORTH_SHORTENING = 0.5
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A set of primitives and the tree of their boxes."""
+
+    primitives: PrimitiveSet
+    arrays: Any  # kernels.BoxTree
+    levels: tuple[int, ...]  # blocks of each level
+
+    def level_boxes(self, level: int) -> NDArray[np.float32]:
+        """Lower and upper corners of a level, by block, frame, corner, axis and lane; on the CPU."""
+        size = self.arrays.num_frames * BLOCK_FLOATS
+        first = sum(self.levels[:level])
+        floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
+        return floats.reshape(-1, self.arrays.num_frames, 2, 3, WIDTH)
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The box around the tree, in the image; on the CPU."""
+        block = self.level_boxes(len(self.levels) - 1)[0]
+        return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
+
+
+@dataclass(frozen=True)
+class _StaticKey:
+    """What the boxes of resting bodies depend on."""
+
+    positions: list[NDArray[np.float64]]
+    frame: tuple[float, ...]
+    inflation: float
+    num_frames: int
+
+    def same(self, other: "_StaticKey | None") -> bool:
+        return (
+            other is not None
+            and self.frame == other.frame
+            and (self.inflation, self.num_frames) == (other.inflation, other.num_frames)
+            and all(map(np.array_equal, self.positions, other.positions))
+        )
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Blocks of each level of a tree over ``count`` boxes: at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)
+
+
+def new_tree(primitives: PrimitiveSet, num_frames: int, allocate: Callable[[int], wp.array]) -> Tree:
+    """A tree without an order or boxes yet; ``allocate`` gives it so many numbers."""
+    levels = level_sizes(primitives.count)
+    first = np.concatenate([[0], np.cumsum(levels)])
+    size = int(first[-1]) * BLOCK_FLOATS * num_frames
+    if size >= 2**31:
+        raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 150 million")
+    arrays = kernels.BoxTree()
+    arrays.num_boxes = primitives.count
+    arrays.num_levels = len(levels)
+    arrays.num_frames = num_frames
+    arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
+    arrays.nodes = allocate(size)
+    return Tree(primitives, arrays, levels)
+
+
+def fill_tree(tree: Tree, records: wp.array, execution: Execution | Recording) -> None:
+    """The boxes of every level, from the records."""
+    inputs = [records, tree.primitives.num_corners]
+    execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
+    level, last = 2, len(tree.levels)
+    while level < last and (execution.is_cuda or tree.levels[level - 1] > _FEW_BOXES):
+        count = tree.levels[level - 1]
+        execution.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[tree.arrays])
+        level += 1
+    if level < last:
+        execution.launch(kernels.unite_levels, 1, inputs=[level, tree.levels[level - 1]], outputs=[tree.arrays])
+
+
+class StepBoxes:
+    """Swept boxes of a mesh: held between steps, filled anew by each.
+
+    Attributes:
+        num_boxes: Boxes made in this step; those of static bodies count in the step that makes them.
+        num_sorted: Sets that had to be sorted anew in this step.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+        self.topology = topology
+        self.buffers = buffers
+        self.num_boxes = 0
+        self.num_sorted = 0
+        self._all_active = wp.ones(topology.mesh.num_bodies, dtype=wp.int32, device=topology.device)
+        self._trees: dict[str, Tree] = {}
+        self._static_trees: dict[str, Tree] = {}
+        self._static_key: _StaticKey | None = None
+        self._static_frame: Any = None
+
+    def begin(
+        self,
+        host: tuple[NDArray[np.float64], NDArray[np.float64]],
+        x_t0: wp.array,
+        x_t1: wp.array,
+        t_end: float,
+        inflation: float,
+        execution: Execution,
+        num_frames: int,
+        active: wp.array | None = None,
+    ) -> None:
+        """Start a step: its positions, the share of it that counts, frames of a box, and the bodies that matter."""
+        start, end = host
+        self.execution = execution
+        self.x_t0, self.x_t1, self.inflation = x_t0, x_t1, inflation
+        self.num_boxes = self.num_sorted = 0
+        self.active = self._all_active if active is None else active
+        self.num_frames = num_frames
+        self.frame = choose_frame(self.topology.mesh, start, end, num_frames)
+        self._trees.clear()
+        if self.topology.mesh.static_vertex_ranges:
+            frame = (*self.frame.origin, self.frame.scale)
+            at_rest = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
+            key = _StaticKey(at_rest, frame, inflation, num_frames)
+            if not key.same(self._static_key):
+                self._static_key = None
+                self._static_trees.clear()
+                self._static_frame = choose_static_frame(self.topology.mesh, start, self.frame)
+                self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
+                self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
+        self.t_end = t_end
+        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+
+    def shorten(self, t_end: float) -> None:
+        """Take the boxes over [0, t_end] only, where that is worth while; the order of the trees stays."""
+        if t_end > _WORTH_SHORTENING * self.t_end:
+            return
+        self.t_end = t_end
+        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+        trees = list(self._trees.values())
+        fills = [lambda t=t: fill_tree(t, self.records, self.execution) for t in trees]  # type: ignore[misc]
+        self._at_once(fills, [t.primitives for t in trees])
+
+    def _at_once(self, tasks: Sequence[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
+        """Run one task a set on threads, unless there is less to do than waking them takes."""
+        if sum(primitives.count for primitives in sets) < _WORTH_THREADS:
+            return [task() for task in tasks]
+        return self.execution.run(tasks)
+
+    def build(self, wanted: list[tuple[str, bool]]) -> None:
+        """Make trees, at the same time: kinds of primitives, and whether they rest."""
+        sets = [(self.topology.primitives(kind, is_static), is_static) for kind, is_static in dict.fromkeys(wanted)]
+        new = [(p, s) for p, s in sets if p.count and p.name not in (self._static_trees if s else self._trees)]
+        built = self._at_once([lambda p=p: self._build(p) for p, _ in new], [p for p, _ in new])  # type: ignore[misc]
+        for tree, (primitives, is_static) in zip(built, new, strict=True):
+            (self._static_trees if is_static else self._trees)[primitives.name] = tree
+            self.num_boxes += primitives.count
+
+    def tree(self, kind: str, is_static: bool) -> Tree | None:
+        """The tree of the primitives of a kind that move, or rest; None if there are none."""
+        self.build([(kind, is_static)])
+        trees = self._static_trees if is_static else self._trees
+        return trees.get(self.topology.primitives(kind, is_static).name)
+
+    def may_meet(self, a: Tree, b: Tree) -> bool:
+        """Whether the boxes around two trees overlap; on CUDA that is for the search to find."""
+        if a is b or self.execution.is_cuda:
+            return True
+        low_a, high_a = a.bounds()
+        low_b, high_b = b.bounds()
+        return bool((low_a <= high_b).all() and (low_b <= high_a).all())
+
+    def _fill_records(self, vertices: wp.array, active: wp.array, t_end: float) -> None:
+        records = self.buffers.get("records", self.topology.mesh.num_vertices * self.num_frames * RECORD, wp.float32)
+        self.execution.launch(
+            kernels.fill_records,
+            len(vertices),
+            inputs=[
+                vertices,
+                *self.topology.of_vertices(active),
+                self.x_t0,
+                self.x_t1,
+                t_end,
+                self.inflation,
+                self.frame,
+                self.num_frames,
+            ],
+            outputs=[records],
+        )
+        self.records = records
+
+    def _build(self, primitives: PrimitiveSet) -> Tree:
+        tree = new_tree(
+            primitives, self.num_frames, lambda n: self.buffers.get(f"{primitives.name} boxes", n, wp.float32)
+        )
+        arrays = tree.arrays
+        # On CUDA sorting is cheap, and whether it is needed would have to be read back.
+        in_order = not self.execution.is_cuda
+        if in_order:
+            arrays.primitive, arrays.corners = self.topology.rest_order(primitives, self.execution)
+            fill_tree(tree, self.records, self.execution)
+            in_order = self._is_in_order(tree, self._frame_of(primitives))
+        if not in_order:
+            self._sort(primitives, arrays)
+            fill_tree(tree, self.records, self.execution)
+        return tree
+
+    def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
+        """Order the primitives by where they are now."""
+        self.num_sorted += 1
+        frame = self._frame_of(primitives)
+        keys = sorted_keys(primitives, self.records, self.num_frames, frame, self.buffers, self.execution)
+        name = primitives.name
+        arrays.primitive = self.buffers.get(f"{name} order", primitives.count, wp.int32)
+        arrays.corners = self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
+        self.execution.launch(
+            kernels.apply_order,
+            primitives.num_blocks,
+            inputs=[keys, (1 << primitives.index_bits) - 1, primitives.ids, primitives.corners],
+            outputs=[arrays.primitive, arrays.corners],
+            grain=64,
+        )
+
+    def _frame_of(self, primitives: PrimitiveSet) -> Any:
+        """What the order of a set is judged and made by.
+
+        The trees of static bodies stay while steps with other frames come and go, so their order must not depend on
+        what moves in the step that happens to make them.
+        """
+        return self._static_frame if primitives.is_static else self.frame
+
+    def _is_in_order(self, tree: Tree, frame: Any) -> bool:
+        """Whether most of the blocks are no longer than neighbours are together."""
+        count = tree.levels[0]
+        if count <= 4:
+            return True
+        chosen = (np.arange(_CHECKED_BLOCKS) * count) // _CHECKED_BLOCKS
+        boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
+        with np.errstate(invalid="ignore", over="ignore"):
+            longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
+        longest.sort()
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * frame.typical_extent)

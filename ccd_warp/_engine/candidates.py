@@ -1,0 +1,183 @@
+"""Candidate pairs: primitives whose swept boxes overlap."""
+
+import itertools
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.search import Found, Join
+from ccd_warp._engine.topology import WIDTH
+from ccd_warp._input.arguments import check_real
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.threads import default_num_threads, run
+from ccd_warp._status import PairKind
+
+# Pairs of a kind from which on threads sort them together.
+_WORTH_RANGES = 100_000
+# Pairs that are copied at a time: both sides stay in the cache between the two columns.
+_CHUNK = 1 << 14
+# Pairs that are worth a task on a thread.
+_TASK = 1 << 17
+# The first index is the upper half of a key.
+_COLUMNS = slice(None, None, -1 if sys.byteorder == "little" else 1)
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Pairs that may collide in the step, each once.
+
+    On the CPU pairs come in the order of the search: by the place of the first box and then of the second in trees of
+    boxes that are near each other, sixteen at a time. That order depends on the mesh, the two frames, the inflation and
+    the version of this library alone, not on the number of threads, the memory limit or earlier calls. On CUDA pairs
+    are in lexicographic order.
+
+    Attributes:
+        vertex_face: Vertex and face indices, int32, shape [m, 2].
+        edge_edge: Edge indices, first < second, int32, shape [k, 2].
+        point_segment: Indices of loose points among the vertices and of loose edges among the edges, int32,
+            shape [n, 2]; empty where the mesh has none.
+        point_point: Indices of loose points among the vertices, first < second, int32, shape [l, 2]; likewise.
+    """
+
+    vertex_face: NDArray[np.int32]
+    edge_edge: NDArray[np.int32]
+    point_segment: NDArray[np.int32]
+    point_point: NDArray[np.int32]
+
+    def sorted(self) -> "Candidates":
+        """The same pairs in lexicographic order, in arrays of their own."""
+        return Candidates(*map(_sorted_pairs, (self.vertex_face, self.edge_edge, self.point_segment, self.point_point)))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Pairs that one part of a search has found, and what they are a part of."""
+
+    found: Found
+    pairs: NDArray[np.int32]
+
+
+class _Collector:
+    """Takes what a search finds batch by batch, and lays it out in the order of the trees."""
+
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
+        self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
+        self._pieces: dict[PairKind, list[_Piece]] = {kind: [] for kind in PairKind}
+
+    def take(self, ranges: list[Found]) -> None:
+        """Copy the pairs of a batch to an array for each kind, which is the result if no other batch follows."""
+        copies = []
+        for kind in PairKind:
+            of_kind = sorted((found for found in ranges if found.kind == kind), key=_place)
+            pairs = np.empty((sum(found.count for found in of_kind), 2), dtype=np.int32)
+            begin = 0
+            for found in of_kind:
+                piece = _Piece(found, pairs[begin : begin + found.count])
+                self._pieces[kind].append(piece)
+                copies.append((piece.pairs, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
+                begin += found.count
+            if begin:
+                self._batches[kind].append(pairs)
+        self._copy(copies)
+
+    def pairs(self) -> Candidates:
+        """All that was taken, in order."""
+        return Candidates(*map(self._pairs_of, PairKind))
+
+    def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
+        batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: _place(piece.found))
+        pairs = batches[0] if batches else np.empty((0, 2), dtype=np.int32)
+        if len(batches) > 1:
+            pairs = np.empty((sum(map(len, batches)), 2), dtype=np.int32)
+            ends = np.cumsum([len(piece.pairs) for piece in pieces])
+            targets = [pairs[end - len(piece.pairs) : end] for end, piece in zip(ends, pieces, strict=True)]
+            self._copy([(target, piece.pairs) for target, piece in zip(targets, pieces, strict=True)])
+        end = 0
+        for (is_cut, *_), group in itertools.groupby(pieces, key=lambda p: (p.found.is_cut, *_place(p.found)[:2])):
+            blocks = list(group)
+            begin, end = end, end + sum(len(piece.pairs) for piece in blocks)
+            if is_cut and not self._execution.is_cuda:
+                pairs[begin:end] = _as_one_block(blocks[0].found.join, pairs[begin:end])
+        return pairs
+
+    def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
+        """Copy pairs to where they belong, target and source, on all threads where there are many."""
+        parts = [
+            (target[k : k + _TASK], source[k : k + _TASK])
+            for target, source in copies
+            for k in range(0, len(target), _TASK)
+        ]
+        if sum(len(target) for target, _ in parts) < _TASK:
+            for part in parts:
+                _copy_pairs(*part)
+        else:
+            self._execution.run([lambda p=p: _copy_pairs(*p) for p in parts])  # type: ignore[misc]
+
+
+def candidates_of(step: Step, inflation: float) -> Candidates:
+    """All pairs whose boxes overlap."""
+    collector = _Collector(step.execution)
+    step.candidates(inflation, collector.take)
+    with step.timed("copy"):
+        found = collector.pairs()
+        # threads of a GPU write as they come
+        return found.sorted() if step.execution.is_cuda else found
+
+
+def validated_inflation(value: float) -> float:
+    """The inflation as a float, or a ValueError."""
+    return check_real("inflation", value, "a finite length that is not negative", lambda x: x >= 0)
+
+
+def _place(found: Found) -> tuple[int, int, int]:
+    return found.place
+
+
+def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
+    """Copy pairs column by column, which NumPy does four times as fast as row by row, a stretch in the cache each."""
+    for k in range(0, len(target), _CHUNK):
+        for column in range(2):
+            target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
+
+
+def _as_one_block(join: Join | None, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Pairs of a query block, found query by query, in the order in which the whole block finds them.
+
+    That is by target block, then by query, then by target: a walk goes through the targets in the order of the tree.
+    """
+    assert join
+    sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (join.query, join.target)]
+    places = [np.full(1 + max(map(np.max, sets)), -1, dtype=np.int32) for _ in sets]
+    for place, primitives in zip(places, sets, strict=True):
+        place[primitives] = np.arange(len(primitives))
+    query_place, target_place = places
+    query, target = pairs.T[::-1] if join.swapped else pairs.T
+    if join.is_symmetric:
+        # the lower index comes first, whichever of the two asked; within a set the first in the tree asks
+        is_turned = query_place[query] > query_place[target] if join.within else query_place[query] < 0
+        query, target = np.where(is_turned, target, query), np.where(is_turned, query, target)
+    asking, found = query_place[query], target_place[target]
+    return pairs[np.lexsort((found % WIDTH, asking % WIDTH, found // WIDTH))]
+
+
+def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Pairs in lexicographic order, in an array of their own."""
+    result = np.empty_like(pairs, order="C")
+    keys: NDArray[np.int64] = np.empty(len(pairs), dtype=np.int64)
+    keys.view(np.int32).reshape(-1, 2)[:, _COLUMNS] = pairs
+    threads = default_num_threads() if len(pairs) > _WORTH_RANGES else 1
+    cuts = [len(keys) * k // threads for k in range(threads + 1)]
+    if threads > 1:
+        # so that ranges between cuts can be sorted apart
+        keys.partition(cuts[1:-1])
+
+    def finish(low: int, high: int) -> None:
+        keys[low:high].sort()
+        _copy_pairs(result[low:high], keys[low:high].view(np.int32).reshape(-1, 2)[:, _COLUMNS])
+
+    run([lambda c=c: finish(*c) for c in itertools.pairwise(cuts)], threads)  # type: ignore[misc]
+    return result

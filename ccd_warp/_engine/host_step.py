@@ -1,0 +1,573 @@
+"""One step of a mesh on its way through the stages: boxes, pairs, narrow phase, gather."""
+
+import math
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.body_boxes import bodies_near
+from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
+from ccd_warp._engine.search import KEY_BYTES, Found, PairSearch, joins_of
+from ccd_warp._engine.topology import CORNER_ARRAYS
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import MeshResult
+from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp.kernels import boxes as box_kernels
+from ccd_warp.kernels.minima import OPEN
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
+from ccd_warp.kernels.pair_search import NUM_COUNTS
+
+# Room for pairs where the user sets no limit.
+DEFAULT_PAIR_BYTES = 1 << 30
+# The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
+_SAMPLE_STRIDE = 32
+_WORTH_SAMPLING = 1 << 14  # vertices
+# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
+LONG_PART = 1 << 10
+# Pairs of a part at most, so that threads end together, and progress is seen.
+_LARGEST_PART = 1 << 14
+# Pairs left by the cull, in all and for each primitive, from which on overlaps have exploded.
+_MANY_PAIRS = 1_000_000
+_MANY_PAIRS_EACH = 16
+_LARGEST = float(np.finfo(np.float64).max)
+_LEAST_KEYS = 1 << 12
+_MOST_PAIRS = np.iinfo(np.int32).max
+
+
+class OpenPairs:
+    """Pairs of a step that the first round of the narrow phase leaves open.
+
+    Attributes:
+        marked: Complements of their keys by kind of pair, where contacts are looked for.
+        arrays: Their keys, and the toi that they have by then, where the least toi is.
+    """
+
+    def __init__(self) -> None:
+        self.marked: dict[PairKind, NDArray[np.int64]] = {}
+        self.arrays: dict[PairKind, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
+
+    def take(self, found: Found) -> None:
+        """Copy what is marked among the keys of a batch."""
+        keys = found.keys.numpy()[found.begin : found.begin + found.count]
+        marked = keys[keys < 0]
+        self.marked[found.kind] = np.concatenate([self.marked.get(found.kind, marked[:0]), marked])
+
+    def add(self, kind: PairKind, keys: NDArray[np.int64], toi: NDArray[np.float64]) -> None:
+        """Keep the pairs of a batch."""
+        if len(keys):
+            before = self.arrays.get(kind, (keys[:0], toi[:0]))
+            self.arrays[kind] = (np.concatenate([before[0], keys]), np.concatenate([before[1], toi]))
+
+
+class _OpenList:
+    """Device arrays that a launch writes open pairs of a kind to; they grow where there are more."""
+
+    def __init__(self, buffers: Buffers, kind: PairKind) -> None:
+        self._buffers = buffers
+        self._name = f"{kind.name} open"
+        self.count = buffers.get(f"{self._name} pair count", 1, wp.int32)
+        self._size = 1 << 10
+
+    @property
+    def arrays(self) -> list[wp.array]:
+        """Count, keys and toi, as the kernel takes them."""
+        keys = self._buffers.get(f"{self._name} keys", self._size, wp.int64)
+        return [self.count, keys, self._buffers.get(f"{self._name} pair toi", len(keys), wp.float64)]
+
+    def has_held_all(self) -> bool:
+        """Whether there was capacity for all; if not, there is now."""
+        count = int(self.count.numpy()[0])
+        is_held = count <= len(self.arrays[1])
+        self._size = max(self._size, count)
+        return is_held
+
+    def found(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Copies of the keys and the toi."""
+        count = int(self.count.numpy()[0])
+        _, keys, toi = self.arrays
+        return keys.numpy()[:count].copy(), toi.numpy()[:count].copy()
+
+
+@dataclass(frozen=True)
+class _PairPart:
+    """Pairs first, first + 1, … of those found."""
+
+    found: Found
+    first: int
+    count: int
+
+
+class Step:
+    """One step."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        host: tuple[NDArray[np.float64], NDArray[np.float64]],
+        options: Options,
+        checking_seconds: float = 0.0,
+        show: Callable[[Progress], None] | None = None,
+    ) -> None:
+        """Begin a step between two frames, which checking has taken some time for; ``show`` is told how far it is."""
+        self.timings: dict[str, float] = {"input": checking_seconds}
+        self._events: list[tuple[str, wp.Event, wp.Event]] = []
+        self.options = options
+        self.workspace = workspace
+        self.topology = workspace.topology
+        self.mesh = workspace.topology.mesh
+        self.buffers = workspace.buffers
+        self.boxes = workspace.boxes
+        self.progress = Progress(show)
+        self.execution = Execution(workspace.topology.device, options.threads, workspace.flag, self.progress.tick)
+        self.counts: Counter[str] = Counter()
+        self.is_warned = False
+        with self.timed("input"):
+            device = self.execution.device
+            self.host = start, end = host
+            self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
+            self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of a stage; on CUDA by events, which are read when the result is there anyway."""
+        if self.execution.device.is_cuda:
+            begin_event, end_event = (wp.Event(self.execution.device, enable_timing=True) for _ in range(2))
+            stream = wp.get_stream(self.execution.device)
+            stream.record_event(begin_event)
+            yield
+            stream.record_event(end_event)
+            self._events.append((stage, begin_event, end_event))
+            return
+        begin = time.perf_counter()
+        yield
+        self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+
+    def finish_timings(self) -> None:
+        """Read the events of CUDA, and sum the stages."""
+        for stage, begin, end in self._events:
+            seconds = 1e-3 * wp.get_event_elapsed_time(begin, end)
+            self.timings[stage] = self.timings.get(stage, 0.0) + seconds
+        self._events.clear()
+        self.timings["total"] = sum(self.timings.values())
+
+    @cached_property
+    def length_scale(self) -> float:
+        """The unit of tolerance and separation."""
+        if self.options.length_scale is not None:
+            return self.options.length_scale
+        return longest_side(self.x_t0, self.x_t1, self.execution, self.buffers)
+
+    @property
+    def separation(self) -> float:
+        """The minimum separation, a length."""
+        if self.options.minimum_separation == 0.0:
+            return 0.0
+        return self.options.separation(self.length_scale)
+
+    @property
+    def inflation(self) -> float:
+        """Growth of the boxes for the separation."""
+        return half_up(self.separation)
+
+    def begin_boxes(self, inflation: float, t_end: float, num_frames: int) -> None:
+        """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
+        mesh = self.mesh
+        active = None
+        self.counts["active bodies"] = mesh.num_bodies
+        if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
+            near = bodies_near(self.workspace, self.host, inflation, self.execution)
+            self.counts["active bodies"] = int((near | mesh.static).sum())
+            active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
+            active.assign(near.astype(np.int32))
+        self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, num_frames, active)
+        self.joins = joins_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
+
+    def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
+        """A search with the room that the memory limit leaves."""
+        search = PairSearch(
+            self.boxes,
+            self.execution,
+            self.buffers,
+            with_cull=with_cull,
+            t_end=t_end,
+            separation=self.separation,
+            progress=self.progress,
+        )
+        search.largest_room = self.room(bytes_per_pair)  # which counts what the search has just allocated
+        return search
+
+    def room(self, bytes_per_pair: int) -> int:
+        """Pairs that the memory limit has room for at a time."""
+        least = max([_LEAST_KEYS, *(join.target.primitives.count for join in self.joins)])
+        least *= 1 if self.execution.is_cuda else self.execution.num_threads
+        limit = self.options.memory_limit
+        if limit is None:
+            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), _MOST_PAIRS)
+        # half of what is left is for the pairs, half for the contacts
+        needed = self.fixed_bytes + 2 * least * bytes_per_pair
+        if needed > limit:
+            raise ValueError(
+                f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
+                f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
+            )
+        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, _MOST_PAIRS)
+
+    @property
+    def fixed_bytes(self) -> int:
+        """Bytes of the mesh's topology and of the boxes."""
+        return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact", "pair")
+
+    def largest_contacts(self) -> int:
+        """Contacts that the memory limit has room for."""
+        if self.options.memory_limit is None:
+            return np.iinfo(np.int32).max
+        return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
+
+    def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
+        """Hand the keys of all pairs whose boxes overlap to ``take``, a batch at a time, which the next overwrites."""
+        with self.timed("boxes"):
+            self.begin_boxes(inflation, 1.0, num_frames=1)
+        with self.timed("pairs"):
+            search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
+            batches = search.ranges(self.joins)
+        while True:
+            with self.timed("pairs"):
+                ranges = next(batches, None)
+            if ranges is None:
+                break
+            with self.timed("copy"):
+                take(ranges)
+        self.count_pairs(search)
+
+    def pair_inputs(self, found: Found, first: int) -> list:
+        """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
+        a, b = CORNER_ARRAYS[found.kind]
+        corners = self.topology.corners
+        return [int(found.kind), found.begin + first, found.keys, corners[a], corners[b], self.x_t0, self.x_t1]
+
+    def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
+        """A batch in parts that are worth a launch each, some for every thread, and many of a large one."""
+        parts = []
+        total = sum(found.count for found in batch)
+        for found in batch:
+            share = 4 * self.execution.num_threads * found.count // max(total, 1)
+            pieces = 1
+            if not self.execution.is_cuda:
+                pieces = max(1, min(share, found.count // grain), -(-found.count // _LARGEST_PART))
+            bounds = [found.count * k // pieces for k in range(pieces + 1)]
+            parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
+        return parts
+
+    def launch_parts(
+        self, kernel: Any, parts: list["_PairPart"], launch: Callable[["_PairPart"], None], is_long: bool
+    ) -> None:
+        """Launch a kernel on each part; ``is_long`` where pairs may take more than the iterations of a first round."""
+        load(kernel, self.execution.device)
+
+        def run(part: "_PairPart") -> None:
+            launch(part)
+            self.progress.done += part.count
+
+        self.progress.begin("narrow phase", sum(part.count for part in parts))
+        is_long = is_long or max(part.count for part in parts) > LONG_PART
+        self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]
+
+    def bound(self) -> float:
+        """Earliest toi of all pairs, or t_max.
+
+        A sample of the queries comes first. Where it finds a contact, the rest looks only at the part of the step
+        before it: boxes are shorter, and the cull stops there. The bound of each round is the least toi of the pairs of
+        the round before, which depends on the input alone, and so does the result.
+        """
+        best = self.options.t_max
+        with self.timed("boxes"):
+            self.begin_boxes(self.inflation, best, num_frames=2)
+        for stride in (_SAMPLE_STRIDE, 1):
+            if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
+                continue
+            with self.timed("boxes"):
+                self.boxes.shorten(best)
+            with self.timed("pairs"):
+                search = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
+                batches = search.batches(self.joins, 0, stride)
+            least = best
+            open_pairs = OpenPairs()
+            while True:
+                with self.timed("pairs"):
+                    batch = next(batches, None)
+                if batch is None:
+                    break
+                with self.timed("narrow phase"):
+                    least = self.least_toi(batch, least, open_pairs)
+                if least <= 0.0:
+                    return 0.0
+            with self.timed("narrow phase"):
+                least = self.least_open_toi(least, open_pairs)
+            best = least
+            self.count_pairs(search)
+        return best
+
+    def least_toi(self, batch: list[Found], bound: float, open_pairs: "OpenPairs | None") -> float:
+        """Earliest toi of the pairs of a batch, or the bound.
+
+        Args:
+            batch: The pairs.
+            bound: A toi that was found before, or the end of the step.
+            open_pairs: Where those go that the first round leaves open; None in the second round.
+        """
+        if not batch:
+            return bound
+        kernel = make_narrow_phase(self.options.real).pairs_bound
+        cap = self.options.first_iterations
+        if open_pairs is None:
+            cap = self.options.share_of_work(sum(found.count for found in batch))
+        options = self.options.for_kernel(self.length_scale, cap, self.workspace.flag.array)
+        # at the limit of the pair itself there is no other round
+        is_first = int(open_pairs is not None and cap < self.options.max_iterations)
+        parts = self.parts_of(batch, grain=256 if is_first else 16)
+        bits = self.buffers.get("pair bits", 1, wp.int64)
+        bits.fill_(int(np.array(bound).view(np.int64)))
+        lists = {found.kind: _OpenList(self.buffers, found.kind) for found in batch}
+
+        def launch(part: _PairPart) -> None:
+            inputs = [0, *self.pair_inputs(part.found, part.first), options, is_first]
+            outputs = [bits, *lists[part.found.kind].arrays]
+            wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
+
+        while True:
+            for each in lists.values():
+                each.count.zero_()
+            self.launch_parts(kernel, parts, launch, is_long=open_pairs is None)
+            if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
+                break
+        if open_pairs is not None:
+            for kind, each in lists.items():
+                open_pairs.add(kind, *each.found())
+        return float(bits.numpy()[:1].view(np.float64)[0])
+
+    def least_open_toi(self, bound: float, open_pairs: "OpenPairs") -> float:
+        """The second round: earliest toi of the pairs that the first has left open, or the bound."""
+        closed = bound
+        for kind, (keys, toi) in open_pairs.arrays.items():
+            # which are earlier than all closed ones depends on the pairs alone, and so does their share of the work
+            is_earlier = toi < closed
+            keys, toi = keys[is_earlier], toi[is_earlier]
+            if len(keys) == 0:
+                continue
+            if self.options.share_of_work(len(keys)) <= self.options.first_iterations:
+                bound = min(bound, float(toi.min()))
+                continue
+            pairs = self.buffers.get("open keys", len(keys), wp.int64)
+            pairs[: len(keys)].assign(keys)
+            bound = self.least_toi([Found(kind, pairs, 0, len(keys))], bound, None)
+        return bound
+
+    def count_pairs(self, search: PairSearch) -> None:
+        """Add what a search did to the counts."""
+        for kind in sorted(search.num_launches):
+            self.counts[f"{kind_name(kind)} searches"] += search.num_launches[kind]
+            self.counts[f"{kind_name(kind)} candidates"] = search.candidates[kind]
+        self.counts["batches of pairs"] += search.num_batches
+
+    def contacts(self) -> MeshResult:
+        """The toi of every pair that the cull leaves open, and what follows from them."""
+        t_max = self.options.t_max
+        survivors: Counter[PairKind] = Counter()
+        with self.timed("boxes"):
+            self.begin_boxes(self.inflation, t_max, num_frames=2)
+        with self.timed("pairs"):
+            search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + BYTES_PER_CONTACT)
+            batches = search.batches(self.joins)
+            store = ContactStore(self.topology, self.buffers, self.execution, self.largest_contacts())
+        open_pairs = OpenPairs()
+        while True:
+            with self.timed("pairs"):
+                batch = next(batches, None)
+            if batch is None:
+                break
+            with self.timed("narrow phase"):
+                for found in batch:
+                    survivors[found.kind] += found.count
+                self.warn_of_overlaps(survivors.total())
+                if batch:
+                    self.solve(batch, store, open_pairs)
+        with self.timed("narrow phase"):
+            self.solve_open(store, open_pairs)
+        self.count_pairs(search)
+        if not store.is_complete:
+            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
+            raise ValueError(
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
+                f"contacts of this step, or collision_free_step, which keeps none"
+            )
+        with self.timed("gather"):
+            gathered = store.gather()
+        return self.result(gathered, search, survivors)
+
+    def solve(self, batch: list[Found], store: ContactStore, open_pairs: "OpenPairs | None") -> None:
+        """Run the narrow phase on a batch: the first round, or without ``open_pairs`` the second, of marked keys."""
+        contacts = store.begin_batch(sum(found.count for found in batch))
+        num_open = np.zeros((len(PairKind), NUM_COUNTS), dtype=np.int64)
+        if open_pairs is None:
+            for found in batch:
+                num_open[found.kind, OPEN] = found.count
+        counts: wp.array = wp.array(num_open, dtype=wp.int64, device=self.execution.device)
+        options = self.options.for_kernel(self.length_scale, stop=self.workspace.flag.array)
+        is_second = int(open_pairs is None)
+        outputs = [store.minima, contacts]
+        parts = self.parts_of(batch, grain=16 if is_second else 256)
+
+        def launch(part: _PairPart) -> None:
+            found = part.found
+            a, b = CORNER_ARRAYS[found.kind]
+            corners = self.topology.corners
+            pairs = [found.begin + part.first, part.count, counts, found.keys, corners[a], corners[b]]
+            wp.launch(
+                kernel,
+                dim=part.count,
+                inputs=[0, part.count, int(found.kind), *pairs, self.x_t0, self.x_t1, options, 0, is_second, 0.0],
+                outputs=outputs,
+                device=self.execution.device,
+            )
+
+        kernel = make_narrow_phase(self.options.real).solve_pairs
+        self.launch_parts(kernel, parts, launch, is_long=bool(is_second))
+        store.end_batch()
+        if open_pairs is not None:
+            num_open = counts.numpy()
+            for found in batch:
+                if num_open[found.kind, OPEN]:
+                    open_pairs.take(found)
+
+    def solve_open(self, store: ContactStore, open_pairs: "OpenPairs") -> None:
+        """The second round: solve the pairs that the first has left open, each with its share of ``max_work``."""
+        for kind, keys in open_pairs.marked.items():
+            pairs = self.buffers.get("open keys", len(keys), wp.int64)
+            pairs[: len(keys)].assign(keys)
+            self.solve([Found(kind, pairs, 0, len(keys))], store, None)
+
+    def warn_of_overlaps(self, num_pairs: int) -> None:
+        """Say once where so many pairs are left that parts of the scene must lie in each other."""
+        mesh = self.mesh
+        primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        if self.is_warned or num_pairs < _MANY_PAIRS or num_pairs < _MANY_PAIRS_EACH * primitives:
+            return
+        self.is_warned = True
+        warnings.warn(
+            f"{num_pairs:,} pairs of {primitives:,} primitives may touch, so parts of the scene seem to lie in each "
+            f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory",
+            RuntimeWarning,
+            stacklevel=_level_of_caller(),
+        )
+
+    def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
+        mesh = self.mesh
+        contacts = gathered.contacts
+        kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
+        counts = {
+            "bodies": mesh.num_bodies,
+            "vertices": mesh.num_vertices,
+            "edges": mesh.num_edges,
+            "faces": mesh.num_faces,
+            **_loose_counts(mesh),
+            "active bodies": self.counts["active bodies"],
+            "boxes": self.boxes.num_boxes,
+            "sets sorted anew": self.boxes.num_sorted,
+            **{f"{kind_name(kind)} searches": search.num_launches[kind] for kind in kinds},
+            **{f"{kind_name(kind)} candidates": search.candidates[kind] for kind in kinds},
+            **{f"{kind_name(kind)} after the cull": survivors[kind] for kind in kinds},
+            **{f"{kind_name(kind)} contacts": int(np.count_nonzero(contacts.kind == kind)) for kind in kinds},
+            "contacts at the start": int(np.count_nonzero(contacts.status == CCDStatus.INITIAL_CONTACT)),
+            "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
+            "batches of pairs": search.num_batches,
+        }
+        self.finish_timings()
+        return MeshResult(
+            gathered.toi,
+            gathered.vertex_toi,
+            gathered.body_toi,
+            contacts,
+            counts,
+            self.timings,
+            gathered.vertex_contact,
+            gathered.body_contact,
+            gathered.world_toi,
+        )
+
+
+def _level_of_caller() -> int:
+    """Frames from the function that warns to the first outside the package."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
+        frame, level = frame.f_back, level + 1
+    return level
+
+
+def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
+    """Kinds of pairs that the primitives of a mesh can form and the options ask for."""
+    possible = {
+        PairKind.VERTEX_FACE: mesh.num_faces > 0,
+        PairKind.EDGE_EDGE: mesh.num_edges > 0,
+        PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
+        PairKind.POINT_POINT: len(mesh.loose_points) > 0,
+    }
+    return tuple(kind for kind in options.kinds if possible[kind])
+
+
+def moves_alone(mesh: CollisionMesh) -> bool:
+    """Whether one body moves, and does not collide with itself."""
+    moving = mesh.self_collision[~mesh.static]
+    return len(moving) == 1 and not moving.any()
+
+
+def half_up(separation: float) -> float:
+    """Half a length, rounded up, for the boxes of both primitives of a pair."""
+    if separation <= 0.0:
+        return 0.0
+    return min(math.nextafter(0.5 * separation, math.inf), _LARGEST)
+
+
+def kind_name(kind: PairKind) -> str:
+    return kind.name.lower().replace("_", "-")
+
+
+def _kinds(mesh: CollisionMesh) -> list[PairKind]:
+    """Pair kinds that the primitives of a mesh can form."""
+    kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
+    if len(mesh.loose_points):
+        kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
+    return kinds
+
+
+def _loose_counts(mesh: CollisionMesh) -> dict[str, int]:
+    """Numbers of codimensional primitives, where a mesh has any."""
+    counts = {"loose edges": len(mesh.loose_edges), "loose points": len(mesh.loose_points)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def longest_side(x_t0: wp.array, x_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
+    """Longest side of the box around both frames."""
+    if len(x_t0) == 0:
+        return 0.0
+    chunk = 64 if execution.is_cuda else 2048
+    count = -(-len(x_t0) // chunk)
+    lower, upper = (buffers.get(f"chunk {side}", count, wp.vec3d) for side in ("lower", "upper"))
+    execution.launch(box_kernels.chunk_bounds, count, inputs=[x_t0, x_t1, chunk], outputs=[lower, upper], grain=8)
+    with np.errstate(over="ignore"):
+        sides = upper.numpy()[:count].max(axis=0) - lower.numpy()[:count].min(axis=0)
+    return float(min(sides.max(), _LARGEST))

@@ -1,0 +1,405 @@
+"""Runs the search for pairs in parts, so that what it finds fits the room there is."""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.boxes import StepBoxes, Tree
+from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.topology import PRIMITIVES, WIDTH, Topology
+from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import pair_search as kernels
+from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.pair_search import make_pair_search
+
+_CANDIDATES = int(kernels.CANDIDATES)
+_FOUND = int(kernels.FOUND)
+_NUM_COUNTS = int(kernels.NUM_COUNTS)
+# Parts of a search for each thread, so that none waits long for another, and the fewest blocks worth a part.
+_PARTS_PER_THREAD = 8
+_SMALLEST_PART = 128
+KEY_BYTES = 8
+_MOST_PAIRS = int(np.iinfo(np.int32).max)
+# Tests of pairs of boxes from which on a part of a search may take long: some 0.3 s if all of them meet.
+LONG_SEARCH = 1 << 22
+
+
+class Trees(Protocol):
+    """Where the trees of a step come from."""
+
+    topology: Topology
+
+    def build(self, wanted: list[tuple[str, bool]]) -> None:
+        """Make trees: kinds of primitives, and whether they rest."""
+
+    def tree(self, kind: str, is_static: bool) -> Tree | None:
+        """One of them."""
+
+    def may_meet(self, a: Tree, b: Tree) -> bool:
+        """False where two trees certainly do not."""
+
+
+@dataclass(frozen=True)
+class Join:
+    """Two trees whose boxes may overlap; the same one twice for pairs within a set."""
+
+    kind: PairKind
+    query: Tree
+    target: Tree
+    swapped: bool = False
+
+    @property
+    def within(self) -> bool:
+        """Whether the pairs are those of one set."""
+        return self.query is self.target
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether both primitives are of one kind, and the lower index comes first."""
+        return len(set(PRIMITIVES[self.kind])) == 1
+
+    def search_inputs(
+        self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
+    ) -> list[Any]:
+        """What a search of the two trees takes, after the range and before the positions."""
+        rules = kernels.Join()
+        rules.kind = int(self.kind)
+        rules.within = int(self.within)
+        rules.symmetric = int(self.is_symmetric)
+        rules.swapped = int(self.swapped)
+        rules.num_query_corners = self.query.primitives.num_corners
+        rules.num_target_corners = self.target.primitives.num_corners
+        rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
+        rules.stop = flag.array
+        return [self.query.arrays, self.target.arrays, rules, topology.rules]
+
+
+def search_range(
+    level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
+) -> Any:
+    """Which items a launch searches, and where what it finds goes, as the kernel takes it."""
+    part = kernels.SearchRange()
+    part.first, part.stride, part.level = first, stride, level
+    part.row, part.first_key, part.capacity = row, first_key, capacity
+    part.is_shared = int(is_shared)
+    return part
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Items first, first + stride, … of a join: blocks of queries (level 1) or single queries (level 0)."""
+
+    join: Join
+    number: int  # of the join
+    level: int
+    first: int
+    stride: int
+    count: int
+
+    @property
+    def num_queries(self) -> int:
+        """Query boxes."""
+        return self.count * WIDTH**self.level
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        """Where the part begins: the join, the query block, and the query in it."""
+        return (self.number, self.first, 0) if self.level else (self.number, *divmod(self.first, WIDTH))
+
+    @property
+    def num_tests(self) -> int:
+        """Pairs of boxes, most of which the tree parts at once."""
+        return self.num_queries * self.join.target.primitives.count
+
+    def split(self) -> list["_Part"]:
+        """Smaller parts of the same items."""
+        if self.count > 1:
+            half = self.count // 2
+            return [
+                replace(self, count=half),
+                replace(self, first=self.first + half * self.stride, count=self.count - half),
+            ]
+        first = WIDTH * self.first
+        return [
+            replace(self, level=0, first=first, stride=1, count=min(WIDTH, self.join.query.primitives.count - first))
+        ]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
+
+    Attributes:
+        kind: Kind of the pairs.
+        keys: The capacity that the search has filled.
+        begin: The first key.
+        count: Number of keys.
+        join: The trees that were searched; None where the keys come from several parts.
+        place: The number of the join, the query block and the query in it that the keys begin with.
+        is_cut: Whether a block of queries was cut, so that keys come query by query.
+    """
+
+    kind: PairKind
+    keys: wp.array
+    begin: int
+    count: int
+    join: Join | None = None
+    place: tuple[int, int, int] = (0, 0, 0)
+    is_cut: bool = False
+
+    def host_keys(self) -> NDArray[np.int64]:
+        """The keys; on the CPU where they are, which the next batch overwrites."""
+        assert self.keys.device
+        if self.keys.device.is_cuda:
+            return self.keys[self.begin : self.begin + self.count].numpy()
+        return self.keys.numpy()[self.begin : self.begin + self.count]
+
+
+@dataclass
+class _Region:
+    """A thread's part of the room."""
+
+    slot: int
+    begin: int
+    end: int
+    filled: int = 0
+    found: list[Found] = field(default_factory=list)
+
+
+def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
+    """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
+    wanted = []
+    for kind in kinds:
+        first, second = PRIMITIVES[kind]
+        for a_static, b_static in ((False, False), (False, True), (True, False)):
+            is_mirrored = a_static and first == second
+            if is_mirrored or (skip_moving and not a_static and not b_static):
+                continue
+            if boxes.topology.primitives(first, a_static).count and boxes.topology.primitives(second, b_static).count:
+                wanted.append((kind, (first, a_static), (second, b_static)))
+    boxes.build([end for _, *ends in wanted for end in ends])
+    joins = []
+    for kind, a, b in wanted:
+        tree_a, tree_b = boxes.tree(*a), boxes.tree(*b)
+        # what moves asks, so that the tree of what rests is only looked up
+        is_swapped = a[1]
+        assert tree_a and tree_b
+        join = Join(kind, tree_b, tree_a, swapped=True) if is_swapped else Join(kind, tree_a, tree_b)
+        if boxes.may_meet(join.query, join.target):
+            joins.append(join)
+    return joins
+
+
+def _merged(ranges: list[Found]) -> list[Found]:
+    """The same keys in as few ranges as hold them."""
+    merged: list[Found] = []
+    for found in ranges:
+        last = merged[-1] if merged else None
+        if last and last.kind == found.kind and last.begin + last.count == found.begin:
+            merged[-1] = Found(last.kind, last.keys, last.begin, last.count + found.count)
+        else:
+            merged.append(found)
+    return merged
+
+
+class PairSearch:
+    """A search over all joins of a step.
+
+    Attributes:
+        candidates: Pairs of each kind that passed the boxes and the mesh's filter.
+        num_batches: Times that the room was filled.
+        num_launches: Launches of the search, by kind.
+        room: Pairs that the last batch had room for.
+        largest_room: Pairs that a batch may have room for.
+    """
+
+    def __init__(
+        self,
+        boxes: StepBoxes,
+        execution: Execution,
+        buffers: Buffers,
+        *,
+        with_cull: bool,
+        t_end: float,
+        separation: float,
+        largest_room: int = _MOST_PAIRS,
+        progress: Progress | None = None,
+    ) -> None:
+        self.execution = execution
+        self.buffers = buffers
+        self.candidates: Counter[PairKind] = Counter()
+        self.num_launches: Counter[PairKind] = Counter()
+        self.num_batches = self.room = 0
+        self._made_progress = True
+        self._boxes = boxes
+        assert execution.flag
+        self._flag = execution.flag
+        self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
+        self._with_cull = with_cull
+        self._t_end, self._separation = t_end, separation
+        self.largest_room = largest_room
+        self._progress = progress or Progress()
+        self._num_workers = 1 if execution.is_cuda else execution.num_threads
+        self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
+
+    @property
+    def _num_slots(self) -> int:
+        return 64 if self.execution.is_cuda else self._num_workers
+
+    def batches(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+        """Search every ``stride``-th block of queries from ``first`` on; yields what the room holds at a time.
+
+        What comes in which batch depends on the room and the threads; all batches together do not.
+        """
+        for ranges in self.ranges(joins, first, stride):
+            yield _merged(ranges)
+
+    def ranges(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+        """The same with the keys of each part apart, which says where among all keys they stand.
+
+        A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
+        So the parts of all batches, by tree pair and then by their place, are the keys in an order that depends on the
+        trees alone, wherever the parts were cut: but for a block that was cut into its queries (`Found.is_cut`). On
+        CUDA the threads of a part claim places as they come.
+        """
+        pending = deque(part for k, join in enumerate(joins) for part in self._parts(join, k, first, stride))
+        if not pending:
+            return
+        load(self._kernel, self.execution.device)
+        num_queries = sum(part.num_queries for part in pending)
+        is_long = max(part.num_tests for part in pending) > LONG_SEARCH
+        # Room for all partners of one query is enough, and is what a thread needs.
+        least = max(join.target.primitives.count for join in joins)
+        wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
+        last = self.buffers.rooms.get(self._with_cull, 0)  # what the last step came to need
+        room = min(self.largest_room, max(self._num_workers * least, wanted, last, 1 << 16))
+        total = 0
+        while pending:
+            self.buffers.get("keys", room, wp.int64)
+            self.room = room
+            self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
+            regions = (
+                self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room, is_long)
+            )
+            self.num_batches += 1
+            total += sum(region.filled for region in regions)
+            if self.num_batches > 1:
+                # threads find unequal shares, so twice the room is what the next step does in one batch
+                self.buffers.rooms[self._with_cull] = min(2 * total, self.largest_room)
+            yield [found for region in regions for found in region.found]
+            room = min(2 * room, self.largest_room)
+
+    def _parts(self, join: Join, number: int, first: int, stride: int) -> list[_Part]:
+        level = 0 if self.execution.is_cuda else 1
+        items = join.query.primitives.count if level == 0 else join.query.levels[0]
+        count = max(0, -(-(items - first) // stride))
+        if count == 0:
+            return []
+        parts = 1
+        if not self.execution.is_cuda:
+            parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
+        bounds = [count * k // parts for k in range(parts + 1)]
+        return [
+            _Part(join, number, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k])
+            for k in range(parts)
+        ]
+
+    def _record(self, join: Join) -> wp.Launch:
+        """The launch of a join, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
+        boxes = self._boxes
+        return wp.launch(
+            self._kernel,
+            dim=1,
+            inputs=[
+                0,
+                kernels.SearchRange(),
+                *join.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
+                boxes.x_t0,
+                boxes.x_t1,
+            ],
+            outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
+            device=self.execution.device,
+            record_cmd=True,
+        )
+
+    @staticmethod
+    def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, room: int) -> None:
+        command.set_param_at_index(1, search_range(part.level, slot, room, part.first, part.stride, begin))
+        command.set_dim(part.count)
+        command.launch()
+
+    def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
+        self.candidates[part.join.kind] += int(counts[_CANDIDATES])
+        self.num_launches[part.join.kind] += 1
+        count = int(counts[_FOUND])
+        if count == 0:
+            return
+        region.filled += count
+        keys = self.buffers.get("keys", 0, wp.int64)
+        is_cut = part.level == 0
+        region.found.append(Found(part.join.kind, keys, begin, count, part.join, part.place, is_cut))
+
+    def _cpu_batch(self, pending: deque[_Part], room: int, is_long: bool) -> list[_Region]:
+        """Threads take parts until there are none left or their room is full."""
+        bounds = [room * k // self._num_workers for k in range(self._num_workers + 1)]
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
+        lock = threading.Lock()
+        host = self._counts.numpy()
+
+        def work(region: _Region) -> None:
+            counts = host[region.slot]
+            commands: dict[int, wp.Launch] = {}
+            while True:
+                with lock:
+                    if not pending:
+                        return
+                    part = pending.popleft()
+                begin = region.begin + region.filled
+                counts[:] = 0
+                command = commands.get(id(part.join)) or self._record(part.join)
+                commands[id(part.join)] = command
+                self._launch(command, part, region.slot, begin, region.end - begin)
+                if self._flag.is_set:
+                    return  # the kernel has left out what it likes
+                with lock:
+                    if counts[_FOUND] <= region.end - begin:
+                        self._keep(region, part, begin, counts)
+                        self._progress.done += part.num_queries
+                    elif region.found:
+                        pending.appendleft(part)
+                        return
+                    else:
+                        pending.extendleft(part.split())
+
+        self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
+        return regions
+
+    def _cuda_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
+        """Launch every part with an equal share of the room, and read all counts back at once."""
+        # where no part had room enough among others, one gets all of it
+        most = self._num_slots if self._made_progress else 1
+        parts = [pending.popleft() for _ in range(min(len(pending), most))]
+        self._counts.zero_()
+        bounds = [room * k // len(parts) for k in range(len(parts) + 1)]
+        for k, part in enumerate(parts):
+            self._launch(self._record(part.join), part, k, bounds[k], bounds[k + 1] - bounds[k])
+        host = self._counts.numpy()
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
+        self._made_progress = False
+        for k, part in enumerate(parts):
+            if host[k, _FOUND] <= bounds[k + 1] - bounds[k]:
+                self._keep(regions[k], part, bounds[k], host[k])
+                self._made_progress = True
+            else:
+                # split it only where even all the room is not enough
+                pending.extendleft([part] if host[k, _FOUND] <= room else part.split())
+        return regions

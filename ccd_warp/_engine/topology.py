@@ -1,0 +1,309 @@
+"""What a mesh keeps on a device: its primitives in sets, their order along the curve, and the rules of its filter."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.rings import vertex_rings
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import box_tree as kernels
+from ccd_warp.kernels import rest_order
+from ccd_warp.kernels.pair_search import Filter
+
+WIDTH = int(kernels.WIDTH)
+RECORD = int(kernels.RECORD)
+BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
+NUM_SAMPLES = 128
+_CLASS_BITS = int(kernels.CLASS_BITS)
+_LARGEST_EXPONENT = 1000
+
+# The kinds of primitives that a pair consists of, and whose arrays hold their vertices.
+PRIMITIVES = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("loose_point", "loose_edge"),
+    PairKind.POINT_POINT: ("loose_point", "loose_point"),
+}
+CORNER_ARRAYS = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("vertex", "edge"),
+    PairKind.POINT_POINT: ("vertex", "vertex"),
+}
+
+
+@dataclass(frozen=True)
+class PrimitiveSet:
+    """Primitives of one kind that all move or all rest.
+
+    Attributes:
+        name: Name of its buffers.
+        is_static: Whether they rest.
+        num_corners: Vertices of a primitive.
+        ids: Indices among all primitives of the kind, int32, shape [n].
+        corners: Vertices, wp.vec3i, where there are fewer than three one repeats, shape [n].
+    """
+
+    name: str
+    is_static: bool
+    num_corners: int
+    ids: wp.array
+    corners: wp.array
+
+    @property
+    def count(self) -> int:
+        """Number of primitives."""
+        return len(self.ids)
+
+    @property
+    def num_blocks(self) -> int:
+        """Blocks of sixteen."""
+        return -(-self.count // WIDTH)
+
+    @property
+    def index_bits(self) -> int:
+        """Bits of a key that hold the index."""
+        return max(1, (self.count - 1).bit_length())
+
+
+class Topology:
+    """The parts of a mesh that no step changes; made once a mesh and device."""
+
+    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
+        self.mesh = mesh
+        self.device = device
+        self.vertex_body = self._array(mesh.vertex_body)
+        has_worlds = mesh.num_worlds > 1
+        self.vertex_world = self._array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
+        self.world_shift = self._array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
+        vertex_static = mesh.static[mesh.vertex_body]
+        self.moving_vertices = self._array(np.flatnonzero(~vertex_static).astype(np.int32))
+        self.static_vertices = self._array(np.flatnonzero(vertex_static).astype(np.int32))
+        self._sets: dict[tuple[str, bool], PrimitiveSet] = {}
+        self._orders: dict[str, tuple[wp.array, wp.array]] = {}
+
+    @staticmethod
+    def of(mesh: CollisionMesh, device: Any) -> "Topology":
+        """The topology of a mesh on a device."""
+        cache = MeshCache.of(mesh).topologies
+        key = str(device)
+        if key not in cache:
+            cache.setdefault(key, Topology(mesh, device))  # one of two threads that come here at once is kept
+        return cache[key]
+
+    def of_vertices(self, active: wp.array) -> list[wp.array]:
+        """What `fill_records` asks about each vertex, beside where it is."""
+        return [self.vertex_body, active, self.vertex_world, self.world_shift]
+
+    def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        if self.device.is_capturing:  # the copy would be part of the graph, and not made now
+            raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    @cached_property
+    def corners(self) -> dict[str, wp.array]:
+        """Vertices of every primitive, by kind and index; those that a scene lacks are empty."""
+        return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+
+    def _corners_host(self, name: str) -> NDArray[np.int32]:
+        mesh = self.mesh
+        if name == "vertex":
+            return np.repeat(np.arange(mesh.num_vertices, dtype=np.int32)[:, None], 3, axis=1)
+        return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
+
+    def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
+        """The primitives of a kind that move, or rest."""
+        key = (kind, is_static)
+        if key not in self._sets:
+            self._sets.setdefault(key, self._make_set(kind, is_static))
+        return self._sets[key]
+
+    def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
+        mesh = self.mesh
+        array = {"loose_point": "vertex", "loose_edge": "edge"}.get(kind, kind)
+        body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
+        among = {"loose_point": mesh.loose_points, "loose_edge": mesh.loose_edges}.get(kind)
+        num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
+        name = f"{'static' if is_static else 'moving'} {kind}"
+        if among is None and (mesh.static == is_static).all():
+            ids = np.arange(len(body), dtype=np.int32)
+            return PrimitiveSet(name, is_static, num_corners, self._array(ids), self.corners[array])
+        chosen = np.arange(len(body), dtype=np.int32) if among is None else among
+        ids = chosen[mesh.static[body[chosen]] == is_static].astype(np.int32)
+        corners = self._array(self._corners_host(array)[ids], wp.vec3i)
+        return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
+
+    @cached_property
+    def rules(self) -> Any:
+        """The filter of the mesh, as the search takes it."""
+        mesh = self.mesh
+        rules = Filter()
+        none = wp.empty(0, dtype=wp.int32, device=self.device)
+        rules.vertex_body = self.vertex_body
+        rules.by_pair = int(mesh.body_pairs is not None)
+        rules.by_body = int(not mesh.self_collision.all() or rules.by_pair)
+        rules.self_collision = self._array(mesh.self_collision.astype(np.int32))
+        pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
+        rules.body_pairs = self._array(pairs, wp.uint8)
+        rules.by_world = int(mesh.num_worlds > 1)
+        rules.vertex_world = self.vertex_world
+        rules.by_ring = int(mesh.exclusion_rings > 1)
+        rules.ring_begin, rules.ring = none, none
+        if rules.by_ring:
+            rules.ring_begin, rules.ring = (self._array(array) for array in vertex_rings(mesh))
+        return rules
+
+    def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
+        """Indices of the primitives and vertices of their blocks, in an order that suits the mesh as it was given.
+
+        A surface bends but its neighbours stay neighbours, so the order is made once and serves as long as the blocks
+        stay small, which every step checks.
+        """
+        if primitives.name not in self._orders:
+            order = self.order_at(self.mesh.vertices, primitives, execution)
+            self._orders.setdefault(primitives.name, order)
+        return self._orders[primitives.name]
+
+    def order_at(
+        self, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
+    ) -> tuple[wp.array, wp.array]:
+        """The same for the mesh at other positions, made anew."""
+        mesh = self.mesh
+        rest: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
+        frame = choose_frame(mesh, vertices, vertices, 1)
+        records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
+        every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
+        active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
+        execution.launch(
+            kernels.fill_records,
+            mesh.num_vertices,
+            inputs=[every, *self.of_vertices(active), rest, rest, 1.0, 0.0, frame, 1],
+            outputs=[records],
+        )
+        order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
+        centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
+        inputs = [primitives.corners, self.vertex_body, records]
+        execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
+        size = WIDTH << (primitives.num_blocks - 1).bit_length()
+        while size > WIDTH:
+            segments = -(-primitives.count // size)
+            execution.launch(rest_order.split_segments, segments, [centres, size], [order], grain=1)
+            size //= 2
+        primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
+        block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
+        execution.launch(
+            kernels.apply_order,
+            primitives.num_blocks,
+            inputs=[order, -1, primitives.ids, primitives.corners],
+            outputs=[primitive, block_corners],
+            grain=64,
+        )
+        return primitive, block_corners
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes on the device that are the mesh's own, not a step's."""
+        arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
+        arrays += self.corners.values()
+        arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
+        arrays += [array for order in self._orders.values() for array in order]
+        rules = self.rules
+        arrays += [rules.self_collision, rules.body_pairs, rules.ring_begin, rules.ring]
+        return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
+
+
+def sorted_keys(
+    primitives: PrimitiveSet, records: wp.array, num_frames: int, frame: Any, buffers: Buffers, execution: Execution
+) -> wp.array:
+    """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
+    count = primitives.count
+    size = 2 * count if execution.is_cuda else count  # the radix sort works in place of twice the size
+    keys = buffers.get(f"{primitives.name} sort", size, wp.int64)
+    morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
+    execution.launch(
+        kernels.sort_keys,
+        count,
+        inputs=[primitives.corners, records, num_frames, frame, morton_bits, primitives.index_bits],
+        outputs=[keys],
+    )
+    sort_in_place(keys, count, execution)
+    return keys
+
+
+def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
+    """Sort the first ``count`` non-negative int64 keys; on CUDA the array has room for twice as many.
+
+    On the CPU NumPy's SIMD sort takes a fraction of the time of the radix sort.
+    """
+    if count < 2:
+        return
+    if execution.is_cuda:
+        wp.utils.radix_sort_pairs(keys, wp.empty(2 * count, dtype=wp.int32, device=execution.device), count)
+    else:
+        keys.numpy()[:count].sort()
+
+
+def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_frames: int) -> Any:
+    """The map to float32 and the extent that counts as typical of a box, from samples of the step.
+
+    The middle nine tenths of the vertices, thrice as wide, map to [-1/2, 1/2]: a vertex far away costs the others no
+    resolution. The origin lies on a coarse lattice, so that it stays where it is while the scene does, and with it the
+    trees of what rests.
+    """
+    frame = kernels.Frame()
+    if len(start) == 0:
+        return frame
+    with np.errstate(over="ignore", under="ignore"):
+        sample = (np.arange(NUM_SAMPLES) * len(start)) // NUM_SAMPLES
+        centre = np.sort(0.5 * start[sample] + 0.5 * end[sample], axis=0)
+        margin = NUM_SAMPLES // 20
+        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(len(start))[:, None])
+        chosen = primitives[(np.arange(NUM_SAMPLES) * len(primitives)) // NUM_SAMPLES]
+        boxes = (
+            [start[chosen], end[chosen]] if num_frames == 2 else [np.concatenate([start[chosen], end[chosen]], axis=1)]
+        )
+        sizes = [(0.5 * box.max(axis=1) - 0.5 * box.min(axis=1)).max(axis=1) for box in boxes]
+        half_extent = float(np.median(np.max(sizes, axis=0)))
+        half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
+        exponent = int(np.clip(np.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
+        lattice = 2.0 ** (exponent - 2)
+        origin = np.round(centre[NUM_SAMPLES // 2] / lattice) * lattice
+        frame.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
+        exponent += lattice_bits(mesh.num_worlds)
+        frame.scale = 2.0**-exponent
+        frame.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
+    return frame
+
+
+def choose_static_frame(mesh: CollisionMesh, start: NDArray[np.float64], frame: Any) -> Any:
+    """The same map, with the extent that is typical of the primitives of static bodies alone."""
+    among = mesh.edges[mesh.static[mesh.edge_body]]
+    static = kernels.Frame()
+    static.origin, static.scale, static.typical_extent = frame.origin, frame.scale, np.float32(0.0)
+    if len(among):
+        with np.errstate(over="ignore", under="ignore"):
+            points = start[among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]]
+            half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
+            static.typical_extent = np.float32(2.0 * half_extent * frame.scale)
+    return static
+
+
+def lattice_bits(num_worlds: int) -> int:
+    """A lattice of so many powers of two on each axis has a cell for each world."""
+    return -(-(num_worlds - 1).bit_length() // 3)
+
+
+def world_lattice(num_worlds: int) -> NDArray[np.float32]:
+    """Where each world goes in the image: to a cell of its own in [-1/2, 1/2]; shape [W, 3]."""
+    bits = lattice_bits(num_worlds)
+    world = np.arange(num_worlds)
+    cell = np.stack([world >> (k * bits) & ((1 << bits) - 1) for k in range(3)], axis=1)
+    return ((cell + 0.5) * 2.0**-bits - 0.5).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Mesh files, read strictly: what is damaged is refused."""

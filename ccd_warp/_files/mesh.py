@@ -1,0 +1,189 @@
+"""Read one mesh file of any format as arrays, whole or not at all, in full precision."""
+
+import io
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+from xml.parsers import expat
+
+import numpy as np
+
+from ccd_warp._files.archive import archive_end, unpack
+from ccd_warp._files.gltf import check_glb, check_gltf
+from ccd_warp._files.obj import read_obj
+from ccd_warp._files.off import read_off
+from ccd_warp._files.ply import read_ply
+from ccd_warp._files.stl import read_stl
+from ccd_warp._input.messages import InputError
+
+# How a format stores a vertex that several faces share.
+#   indexed: once; the file's own vertices are taken as they are.
+#   split:   once per normal, texture coordinate or material (glTF), so one vertex may appear several times.
+#   soup:    once per face corner (STL).
+Sharing = Literal["indexed", "split", "soup"]
+_SHARING: dict[str, Sharing] = {".stl": "soup", ".stl_ascii": "soup", ".glb": "split", ".gltf": "split"}
+_BY_SHARING: tuple[Sharing, ...] = ("indexed", "split", "soup")
+
+# trimesh reads these formats leniently: it pads, skips and shortens what does not fit.
+_READERS: dict[str, Callable[[bytes], tuple[np.ndarray, np.ndarray]]] = {
+    ".ply": read_ply,
+    ".obj": read_obj,
+    ".off": read_off,
+    ".stl": read_stl,
+    ".stl_ascii": read_stl,
+}
+_OF_TRIMESH = (".glb", ".gltf", ".3mf", ".dae")
+# What lies beside meshes in an archive; any other file there might be a mesh that would be missed.
+_BESIDE = frozenset(
+    [
+        *("", ".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".ktx2"),
+        *(".txt", ".md", ".rst", ".html", ".pdf", ".csv", ".json", ".yaml", ".yml"),
+    ]
+)
+_ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"
+
+Part = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """One file as it stands: vertices in double precision, nothing merged or reordered."""
+
+    path: Path
+    vertices: np.ndarray
+    faces: np.ndarray
+    sharing: Sharing
+
+
+def read_mesh(path: Path, max_bytes: int) -> Mesh:
+    """Read one file, every part of a scene in its place, nothing merged, reordered or rounded.
+
+    Args:
+        path: Mesh file, or an archive of mesh files.
+        max_bytes: What an archive may unpack to.
+
+    Raises:
+        InputError: If the file is missing, damaged or not finite, of a format that is not read, or an archive that
+            unpacks to more.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    end = archive_end(path.name)
+    if end is None or end == ".3mf":
+        parts = _read_parts(str(path), path.name, data, _resolver(path), max_bytes)
+        sharing = _SHARING.get(path.suffix.lower(), "indexed")
+    else:
+        parts, sharing = _read_archive(path, data, max_bytes)
+    offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    vertices = np.vstack([vertices for vertices, _ in parts])
+    faces = np.vstack([faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)])
+    return Mesh(path, vertices, faces, sharing)
+
+
+def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], Sharing]:
+    from trimesh.resolvers import ZipResolver
+
+    try:
+        files = unpack(path.name, data, max_bytes)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    resolver = ZipResolver({name: io.BytesIO(content) for name, content in files})
+    parts: list[Part] = []
+    sharing: Sharing = "indexed"
+    for name, content in files:
+        place = PurePosixPath(name)
+        suffix = place.suffix.lower()
+        # macOS packs a hidden file beside each file, under the same name in a folder of its own.
+        if place.name.startswith(".") or "__MACOSX" in place.parts or suffix in _BESIDE:
+            continue
+        parts += _read_parts(f"{path}, {name}", place.name, content, resolver, max_bytes)
+        sharing = max(sharing, _SHARING.get(suffix, "indexed"), key=_BY_SHARING.index)
+    if not parts:
+        raise InputError(f"{path}: holds no mesh file; {_ADVICE}")
+    return parts, sharing
+
+
+def _resolver(path: Path) -> Any:
+    """Where the files beside a file are found."""
+    from trimesh.resolvers import FilePathResolver
+
+    return FilePathResolver(str(path))
+
+
+def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:
+    """Vertices and triangles of every part of a file, checked; ``label`` is what messages call it."""
+    suffix = PurePosixPath(name).suffix.lower()
+    try:
+        if suffix in _READERS:
+            parts = [_READERS[suffix](data.removeprefix(b"\xef\xbb\xbf"))]
+        elif suffix in _OF_TRIMESH:
+            parts = _read_with_trimesh(name, suffix, data, resolver, max_bytes)
+        else:
+            raise InputError(f"files that end in {suffix or 'nothing'!r} are not read; {_ADVICE}")
+        parts = [(vertices, faces) for vertices, faces in parts if len(faces)]
+        if not parts:
+            raise InputError("holds no triangles; give a triangle mesh")
+        for vertices, faces in parts:
+            _check_part(vertices, faces)
+        return parts
+    except InputError as error:
+        raise InputError(f"{label}: {error}") from error
+    except Exception as error:  # trimesh raises whatever its parsers raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason}); {_ADVICE}") from error
+
+
+def _check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        k = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
+        raise InputError(f"face {k} is {faces[k].tolist()}, but the file has {len(vertices)} vertices; repair the file")
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if bad.size:
+        k = int(bad[0])
+        raise InputError(
+            f"vertex {k} is {vertices[k].tolist()} ({bad.size} of {len(vertices)} vertices are not finite); "
+            "every coordinate must be finite"
+        )
+
+
+def _read_with_trimesh(name: str, suffix: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:
+    import trimesh
+
+    match suffix:
+        case ".glb":
+            check_glb(data, resolver.get)
+        case ".gltf":
+            check_gltf(data, resolver.get)
+        case ".3mf":
+            unpack(name, data, max_bytes)
+        case ".dae":
+            expat.ParserCreate().Parse(data, True)  # XML that was cut is not well-formed
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # `process` would merge and drop vertices; the others keep textures from doing it.
+        keep: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=resolver, **keep)
+        return _flatten(scene)
+
+
+def _flatten(scene: Any) -> list[Part]:
+    """Vertices and faces of every mesh of a scene, moved to where the scene puts it."""
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        matrix, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
+        if faces.size == 0:
+            continue
+        vertices = np.array(mesh.vertices, dtype=np.float64)
+        # Compared exactly: trimesh's own flattening leaves out a motion that is nearly nothing.
+        if not np.array_equal(matrix, np.eye(4)):
+            vertices = vertices @ np.asarray(matrix)[:3, :3].T + np.asarray(matrix)[:3, 3]
+        parts.append((vertices, faces.reshape(-1, 3)))
+    return parts

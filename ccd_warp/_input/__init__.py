@@ -1,0 +1,1 @@
+"""What users pass in, checked: arguments, arrays, options, positions."""

@@ -1,0 +1,114 @@
+"""Arrays on the host from whatever holds one: read without a copy where that is possible, and never rounded."""
+
+import numbers
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._input.arguments import check_unmasked, shown
+
+_LARGEST_ODD = 2**53  # integers up to here are float64s
+
+
+def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
+    """A NumPy array of at least one dimension.
+
+    Raises:
+        ValueError: If the values make none, or a mask hides one.
+    """
+    array = as_any_array(values, name, expected)
+    if array.ndim == 0:
+        raise ValueError(f"{name} is {shown(values)}; expected {expected}")
+    return array
+
+
+def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
+    """A NumPy array, also of no dimension.
+
+    Raises:
+        ValueError: If the values make none, or a mask hides one.
+    """
+    check_unmasked(name, values)
+    try:
+        array = np.asarray(values)
+    except Exception as error:  # ragged lists, or whatever an __array__ of another library raises
+        raise ValueError(f"{name} is not an array but {shown(values)}; expected {expected}") from error
+    check_unmasked(name, values, array.ndim)
+    return array
+
+
+def as_float64(array: NDArray[Any], name: str, given: Any, row_name: str = "row") -> NDArray[np.float64]:
+    """A C-ordered float64 array of exactly these numbers; the array itself where it is that already.
+
+    Args:
+        array: Of two or more dimensions.
+        name: Name of the argument, for the messages.
+        given: What the array was made of.
+        row_name: What the first index counts.
+
+    Raises:
+        ValueError: If the numbers are not real, or float64 does not hold one of them.
+    """
+    if array is given and array.dtype == np.float64 and array.flags.c_contiguous:
+        return array
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected real numbers")
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = np.ascontiguousarray(array, dtype=np.float64)
+        if array.dtype.kind in "iu":
+            is_exact = _are_exact_integers(array) if array.dtype.itemsize > 4 else None
+        elif array.dtype.itemsize > 8:
+            is_exact = (rounded == array) | ~np.isfinite(array)
+        else:
+            array, is_exact = _as_given(given, rounded)
+    if is_exact is not None and not is_exact.all():
+        at = tuple(np.argwhere(~is_exact)[0])
+        raise ValueError(
+            f"{name} holds {shown_number(array[at])} in {row_name} {at[0]}; "
+            f"expected numbers that float64 holds without rounding"
+        )
+    return rounded
+
+
+def shown_number(value: Any) -> str:
+    """A number without its type."""
+    return shown(int(value)) if isinstance(value, numbers.Integral) else str(value)
+
+
+def check_finite(array: NDArray[np.float64], name: str, row_name: str = "row") -> None:
+    """A ValueError where a value is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(array.sum()):
+            return  # no infinity and no NaN could leave it finite; a sum that overflows proves nothing
+    finite = np.isfinite(array)
+    if not finite.all():
+        at = tuple(np.argwhere(~finite)[0])
+        raise ValueError(f"{name} holds {array[at]} in {row_name} {at[0]}; expected finite values")
+
+
+def _are_exact_integers(array: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Which integers a float64 holds: those whose lowest and highest bit are at most 52 places apart."""
+    if not array.size or (array.max() <= _LARGEST_ODD and array.min() >= -_LARGEST_ODD):
+        return None
+    magnitude = np.abs(array).astype(np.uint64)  # that of the least int64, too, which NumPy leaves negative
+    lowest_bit = magnitude & (~magnitude + np.uint64(1))
+    return magnitude // np.maximum(lowest_bit, np.uint64(1)) < np.uint64(_LARGEST_ODD)
+
+
+def _as_given(given: Any, rounded: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    """The numbers before NumPy made one dtype of integers and floats, and which of them it did not round."""
+    has_one_dtype = hasattr(given, "__array_interface__") or hasattr(given, "__dlpack__")
+    if has_one_dtype or not rounded.size or not np.abs(rounded).max() >= _LARGEST_ODD:
+        return rounded, None
+    try:
+        numbers_given = np.asarray(given, dtype=object)
+    except Exception:  # a library that knows its own dtype alone
+        return rounded, None
+    if numbers_given.shape != rounded.shape:
+        return rounded, None
+    is_exact = [
+        not isinstance(exact, numbers.Integral) or int(exact) == value
+        for exact, value in zip(numbers_given.ravel(), rounded.ravel().tolist(), strict=True)
+    ]
+    return numbers_given, np.reshape(is_exact, rounded.shape)

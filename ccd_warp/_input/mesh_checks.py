@@ -1,0 +1,178 @@
+"""What a mesh is made of, checked: arrays of bodies, indices, flags and positions; and the edges of faces."""
+
+import numbers
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._input.arguments import check_count, check_items, shown
+from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
+from ccd_warp._input.interop import on_host
+
+
+def unique_edges(
+    faces: NDArray[np.integer], given_edges: NDArray[np.integer]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face; indices within int32.
+
+    One sort of 64-bit keys, and NumPy sorts those with SIMD.
+    """
+    a, b, c = (faces[:, k] for k in range(3))
+    keys = _unique_edge_keys([(a, b), (b, c), (c, a)])
+    loose = np.zeros(0, dtype=np.int64)
+    if len(given_edges):
+        loose = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
+        loose = np.setdiff1d(loose, keys, assume_unique=True)
+        keys = np.sort(np.concatenate([keys, loose]))
+    edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
+    return edges, np.searchsorted(keys, loose).astype(np.int32)
+
+
+def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.integer]]]) -> NDArray[np.int64]:
+    """Ascending keys (max << 32) | min of the edges among pairs of vertices; (a, a) is none."""
+    wide = [(p.astype(np.int64), q.astype(np.int64)) for p, q in pairs]
+    keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in wide])
+    keys.sort()
+    first = np.ones(len(keys), dtype=bool)
+    first[1:] = keys[1:] != keys[:-1]
+    keys = keys[first]
+    return keys[(keys >> 32) != (keys & 0xFFFFFFFF)]
+
+
+def find_loose_points(
+    faces: NDArray[np.int32],
+    edges: NDArray[np.int32],
+    with_loose_points: NDArray[np.bool_],
+    vertex_body: NDArray[np.int32],
+) -> NDArray[np.int32]:
+    """Vertices in no face and no edge, of the bodies that ask for them."""
+    if not with_loose_points.any():
+        return np.zeros(0, dtype=np.int32)
+    is_loose = with_loose_points[vertex_body]
+    is_loose[faces] = False
+    is_loose[edges] = False
+    return np.flatnonzero(is_loose).astype(np.int32)
+
+
+def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
+    """The arrays of a mesh, a path or a point cloud."""
+    no_faces = np.zeros((0, 3), dtype=np.int64)
+    if not hasattr(body, "vertices"):
+        raise ValueError(f"body {index} is a {type(body).__name__}; expected a trimesh.Trimesh, Path3D or PointCloud")
+    if hasattr(body, "faces"):
+        return body.vertices, body.faces
+    if not hasattr(body, "entities"):
+        return body.vertices, no_faces
+    for entity in body.entities:
+        # The points of an arc or a spline are not on a polyline along it.
+        if type(entity).__name__ != "Line":
+            raise ValueError(f"body {index} holds a {type(entity).__name__}; expected a path of straight lines")
+    segments = [np.asarray(entity.nodes) for entity in body.entities]
+    return body.vertices, no_faces, np.concatenate([np.zeros((0, 2), dtype=np.int64), *segments])
+
+
+def as_positions(values: ArrayLike, name: str, count: int | None = None, reason: str = "") -> NDArray[np.float64]:
+    """Float64 array of shape [n, 3], of so many rows if a count is given, or a ValueError."""
+    expected = "(n, 3)" if count is None else f"{(count, 3)} {reason}"
+    array = as_array(on_host(values, name), name, f"shape {expected}")
+    if count is not None and array.shape != (count, 3):
+        raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
+    if array.ndim != 2 or array.shape[1] != 3:
+        if array.size == 0 and array.ndim <= 2:
+            return np.zeros((0, 3))
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
+    return as_float64(array, name, values)
+
+
+def validated_positions(
+    values: ArrayLike, name: str, count: int | None = None, reason: str = ""
+) -> NDArray[np.float64]:
+    """Finite positions, of so many rows if a count is given, or a ValueError."""
+    array = as_positions(values, name, count, reason)
+    check_finite(array, name)
+    return array
+
+
+def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
+    """Indices of so many columns, or a ValueError."""
+    array = as_array(on_host(values, name), name, f"shape (n, {columns})")
+    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
+        return np.zeros((0, columns), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, {columns})")
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected integers")
+    for index in (array.min(), array.max()):
+        if not 0 <= index < num_vertices:
+            raise ValueError(f"{name} holds index {index}; expected indices in [0, {num_vertices})")
+    return array.astype(np.int64)
+
+
+def validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_]:
+    """Which bodies rest, or a ValueError."""
+    static = np.zeros(num_bodies, dtype=bool)
+    for body in check_items("static", values, "a list of body indices"):
+        is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
+        if not is_index or not 0 <= body < num_bodies:
+            raise ValueError(f"static holds {shown(body)}; expected body indices in [0, {num_bodies})")
+        static[int(body)] = True
+    return static
+
+
+def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
+    """One bool a body, or a ValueError."""
+    array = as_any_array(on_host(values, name), name, "a bool or one bool a body")
+    if array.dtype != bool:
+        raise ValueError(f"{name} is {shown(values)}; expected a bool or one bool a body")
+    if array.shape not in ((), (num_bodies,)):
+        raise ValueError(f"{name} has shape {array.shape}; expected a bool or {(num_bodies,)}, one a body")
+    return np.array(np.broadcast_to(array, (num_bodies,)))
+
+
+def validated_body_pairs(values: ArrayLike | None, num_bodies: int) -> NDArray[np.bool_] | None:
+    """A symmetric array, or a ValueError."""
+    if values is None:
+        return None
+    array = as_array(on_host(values, "body_pairs"), "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
+    if array.dtype != bool or array.shape != (num_bodies, num_bodies):
+        raise ValueError(
+            f"body_pairs has dtype {shown(array.dtype)} and shape {array.shape}; "
+            f"expected bool and {(num_bodies, num_bodies)}"
+        )
+    if not np.array_equal(array, array.T):
+        a, b = np.argwhere(array != array.T)[0]
+        raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}); expected a symmetric array")
+    return np.array(array)
+
+
+def validated_rings(value: int) -> int:
+    """A positive integer, or a ValueError."""
+    return check_count("exclusion_rings", value, np.iinfo(np.int64).max)
+
+
+def validated_worlds(
+    values: ArrayLike | None, num_vertices: int, primitives: dict[str, NDArray[np.int32]]
+) -> NDArray[np.int32]:
+    """A world for each vertex, one for all of a primitive, or a ValueError."""
+    if values is None:
+        return np.zeros(num_vertices, dtype=np.int32)
+    array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")
+    if array.shape == (0,) == (num_vertices,):
+        return np.zeros(0, dtype=np.int32)
+    if array.shape != (num_vertices,) or array.dtype.kind not in "iu":
+        raise ValueError(
+            f"vertex_world has dtype {shown(array.dtype)} and shape {array.shape}; "
+            f"expected integers and {(num_vertices,)}"
+        )
+    for world in (array.min(initial=0), array.max(initial=0)):
+        if not 0 <= world < max(num_vertices, 1):
+            raise ValueError(f"vertex_world holds {world}; expected worlds in [0, {num_vertices})")
+    for name, corners in primitives.items():
+        worlds = array[corners]
+        is_torn = (worlds != worlds[:, :1]).any(axis=1)
+        if is_torn.any():
+            at = int(np.argmax(is_torn))
+            raise ValueError(f"vertex_world gives {name} {at} worlds {worlds[at].tolist()}; expected one")
+    return array.astype(np.int32)

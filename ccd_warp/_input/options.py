@@ -1,0 +1,249 @@
+"""Options of every query, validated once, on construction."""
+
+import difflib
+import numbers
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._input.arguments import check_choice, check_count, check_items, check_real, shown
+from ccd_warp._input.option_types import MeshOptions, Method, Precision
+from ccd_warp._runtime.launch import start_warp
+from ccd_warp._runtime.threads import default_num_threads
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import query
+
+MOST_THREADS = 1024  # far beyond what brings anything: a step gets no more threads than there are cores
+
+_PRECISIONS: dict[Precision, Any] = {"float64": wp.float64, "float32": wp.float32}
+_METHODS: dict[Method, int] = {"clipping": int(query.CLIPPING), "bisection": int(query.BISECTION)}
+# Fields of the struct that the kernels take.
+_FIELDS = (
+    "tolerance",
+    "minimum_separation",
+    "start_gap_fraction",
+    "length_scale",
+    "t_max",
+    "t_end",
+    "first_iterations",
+    "max_iterations",
+    "max_work",
+    "method",
+)
+# Values of these types are what they are; others may be read but once, or change.
+_PLAIN = frozenset((float, int, str, type(None)))
+# Iterations of every pair in the first round of a step. Contacts take 2 in the mean; a box of the bisection is cheaper.
+_FIRST_ITERATIONS: dict[Method, int] = {"clipping": 256, "bisection": 4096}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Validated options with their defaults; :class:`MeshOptions` tells what they mean."""
+
+    tolerance: float = 1e-6
+    minimum_separation: float = 0.0
+    start_gap_fraction: float | None = None
+    t_max: float = 1.0
+    max_iterations: int = 10_000
+    max_work: int = 5_000_000
+    length_scale: float | None = None
+    precision: Precision = "float64"
+    method: Method = "clipping"
+    pair_kinds: Iterable[PairKind | str] | None = None
+    memory_limit: int | None = None
+    device: Any = None
+    num_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        self._keep_real("tolerance", "a finite number above 0", lambda x: x > 0)
+        self._keep_real("minimum_separation", "a finite number of at least 0", lambda x: x >= 0)
+        self._keep_real("start_gap_fraction", "a number between 0 and 1, or None", lambda x: 0 < x < 1)
+        self._keep_real("t_max", "a number in [0, 1]", lambda x: 0 <= x <= 1)
+        check_count("max_iterations", self.max_iterations, 2**31 - 1)
+        check_count("max_work", self.max_work, 2**63 - 1)
+        self._keep_real("length_scale", "a finite length above 0, or None", lambda x: x > 0)
+        check_choice("precision", self.precision, _PRECISIONS)
+        check_choice("method", self.method, _METHODS)
+        if self.memory_limit is not None:
+            check_count("memory_limit", self.memory_limit, 2**63 - 1)
+        if self.pair_kinds is not None:
+            # a tuple of our own: the caller may change his list, or has given an iterator, which can be read only once
+            object.__setattr__(self, "pair_kinds", _validated_kinds(self.pair_kinds))
+        if self.num_threads is not None:
+            check_count("num_threads", self.num_threads, MOST_THREADS)
+
+    def _keep_real(self, name: str, expected: str, is_valid: Callable[[float], bool]) -> None:
+        """Check a number and keep it as a float; None is left where it is the default."""
+        value = getattr(self, name)
+        if value is not None or getattr(type(self), name) is not None:
+            object.__setattr__(self, name, check_real(name, value, expected, is_valid))
+
+    @property
+    def kinds(self) -> tuple[PairKind, ...]:
+        """Kinds of pairs to look at, in their order."""
+        return tuple(PairKind) if self.pair_kinds is None else tuple(self.pair_kinds)  # type: ignore[arg-type]
+
+    @property
+    def real(self) -> Any:
+        """Warp scalar type of the iteration."""
+        return _PRECISIONS[self.precision]
+
+    def separation(self, length_scale: float) -> float:
+        """The minimum separation, a length."""
+        return min(self.minimum_separation * length_scale, float(np.finfo(np.float64).max))
+
+    def rounded_up(self, t: float) -> float:
+        """A time in the precision of the iteration, rounded up."""
+        if self.precision == "float64":
+            return float(t)
+        rounded = np.float32(t)
+        if float(rounded) < t:
+            rounded = np.nextafter(rounded, np.float32(2))
+        return float(rounded)
+
+    @property
+    def first_iterations(self) -> int:
+        """Iterations of every pair in the first round of a step."""
+        return min(_FIRST_ITERATIONS[self.method], int(self.max_iterations))
+
+    def share_of_work(self, num_open: int) -> int:
+        """Iterations of each pair that the first round left open; ``share_of_work`` in the kernels is the same."""
+        return min(max(int(self.max_work) // max(num_open, 1), self.first_iterations), int(self.max_iterations))
+
+    def for_kernel(
+        self, length_scale: float | None, max_iterations: int | None = None, stop: wp.array | None = None
+    ) -> Any:
+        """The options as the struct that the kernels take.
+
+        Args:
+            length_scale: Unit of the lengths; without one each pair has its own.
+            max_iterations: Limit in place of the option's.
+            stop: Flag that ends the kernel.
+        """
+        values = (
+            self.tolerance,
+            self.minimum_separation,
+            0.0 if self.start_gap_fraction is None else self.start_gap_fraction,
+            0.0 if length_scale is None else length_scale,
+            self.t_max,
+            self.rounded_up(self.t_max),
+            self.first_iterations,
+            self.max_iterations if max_iterations is None else max_iterations,
+            self.max_work,
+            _METHODS[self.method],
+        )
+        if stop is None:
+            return _packed_once(self.real, values)
+        return _packed(self.real, values, stop)
+
+    @property
+    def threads(self) -> int:
+        """Threads on the CPU."""
+        return default_num_threads() if self.num_threads is None else int(self.num_threads)
+
+
+def options_of(
+    function: str, kind: type[Mapping[str, object]], given: Mapping[str, Any], *, others: Collection[str] = ()
+) -> Options:
+    """The options of a call.
+
+    Args:
+        function: Name of the public function, for the messages.
+        kind: Typed dictionary of the options that it takes.
+        given: Options of the call.
+        others: What else it takes by name, which may have been misspelled.
+
+    Raises:
+        TypeError: If it does not take one of them.
+        ValueError: If one is out of its range.
+    """
+    names = kind.__optional_keys__  # type: ignore[attr-defined]
+    if not given.keys() <= names:
+        name = next(name for name in given if name not in names)
+        raise TypeError(_why_not_taken(function, name, {*names, *others}))
+    make = _made_once if all(type(value) in _PLAIN for value in given.values()) else _made
+    with naming(function):
+        return make(**given)
+
+
+@contextmanager
+def naming(function: str) -> Iterator[None]:
+    """Let a ValueError about an option begin with the name of the public function."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{function}: {error}") from error.__cause__
+
+
+def _made(**given: Any) -> Options:
+    """Options all of which can be used here, the device included."""
+    options = Options(**given)
+    resolve_device(options.device)
+    return options
+
+
+# Validation takes a tenth of a call with one pair. By type, because 1 and True are one key.
+_made_once = lru_cache(maxsize=64, typed=True)(_made)
+
+
+def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
+    """A message for an option that a function does not take."""
+    if name in MeshOptions.__optional_keys__:
+        return f"{function}() does not take the option {name!r}; mesh_ccd() does"
+    closest = difflib.get_close_matches(name, sorted(names), n=1)
+    hint = f"did you mean {closest[0]!r}?" if closest else f"expected one of {', '.join(sorted(names))}"
+    return f"{function}() got an unexpected option {shown(name)}; {hint}"
+
+
+def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
+    """The struct of the kernels, from the values of its fields in their order."""
+    options = query.make_query(real).Options()
+    for name, value in zip(_FIELDS, values, strict=True):
+        setattr(options, name, value)
+    if stop is not None:
+        options.stop = stop
+    return options
+
+
+@lru_cache(maxsize=64)
+def _packed_once(real: Any, values: tuple[Any, ...]) -> Any:
+    """The same without a flag, kept: packing takes a tenth of a call with one pair."""
+    return _packed(real, values, None)
+
+
+def resolve_device(device: Any, of_arrays: Any = None) -> Any:
+    """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one.
+
+    Raises:
+        ValueError: If there is no such device, or the arrays are on another.
+    """
+    start_warp()
+    if device is None:
+        return wp.get_device() if of_arrays is None else of_arrays
+    try:
+        resolved = wp.get_device(device)
+    except Exception as error:
+        names = ", ".join(repr(d.alias) for d in wp.get_devices())
+        raise ValueError(f"device is {shown(device)}; expected one of {names}") from error
+    if of_arrays is not None and resolved != of_arrays:
+        raise ValueError(f"device is {shown(device)}; expected {of_arrays.alias!r}, where the arrays are, or None")
+    return resolved
+
+
+def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
+    """Kinds by themselves, their names or their numbers, each once and in their order, or a ValueError."""
+    names = {kind.name.lower(): kind for kind in PairKind}
+    expected = f"a list of {', '.join(map(repr, names))}"
+    given = check_items("pair_kinds", values, expected)
+    chosen = set()
+    for value in given:
+        is_number = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
+        chosen.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
+    if not chosen or not chosen <= set(PairKind):
+        raise ValueError(f"pair_kinds is {shown(given)}; expected {expected}")
+    return tuple(kind for kind in PairKind if kind in chosen)

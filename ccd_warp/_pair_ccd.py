@@ -1,0 +1,369 @@
+"""Earliest time of impact of batches of primitive pairs."""
+
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
+from dataclasses import dataclass
+from typing import Any, Unpack
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ccd_warp._input.arrays import as_array, as_float64, check_finite
+from ccd_warp._input.interop import as_warp, is_device_array
+from ccd_warp._input.option_types import PairOptions
+from ccd_warp._input.options import Options, naming, options_of, resolve_device
+from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._small_batch import CAPACITY, borrowed_batch
+from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp.kernels.contacts import lift
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """Result of a batch of pairs: NumPy arrays for NumPy input.
+
+    Warp arrays on the same device for arrays of Warp, or of a library that speaks DLPack (PyTorch, JAX, CuPy): those
+    are read where they are, and what comes back goes the same way, as in ``torch.from_dlpack(result.toi)``. A call with
+    such arrays can be captured in a graph, which writes to the result's arrays: keep the result as long as the graph.
+
+    Attributes:
+        toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
+        status: How the answer was reached (:class:`ccd_warp.CCDStatus`), int32, shape [n].
+        parameters: (u, v) of the closest point at toi, with a minimum separation in the Euclidean norm, float64,
+            shape [n, 2]: barycentric coordinates of f1 and f2 for vertex-face, positions along the first and the second
+            edge for edge-edge, (u, 0) with the position u along the segment for point-segment. 0 where toi is inf.
+        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, in the length unit of the points,
+            float64, shape [n]; 0 where toi is inf.
+        width: Width of the reported box in time: the gap holds somewhere in [toi, toi + width]. 0 with the default
+            method, but up to t_max where a limit was reached; float64, shape [n].
+        iterations: Steps that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
+    """
+
+    toi: Any
+    status: Any
+    parameters: Any
+    gap: Any
+    width: Any
+    iterations: Any
+
+    @property
+    def hit(self) -> Any:
+        """True where toi is finite, bool, shape [n]."""
+        if isinstance(self.toi, np.ndarray):
+            return np.isfinite(self.toi)
+        hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
+        wp.map(wp.isfinite, self.toi, out=hit)
+        return hit
+
+
+def vertex_face_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    **options: Unpack[PairOptions],
+) -> PairResult:
+    """Earliest time of impact of vertex-face pairs whose points move on straight lines.
+
+    Args:
+        points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
+            shape [n, 4]. Arrays of Warp or with DLPack are read where they are: float64, contiguous.
+        points_t1: End positions, likewise.
+        **options: Options of :class:`ccd_warp.PairOptions`.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
+
+    References:
+        Wang et al. 2021, "A large-scale benchmark and an inclusion-based algorithm for continuous collision detection",
+        sections 3 and 4; Snyder 1992, "Interval analysis for computer graphics". The rounding analysis stands in
+        ``ccd_warp.kernels.rounding``.
+
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
+    """
+    return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
+
+
+def edge_edge_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    **options: Unpack[PairOptions],
+) -> PairResult:
+    """Earliest time of impact of edge-edge pairs whose points move on straight lines.
+
+    Args:
+        points_t0: Start positions of ea0, ea1, eb0, eb1, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
+            shape [n, 4].
+        points_t1: End positions, likewise.
+        **options: Options of :class:`ccd_warp.PairOptions`.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
+
+    References:
+        As of :func:`vertex_face_ccd`.
+
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
+    """
+    return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
+
+
+def point_segment_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    **options: Unpack[PairOptions],
+) -> PairResult:
+    """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
+
+    In 3D a point meets a segment only by coincidence; with a minimum separation the pair is what cables and particles
+    need.
+
+    Args:
+        points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
+            vec2d or vec3d, shape [n, 3].
+        points_t1: End positions, likewise.
+        **options: Options of :class:`ccd_warp.PairOptions`.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
+
+    References:
+        As of :func:`vertex_face_ccd`.
+
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
+    """
+    return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
+
+
+def point_point_ccd(
+    points_t0: ArrayLike,
+    points_t1: ArrayLike,
+    **options: Unpack[PairOptions],
+) -> PairResult:
+    """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
+
+    Two points meet only by coincidence; with a minimum separation the pair is what particles need.
+
+    Args:
+        points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
+            or vec3d, shape [n, 2].
+        points_t1: End positions, likewise.
+        **options: Options of :class:`ccd_warp.PairOptions`.
+
+    Returns:
+        toi, status, parameters, gap, width and iterations of each pair.
+
+    Raises:
+        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
+        TypeError: If there is no such option.
+
+    References:
+        As of :func:`vertex_face_ccd`.
+
+    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
+    """
+    return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
+
+
+@dataclass(frozen=True)
+class PairArrays:
+    """Outputs of a narrow-phase kernel on the device."""
+
+    toi: wp.array
+    status: wp.array
+    parameters: wp.array
+    gap: wp.array
+    width: wp.array
+    iterations: wp.array
+
+    @classmethod
+    def empty(cls, count: int, device: Any) -> PairArrays:
+        dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
+        return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
+
+    def as_list(self) -> list[wp.array]:
+        return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
+
+
+_STATUS = 1  # its place among the outputs
+_LIMIT = int(CCDStatus.ITERATION_LIMIT)
+# Pairs from which on a part may take long: some 0.2 s if all of them reach the limit of the first round.
+_LONG_PART = 1 << 10
+_WORTH_A_THREAD = 1 << 10
+# Points a pair, and the dimensions that a kind is defined in.
+_POINTS = {
+    PairKind.VERTEX_FACE: (4, (3,)),
+    PairKind.EDGE_EDGE: (4, (3,)),
+    PairKind.POINT_SEGMENT: (3, (2, 3)),
+    PairKind.POINT_POINT: (2, (2, 3)),
+}
+
+
+def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptions) -> PairResult:
+    function = f"{kind.name.lower()}_ccd"
+    options = options_of(function, PairOptions, given)
+    on_device = is_device_array(points_t0)
+    if is_device_array(points_t1) != on_device:
+        raise ValueError(
+            f"points_t1 is a {type(points_t1).__name__}; expected a {type(points_t0).__name__} like points_t0"
+        )
+    if on_device:
+        points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
+        with naming(function):
+            device = resolve_device(options.device, points_t0.device)
+        x_t0 = _as_points(kind, points_t0, "points_t0")
+        x_t1 = _as_points(kind, points_t1, "points_t1")
+        if points_t1.device != device:
+            raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
+        if points_t1.shape != points_t0.shape:
+            raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
+    else:
+        device = resolve_device(options.device)
+        if device.is_capturing:
+            raise RuntimeError(
+                "a graph is being captured, and the results of NumPy arrays would be read before it is replayed; "
+                "pass Warp arrays, and keep the result as long as the graph"
+            )
+        a = _validated_points(kind, points_t0, "points_t0")
+        b = _validated_points(kind, points_t1, "points_t1")
+        if b.shape != a.shape:
+            raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
+        a, b = _in_3d(a), _in_3d(b)
+        if device.is_cpu and 0 < len(a) <= CAPACITY:
+            return PairResult(*_solve_few(kind, a, b, options, device))
+        x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b))
+
+    out = _solve(kind, x_t0, x_t1, options, device)
+    if on_device:
+        return PairResult(*out.as_list())
+    return PairResult(*(array.numpy() for array in out.as_list()))
+
+
+def _solve_few(
+    kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
+) -> list[np.ndarray]:
+    """As :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than they do."""
+    packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
+    with borrowed_batch(kind, options.real, device, points_t0.shape[1], packed) as batch:
+        results = batch.solve(points_t0, points_t1, packed)
+    is_open = _open_pairs(results[_STATUS], options)
+    if is_open is not None:
+        _solve_open(kind, points_t0, points_t1, results, is_open, options, device)
+    return results
+
+
+def _solve(kind: PairKind, x_t0: wp.array, x_t1: wp.array, options: Options, device: Any) -> PairArrays:
+    """Launch the solver; on the CPU in two rounds, the second for the pairs that take more than a few iterations."""
+    is_one_round = device.is_cuda or device.is_capturing  # neither the host nor a graph knows which those are
+    first = int(options.max_iterations) if is_one_round else options.first_iterations
+    out = _launch(kind, x_t0, x_t1, options, first, device)
+    is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
+    if is_open is not None:
+        results = [array.numpy() for array in out.as_list()]
+        _solve_open(kind, x_t0.numpy(), x_t1.numpy(), results, is_open, options, device)
+    return out
+
+
+def _open_pairs(status: np.ndarray, options: Options) -> np.ndarray | None:
+    """Which pairs the first round left open, or None where there are none."""
+    if options.first_iterations == options.max_iterations:
+        return None
+    is_open = status == _LIMIT
+    return is_open if is_open.any() else None
+
+
+def _solve_open(
+    kind: PairKind,
+    points_t0: np.ndarray,
+    points_t1: np.ndarray,
+    results: list[np.ndarray],
+    is_open: np.ndarray,
+    options: Options,
+    device: Any,
+) -> None:
+    """The second round: solve the pairs that the first left open, and put their results in place."""
+    x_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
+    x_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
+    solved = _launch(kind, x_t0, x_t1, options, int(options.max_iterations), device)
+    for array, new in zip(results, solved.as_list(), strict=True):
+        array[is_open] = new.numpy()
+
+
+def _launch(
+    kind: PairKind,
+    x_t0: wp.array,
+    x_t1: wp.array,
+    options: Options,
+    max_iterations: int,
+    device: Any,
+) -> PairArrays:
+    count = x_t0.shape[0]
+    out = PairArrays.empty(count, device)
+    is_first = max_iterations == options.first_iterations
+    is_long = not is_first or count > _LONG_PART * options.threads
+    stop = StopFlag(device) if is_long and not device.is_capturing else None
+    packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
+    Execution(device, options.threads, stop).launch(
+        make_narrow_phase(options.real).points_toi,
+        count,
+        inputs=[int(kind), x_t0, x_t1, packed],
+        outputs=out.as_list(),
+        grain=_WORTH_A_THREAD if is_first else 1,
+        is_long=is_long,
+    )
+    return out
+
+
+def _in_3d(points: np.ndarray) -> np.ndarray:
+    """Points of the plane at z = 0; points of space as they are."""
+    if points.shape[2] == 3:
+        return points
+    return np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
+
+
+def _expected_shapes(kind: PairKind) -> str:
+    points, dimensions = _POINTS[kind]
+    return " or ".join(f"(n, {points}, {dimension})" for dimension in dimensions)
+
+
+def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
+    count, dimensions = _POINTS[kind]
+    array = as_array(points, name, f"shape {_expected_shapes(kind)}")
+    if array.ndim != 3 or array.shape[1] != count or array.shape[2] not in dimensions:
+        raise ValueError(f"{name} has shape {array.shape}; expected {_expected_shapes(kind)}")
+    array = as_float64(array, name, points, row_name="pair")
+    check_finite(array, name, row_name="pair")
+    return array
+
+
+def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
+    """A Warp array as vec3d of shape [n, points]: without a copy, unless it is two-dimensional."""
+    count, dimensions = _POINTS[kind]
+    if points.ndim == 2 and points.shape[1] == count:
+        if points.dtype == wp.vec3d:
+            return points
+        if points.dtype == wp.vec2d and 2 in dimensions:
+            lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
+            load(lift, points.device)
+            wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=points.device)
+            return lifted
+    if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:
+        return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=points.shape[:2], device=points.device, copy=False)
+    vectors = " or ".join(f"vec{dimension}d" for dimension in dimensions)
+    raise ValueError(
+        f"{name} has dtype {points.dtype.__name__} and shape {points.shape}; "
+        f"expected {vectors} and (n, {count}), or contiguous float64 and (n, {count}, 3)"
+    )

@@ -1,0 +1,1 @@
+"""Launches of kernels, threads that share them, and how far they are."""

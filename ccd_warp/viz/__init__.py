@@ -1,0 +1,220 @@
+"""Look at a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
+
+The bodies are shown at t = 0, at the toi of the scene and at t = 1, static ones grey, the others each in a colour, with
+a line along the way of those that move farther than they are large. At the toi, the earliest contacts are points with
+their normals as arrows; those that come later are fainter, each where it will be. Nothing hides a contact. At t = 1 the
+colours are the toi of the vertices. Where a small body touches first, a close-up shows it.
+
+Pictures need no display and no GPU, but a library with OpenGL that needs none either: on Linux, EGL or OSMesa, which
+most systems have; else ``apt-get install libegl1 libgl1-mesa-dri`` or the like.
+"""
+
+from decimal import ROUND_FLOOR, Context
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccd_warp._input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import MeshResult
+from ccd_warp.viz._camera import make_camera, validated_direction
+from ccd_warp.viz._contacts import contact_points
+from ccd_warp.viz._file import check_picture_path, write_png
+from ccd_warp.viz._scene import make_scene
+from ccd_warp.viz._window import check_display, drawing_without_display, import_pyvista
+
+if TYPE_CHECKING:
+    from ccd_warp.viz._panel import Panel
+
+__all__ = ["contact_points", "drawing_without_display", "render_step", "show_step"]
+
+Colour = Literal["vertex_toi", "body"]
+
+# Sizes of text, points and lines are given in pixels of a panel whose shorter side has this many, and grow with it.
+_SHORTER_SIDE = 520
+# Such pixels that stay free at the sides of a panel, above for the title, and below for the colour bar.
+_SIDE, _ABOVE, _BELOW = 14, 40, 72
+# Each pixel of a picture is the mean of as many squared.
+_ZOOM = 2
+_SMALLEST, _LARGEST = 150, 4000
+_WINDOW = (1000, 800)
+
+
+def render_step(
+    path: str | Path,
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    result: MeshResult,
+    *,
+    size: tuple[int, int] = (1600, 520),
+    camera: ArrayLike | None = None,
+    colour: Colour = "vertex_toi",
+    t_max: float = 1.0,
+) -> Path:
+    """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
+
+    Args:
+        path: File to write, ``.png``.
+        mesh: The mesh of the step.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
+        result: Of ``mesh_ccd``.
+        size: Width and height in pixels.
+        camera: Direction from the scene to the viewer, shape [3]; by default across the motion and from a little above.
+            The view is parallel, with z up, fits the whole motion, and is the same at all three times.
+        colour: Of the bodies at t = 1: by the toi of the vertices, with a colour bar, or as at the other times.
+        t_max: That of the step, which is shown in place of the toi if there is no contact.
+
+    Returns:
+        The path.
+
+    Raises:
+        ImportError: If the extra ``viz`` is not installed.
+        OSError: If the file cannot be written.
+        RuntimeError: If the system has no OpenGL that works without a display.
+        ValueError: If an argument is not as described.
+    """
+    path = check_path("path", path)
+    check_picture_path(path, "path")
+    check_instance("mesh", mesh, CollisionMesh)
+    check_instance("result", result, MeshResult)
+    width, height = _validated_size(size)
+    t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
+    toi_range = _toi_range(result, colour)
+    scene = make_scene(mesh, vertices_t0, vertices_t1, result)
+    enlargement = min(width / 3, height) / _SHORTER_SIDE
+    panel_size = (width / 3 / enlargement, height / enlargement)
+    margins = (_SIDE, _ABOVE, _BELOW if toi_range else _SIDE)
+    view = make_camera(scene.start, scene.end, camera, panel_size, margins)
+    with drawing_without_display() as pyvista:
+        from ccd_warp.viz._panel import Panel
+
+        plotter = pyvista.Plotter(
+            off_screen=True,
+            shape=(1, 3),
+            window_size=(_ZOOM * width, _ZOOM * height),
+            border=False,
+            lighting="none",
+            theme=pyvista.themes.DocumentTheme(),
+        )
+        try:
+            _draw_panels([Panel(plotter, (0, k), scene, view, _ZOOM * enlargement) for k in range(3)], toi_range, t_max)
+            plotter.render()
+            image = plotter.screenshot(return_img=True)
+        finally:
+            plotter.close()
+    write_png(path, image, _ZOOM)
+    return path
+
+
+def _draw_panels(panels: list["Panel"], toi_range: tuple[float, float] | None, t_max: float) -> None:
+    from ccd_warp.viz._front import draw_close_up, draw_contacts
+
+    scene = panels[0].scene
+    is_hit = np.isfinite(scene.toi)
+    middle = scene.toi if is_hit else t_max
+    middle_title = f"t = toi = {_rounded_down(middle)}" if is_hit else f"t = {t_max:g}, no contact"
+    titles = ("t = 0", middle_title, "t = 1")
+    for panel, t, title in zip(panels, (0.0, middle, 1.0), titles, strict=True):
+        panel.look()
+        panel.draw_bodies(t, toi_range if panel is panels[2] else None)
+        panel.draw_trails()
+        panel.write_title(title)
+    if toi_range is not None:
+        panels[2].draw_toi_bar()
+    if is_hit:
+        draw_close_up(panels[1], draw_contacts(panels[1]))
+
+
+def show_step(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    result: MeshResult,
+    *,
+    camera: ArrayLike | None = None,
+    colour: Colour = "body",
+) -> None:
+    """Open a window with a step and a slider over t in [0, 1], which starts at the toi; returns when it is closed.
+
+    Args:
+        mesh: The mesh of the step.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
+        result: Of ``mesh_ccd``.
+        camera: Direction from the scene to the viewer at first, as in :func:`render_step`.
+        colour: Of the bodies, as in :func:`render_step`.
+
+    Raises:
+        ImportError: If the extra ``viz`` is not installed.
+        RuntimeError: If there is no display.
+        ValueError: If an argument is not as described.
+    """
+    check_instance("mesh", mesh, CollisionMesh)
+    check_instance("result", result, MeshResult)
+    toi_range = _toi_range(result, colour)
+    scene = make_scene(mesh, vertices_t0, vertices_t1, result)
+    validated_direction(camera)
+    pyvista = import_pyvista()
+    check_display(pyvista)
+    from ccd_warp.viz._front import draw_contacts
+    from ccd_warp.viz._panel import Panel
+
+    width, height = _WINDOW
+    enlargement = min(_WINDOW) / _SHORTER_SIDE
+    margins = (_SIDE, 2 * _ABOVE, _BELOW if toi_range else _SIDE)
+    view = make_camera(scene.start, scene.end, camera, (width / enlargement, height / enlargement), margins)
+    plotter = pyvista.Plotter(
+        window_size=_WINDOW, title="ccd_warp", lighting="none", theme=pyvista.themes.DocumentTheme()
+    )
+    panel = Panel(plotter, (0, 0), scene, view, enlargement)
+    panel.look()
+    panel.draw_trails()
+    toi = scene.toi if np.isfinite(scene.toi) else 1.0
+    plotter.add_slider_widget(
+        lambda t: panel.draw_bodies(t, toi_range),
+        rng=(0.0, 1.0),
+        value=toi,
+        title="t" if toi == 1.0 else f"t, toi = {_rounded_down(toi)}",
+        pointa=(0.2, 0.93),
+        pointb=(0.8, 0.93),
+        slider_width=0.02,
+        tube_width=0.005,
+        title_height=0.02,
+        interaction_event="always",
+        fmt="%.4f",
+    )
+    draw_contacts(panel)
+    if toi_range is not None:
+        panel.draw_toi_bar()
+    plotter.show()
+
+
+def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None:
+    """Ends of the colours, None to colour by body."""
+    check_choice("colour", colour, ("vertex_toi", "body"))
+    toi = np.asarray(result.vertex_toi)
+    toi = toi[np.isfinite(toi)]
+    if colour == "body" or len(toi) == 0:
+        return None
+    return float(toi.min()), max(float(toi.max()), float(toi.min()) + 1e-6)
+
+
+def _validated_size(size: tuple[int, int]) -> tuple[int, int]:
+    expected = f"width and height in [{_SMALLEST}, {_LARGEST}] pixels"
+    try:
+        width, height = (
+            int(check_real("size", side, expected, lambda x: x % 1 == 0 and _SMALLEST <= x <= _LARGEST))
+            for side in check_items("size", size, expected)
+        )
+    except ValueError:
+        raise ValueError(f"size is {shown(size)}; expected {expected}") from None
+    return width, height
+
+
+def _rounded_down(toi: float) -> str:
+    """Six digits that are no later than the toi."""
+    return str(Context(prec=6, rounding=ROUND_FLOOR).create_decimal(repr(toi)).normalize())

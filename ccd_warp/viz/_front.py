@@ -1,0 +1,132 @@
+"""What is drawn in front of a panel's bodies: its contacts, and a close-up of the first one."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyvista
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkRenderer
+
+from ccd_warp.viz._camera import Camera
+from ccd_warp.viz._panel import LABEL_SIZE, LINE_COLOUR, Panel, add_lights, aim, flat_actor, make_text
+from ccd_warp.viz._scene import StepScene
+
+_FIRST_COLOUR, _LATER_COLOUR, _LATER_OPACITY = "#c8102e", "#d8484f", 0.3
+# In pixels.
+_FIRST_SIZE, _LATER_SIZE, _ARROW_LENGTH = 10, 2.5, 50
+_GAP, _TITLE, _FRAME_WIDTH = 8, 36, 1
+# There is a close-up where the smaller body that touches first takes less than _SMALL of the panel's shorter side. The
+# close-up takes _SIDE of it, and the body _SHARE of the close-up.
+_SMALL, _SIDE, _SHARE = 0.1, 0.31, 0.4
+_WHITE = 250
+
+
+def draw_contacts(panel: Panel) -> Any:
+    """Draw the earliest contacts with their normals and the later ones fainter; returns what they are drawn in."""
+    behind = panel.renderer
+    front = _add_renderer(panel, behind.GetViewport())
+    front.SetActiveCamera(behind.GetActiveCamera())
+    _add_contacts(front, panel.scene, panel.camera.pixel, panel.zoom)
+    return front
+
+
+def draw_close_up(panel: Panel, front: Any) -> None:
+    """Draw the first contact large in the emptiest corner of a panel, if what touches there is small.
+
+    Args:
+        panel: With its bodies drawn.
+        front: What its contacts are drawn in.
+    """
+    scene, camera = panel.scene, panel.camera
+    size, shorter = camera.size, min(camera.size)
+    if not 0.0 < scene.first_body_size < _SMALL * shorter * camera.pixel:
+        return
+    side = _SIDE * shorter
+    half = 0.5 * scene.first_body_size / _SHARE
+    focus = scene.contact_points[scene.first_contact]
+    near = replace(
+        camera,
+        focus=focus,
+        position=focus + camera.position - camera.focus,
+        parallel_scale=half,
+        size=(side, side),
+    )
+    renderer = panel.renderer
+    x0, y0, x1, y1 = renderer.GetViewport()
+    width, height = side / size[0] * (x1 - x0), side / size[1] * (y1 - y0)
+    x, y = _emptiest_corner(panel, (x0, y0, x1, y1), (width, height))
+    viewport = (x, y, x + width, y + height)
+    inset = _add_renderer(panel, viewport)
+    inset.SetPreserveColorBuffer(False)
+    inset.SetBackground(1.0, 1.0, 1.0)
+    add_lights(inset)
+    for actor in renderer.actors.values():
+        if not isinstance(actor, vtkActor2D):
+            inset.AddActor(actor)
+    aim(inset.GetActiveCamera(), near)
+    line_width = _FRAME_WIDTH * panel.zoom
+    front.AddActor(flat_actor(_frame(near, half), LINE_COLOUR, line_width=line_width))
+    contacts = _add_renderer(panel, viewport)
+    contacts.SetActiveCamera(inset.GetActiveCamera())
+    _add_contacts(contacts, scene, near.pixel, panel.zoom)
+    contacts.AddActor(flat_actor(_frame(near, 0.99 * half), LINE_COLOUR, line_width=line_width))
+    contacts.AddActor(make_text(f"× {camera.pixel / near.pixel:.0f}", (0.05, 0.05), LABEL_SIZE * panel.zoom))
+
+
+def _add_renderer(panel: Panel, viewport: tuple[float, ...]) -> Any:
+    """A renderer in front of all others."""
+    window = panel.plotter.render_window
+    front = vtkRenderer()
+    front.SetLayer(window.GetNumberOfLayers())
+    window.SetNumberOfLayers(front.GetLayer() + 1)
+    front.SetViewport(*viewport)
+    front.InteractiveOff()
+    window.AddRenderer(front)
+    return front
+
+
+def _add_contacts(renderer: Any, scene: StepScene, pixel: float, zoom: float) -> None:
+    is_first = scene.contact_is_first
+    if not is_first.all():
+        later = pyvista.PolyData(scene.contact_points[~is_first])
+        renderer.AddActor(flat_actor(later, _LATER_COLOUR, opacity=_LATER_OPACITY, point_size=_LATER_SIZE * zoom))
+    points, normals = scene.contact_points[is_first], scene.contact_normals[is_first]
+    if len(points):
+        renderer.AddActor(flat_actor(pyvista.PolyData(points), _FIRST_COLOUR, point_size=_FIRST_SIZE * zoom))
+    has_normal = normals.any(axis=1)
+    if has_normal.any():
+        tails = pyvista.PolyData(points[has_normal])
+        tails["normal"] = normals[has_normal]
+        arrow = pyvista.Arrow(tip_length=0.3, tip_radius=0.09, shaft_radius=0.025, scale=_ARROW_LENGTH * pixel)
+        arrows = tails.glyph(orient="normal", scale=False, geom=arrow)
+        renderer.AddActor(flat_actor(arrows, _FIRST_COLOUR))
+
+
+def _emptiest_corner(
+    panel: Panel, viewport: tuple[float, float, float, float], part: tuple[float, float]
+) -> tuple[float, float]:
+    """Lower left of the rectangle in a corner below the title that hides least, in fractions of the window."""
+    image = panel.plotter.screenshot(return_img=True)
+    height, width = image.shape[:2]
+    is_drawn = (image < _WHITE).any(axis=2)[::-1]
+    gap = _GAP * panel.zoom
+    x0, y0, x1, y1 = viewport
+    right, top = x1 - part[0] - gap / width, y1 - part[1] - (gap + _TITLE * panel.zoom) / height
+    corners = [(x, y) for y in (y0 + gap / height, top) for x in (right, x0 + gap / width)]
+
+    def hidden(corner: tuple[float, float]) -> int:
+        columns, rows = (
+            slice(int(low * count), int((low + extent) * count))
+            for low, extent, count in zip(corner, part, (width, height), strict=True)
+        )
+        return int(is_drawn[rows, columns].sum())
+
+    return min(corners, key=hidden)
+
+
+def _frame(camera: Camera, half: float) -> Any:
+    """The square that a camera sees."""
+    towards = (camera.position - camera.focus) / np.linalg.norm(camera.position - camera.focus)
+    right = np.cross(camera.up, towards)
+    corners = [camera.focus + half * (x * right + y * camera.up) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return pyvista.PolyData(np.array(corners), lines=[5, 0, 1, 2, 3, 0])

@@ -1,0 +1,211 @@
+"""Draw a step at one time into a panel of PyVista."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pyvista
+from matplotlib.colors import LinearSegmentedColormap
+from numpy.typing import NDArray
+
+from ccd_warp.viz._camera import Camera
+from ccd_warp.viz._scene import StepScene
+
+_NO_TOI_COLOUR, _EDGE_COLOUR, LINE_COLOUR, TEXT_COLOUR = "#e6e6e4", "#303030", "#555555", "#222222"
+# In pixels.
+_READABLE_EDGE, _COARSE_EDGE = 10, 60
+_EDGE_WIDTH, _TRAIL_WIDTH, _CABLE_WIDTH, _PARTICLE_SIZE = 1, 1.5, 4, 8
+_TITLE_SIZE, LABEL_SIZE = 17, 13
+_SHARP = 35.0  # degrees between two faces that are not shaded as one surface
+# Lights in the viewer's coordinates, with the viewer at (0, 0, 1), and their intensity.
+_LIGHTS = (((-0.7, 1.0, 1.5), 0.6), ((1.0, -0.1, 1.0), 0.3))
+_LIGHT_OF_BODIES = {"ambient": 0.5, "diffuse": 0.75, "specular": 0.0}
+_LIGHT_OF_TOI = {"ambient": 0.65, "diffuse": 0.5, "specular": 0.0}  # colours near those of the bar
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Where a step is drawn.
+
+    Attributes:
+        plotter: Of PyVista, without lights of its own.
+        place: Row and column of the panel in it.
+        scene: The step.
+        camera: Its view, in whose pixels sizes are given.
+        zoom: Pixels of the window along each of the camera's.
+    """
+
+    plotter: Any
+    place: tuple[int, int]
+    scene: StepScene
+    camera: Camera
+    zoom: float
+
+    @property
+    def renderer(self) -> Any:
+        """The panel's own, which is the active one from now on."""
+        self.plotter.subplot(*self.place)
+        return self.plotter.renderer
+
+    def look(self) -> None:
+        """Set up view and lights."""
+        renderer = self.renderer
+        renderer.background_color = "white"
+        add_lights(renderer)
+        aim(renderer.camera, self.camera)
+        renderer.camera.is_set = True  # PyVista would fit its own view
+
+    def draw_bodies(self, t: float, toi_range: tuple[float, float] | None = None) -> None:
+        """Draw surfaces, cables and particles, in place of those drawn before.
+
+        Args:
+            t: Time, in [0, 1].
+            toi_range: Colour by the toi of the vertices between these two; by default by body. Of bodies with large
+                faces, on which colours between the corners say nothing, the vertices alone.
+        """
+        scene, positions = self.scene, self.scene.positions(t)
+        edge_length = scene.body_edge_length[scene.vertex_body[scene.faces[:, 0]]] / self.camera.pixel
+        has_edges, is_coarse = edge_length >= _READABLE_EDGE, edge_length >= _COARSE_EDGE
+        if toi_range is None:
+            is_coarse[:] = False
+        elif is_coarse.any():
+            self._draw_points("corners", np.unique(scene.faces[is_coarse]), positions, toi_range)
+        for name, chosen in (
+            ("faces", ~has_edges),
+            ("faces with edges", has_edges & ~is_coarse),
+            ("coarse faces", is_coarse),
+        ):
+            if not chosen.any():
+                continue
+            used, faces = _used_vertices(scene.faces[chosen])
+            # deep: VTK would go on reading the array after it is gone
+            surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
+            surface["vertex"] = used
+            surface = surface.compute_normals(
+                cell_normals=False,
+                split_vertices=True,
+                feature_angle=_SHARP,
+                consistent_normals=False,
+                auto_orient_normals=False,
+            )
+            edges = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
+            style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, **edges}
+            self._add(name, surface, None if name == "coarse faces" else toi_range, **style)
+        if len(scene.segments):
+            used, segments = _used_vertices(scene.segments)
+            cables = pyvista.PolyData(positions[used], lines=np.insert(segments, 0, 2, axis=1).ravel())
+            cables["vertex"] = used
+            self._add("cables", cables, toi_range, line_width=_CABLE_WIDTH * self.zoom, render_lines_as_tubes=True)
+        if len(scene.points):
+            self._draw_points("particles", scene.points, positions, toi_range)
+
+    def _draw_points(
+        self,
+        name: str,
+        vertices: NDArray[np.int32],
+        positions: NDArray[np.float64],
+        toi_range: tuple[float, float] | None,
+    ) -> None:
+        points = pyvista.PolyData(positions[vertices])
+        points["vertex"] = vertices
+        self._add(name, points, toi_range, point_size=_PARTICLE_SIZE * self.zoom, render_points_as_spheres=True)
+
+    def _add(self, name: str, shape: Any, toi_range: tuple[float, float] | None, **style: Any) -> None:
+        """Add a shape whose points know their vertex."""
+        vertex = shape["vertex"]
+        if toi_range is None:
+            style |= {"scalars": self.scene.vertex_colours[vertex], "rgb": True, **_LIGHT_OF_BODIES}
+        else:
+            toi = self.scene.vertex_toi[vertex]
+            style |= {"scalars": np.where(np.isfinite(toi), toi, np.nan), "clim": toi_range, "cmap": _toi_colours()}
+            style |= {"nan_color": _NO_TOI_COLOUR, "interpolate_before_map": False, "show_scalar_bar": False}
+            style |= _LIGHT_OF_TOI
+        self.plotter.subplot(*self.place)
+        self.plotter.add_mesh(shape, name=f"{name} {self.place}", reset_camera=False, **style)
+
+    def draw_trails(self) -> None:
+        """Draw the ways of bodies that move far."""
+        ends = self.scene.trails.reshape(-1, 3)
+        if len(ends):
+            lines = np.insert(np.arange(len(ends)).reshape(-1, 2), 0, 2, axis=1)
+            trails = pyvista.PolyData(ends, lines=lines.ravel())
+            self.renderer.add_actor(
+                flat_actor(trails, LINE_COLOUR, line_width=_TRAIL_WIDTH * self.zoom), reset_camera=False
+            )
+
+    def write_title(self, text: str) -> None:
+        """Write a line on top."""
+        title = make_text(text, (0.5, 0.93), _TITLE_SIZE * self.zoom)
+        title.prop.justification_horizontal = "center"
+        self.renderer.add_actor(title, reset_camera=False)
+
+    def draw_toi_bar(self) -> None:
+        """Draw the colour bar of the bodies that are coloured by toi."""
+        actors = self.renderer.actors
+        mapper = next(actors[name].mapper for name in actors if name.endswith(str(self.place)))
+        size = LABEL_SIZE * self.zoom
+        self.plotter.add_scalar_bar(
+            mapper=mapper,
+            n_labels=3,
+            vertical=False,
+            position_x=0.22,
+            position_y=0.015,
+            width=0.56,
+            height=0.075,
+            label_font_size=round(size),
+            unconstrained_font_size=True,
+            color=TEXT_COLOUR,
+            fmt="%.4g",
+        )
+        title = make_text("toi of the vertices", (0.5, 0.1), size)
+        title.prop.justification_horizontal = "center"
+        self.renderer.add_actor(title, reset_camera=False)
+
+
+def aim(view: Any, camera: Camera) -> None:
+    """Put a camera of VTK where ours is."""
+    view.SetParallelProjection(True)
+    view.SetPosition(*camera.position)
+    view.SetFocalPoint(*camera.focus)
+    view.SetViewUp(*camera.up)
+    view.SetParallelScale(camera.parallel_scale)
+    view.SetClippingRange(1.0, 20.0)
+
+
+def add_lights(renderer: Any) -> None:
+    """Light a renderer of VTK from behind the viewer."""
+    for position, intensity in _LIGHTS:
+        renderer.AddLight(pyvista.Light(position=position, light_type="camera light", intensity=intensity))
+
+
+def flat_actor(
+    shape: Any, colour: str, *, opacity: float = 1.0, point_size: float = 1.0, line_width: float = 1.0
+) -> Any:
+    """An actor in one colour without light; points are round."""
+    actor = pyvista.Actor(mapper=pyvista.DataSetMapper(shape))
+    actor.mapper.scalar_visibility = False
+    prop = actor.prop
+    prop.color, prop.opacity, prop.lighting = colour, opacity, False
+    prop.point_size, prop.line_width, prop.render_points_as_spheres = point_size, line_width, True
+    return actor
+
+
+def make_text(text: str, position: tuple[float, float], size: float) -> Any:
+    """A text at a place in fractions of its renderer."""
+    actor = pyvista.Text(text=text, position=position)
+    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    actor.prop.font_size, actor.prop.color = round(size), TEXT_COLOUR
+    actor.prop.font_family = "arial"
+    return actor
+
+
+def _used_vertices(primitives: NDArray[np.int32]) -> tuple[NDArray[np.int32], Any]:
+    """Vertices of some primitives, and the primitives in terms of these."""
+    used, indices = np.unique(primitives, return_inverse=True)
+    return used, indices.reshape(primitives.shape)
+
+
+def _toi_colours() -> Any:
+    """From dark to light, and never as light as what has no toi."""
+    return LinearSegmentedColormap.from_list("toi", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))

@@ -1,0 +1,140 @@
+"""What a picture of a step shows, in coordinates of its own; NumPy alone."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._engine.contact_corners import contact_corners
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._status import PairKind
+from ccd_warp.viz._contacts import contact_points
+
+STATIC_COLOUR = "#c6c6c2"
+MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
+# A contact counts as one of the earliest up to this fraction of the step after the first.
+_SAME_TOI = 1e-6
+# Trails of more bodies than this hide the scene.
+_MOST_TRAILS = 50
+
+
+@dataclass(frozen=True)
+class StepScene:
+    """A step around the origin, the longest side of its box two long, whatever its own place and unit.
+
+    Attributes:
+        start: Positions at t = 0, float64, shape [V, 3].
+        end: Positions at t = 1, float64, shape [V, 3].
+        faces: Vertex indices, shape [F, 3].
+        segments: Vertex indices of loose edges, shape [S, 2].
+        points: Indices of the vertices in no face and no edge, shape [P].
+        vertex_body: Body of each vertex, shape [V].
+        static: Bodies that do not move, bool, shape [B].
+        vertex_toi: Earliest toi of each vertex, inf if none, float64, shape [V].
+        toi: Earliest toi of the scene, inf if none.
+        contact_points: Where the contacts are, float64, shape [m, 3].
+        contact_normals: Their unit normals, or 0, float64, shape [m, 3].
+        contact_is_first: Contacts that are the earliest, bool, shape [m].
+        first_contact: Index of the earliest contact, -1 without one.
+        first_body_size: Longest side of the smaller body that it is of, 0 without one.
+    """
+
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    segments: NDArray[np.int32]
+    points: NDArray[np.int32]
+    vertex_body: NDArray[np.int32]
+    static: NDArray[np.bool_]
+    vertex_toi: NDArray[np.float64]
+    toi: float
+    contact_points: NDArray[np.float64]
+    contact_normals: NDArray[np.float64]
+    contact_is_first: NDArray[np.bool_]
+    first_contact: int
+    first_body_size: float
+
+    def positions(self, t: float) -> NDArray[np.float64]:
+        """Positions at a time, shape [V, 3]."""
+        return (1.0 - t) * self.start + t * self.end
+
+    @cached_property
+    def vertex_colours(self) -> NDArray[np.uint8]:
+        """Red, green and blue of each vertex's body, shape [V, 3]."""
+        palette = np.array([_rgb(colour) for colour in MOVING_COLOURS])
+        of_body = palette[(np.cumsum(~self.static) - 1) % len(palette)]
+        of_body[self.static] = _rgb(STATIC_COLOUR)
+        return of_body[self.vertex_body]
+
+    @cached_property
+    def body_edge_length(self) -> NDArray[np.float64]:
+        """Mean length of the sides of each body's faces, 0 without faces, shape [B]."""
+        corners = self.start[self.faces]
+        lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        body, count = self.vertex_body[self.faces[:, 0]], len(self.static)
+        total = np.bincount(body, weights=lengths, minlength=count)
+        return total / np.maximum(np.bincount(body, minlength=count), 1)
+
+    @cached_property
+    def trails(self) -> NDArray[np.float64]:
+        """Start and end of the middle of each body that moves farther than it is large, shape [n, 2, 3]."""
+        moving = np.flatnonzero(~self.static)
+        trails = []
+        for body in moving if len(moving) <= _MOST_TRAILS else ():
+            start, end = (frame[self.vertex_body == body] for frame in (self.start, self.end))
+            if len(start):
+                ends = np.array([start.mean(axis=0), end.mean(axis=0)])
+                trails += [ends] if np.ptp(ends, axis=0).max() > np.ptp(start, axis=0).max() else []
+        return np.array(trails).reshape(-1, 2, 3)
+
+
+def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult) -> StepScene:
+    """Put a step into the coordinates of the picture.
+
+    Raises:
+        ValueError: If the mesh is empty, or the frames or the result do not match it.
+    """
+    start, end = mesh.frames(vertices_t0, vertices_t1)
+    if len(start) == 0:
+        raise ValueError("mesh has no vertices; expected something to draw")
+    if np.shape(result.vertex_toi) != (len(start),):
+        raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
+    lower = np.minimum(start.min(axis=0), end.min(axis=0))
+    upper = np.maximum(start.max(axis=0), end.max(axis=0))
+    half_sides = 0.5 * upper - 0.5 * lower  # of the largest coordinates, too, which have no finite difference
+    centre, unit = lower + half_sides, float(half_sides.max()) or 1.0
+    contacts = result.contacts
+    first = int(np.argmin(contacts.toi)) if len(contacts) else -1
+    is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
+    is_point = np.ones(len(start), dtype=bool)
+    is_point[mesh.faces] = False
+    is_point[mesh.edges] = False
+    return StepScene(
+        start=(start - centre) / unit,
+        end=(end - centre) / unit,
+        faces=mesh.faces,
+        segments=mesh.edges[mesh.loose_edges],
+        points=np.flatnonzero(is_point).astype(np.int32),
+        vertex_body=mesh.vertex_body,
+        static=mesh.static,
+        vertex_toi=np.asarray(result.vertex_toi),
+        toi=float(result.toi),
+        contact_points=(contact_points(mesh, start, end, contacts) - centre) / unit,
+        contact_normals=np.asarray(contacts.normal),
+        contact_is_first=is_first,
+        first_contact=first,
+        first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
+    )
+
+
+def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:
+    """Longest side of the smaller body of a contact."""
+    corners = contact_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
+    bodies = {int(mesh.vertex_body[side[0, 0]]) for side in corners}
+    return min(float(np.ptp(start[mesh.vertex_body == body], axis=0).max()) for body in bodies)
+
+
+def _rgb(colour: str) -> NDArray[np.uint8]:
+    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8)
