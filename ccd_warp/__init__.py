@@ -20,8 +20,7 @@ from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
-
-__version__ = "0.1.0"
+from ccd_warp._version import __version__
 
 __all__ = [
     "CCDStatus",

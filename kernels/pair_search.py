@@ -17,6 +17,7 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i
+from .collision_filter import Filter, is_excluded
 from .cull import is_free
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
@@ -36,22 +37,6 @@ _NONE = wp.constant(wp.uint32(0))
 CANDIDATES = wp.constant(0)
 FOUND = wp.constant(1)
 NUM_COUNTS = 8
-
-
-@wp.struct
-class Filter:
-    """Which pairs the mesh excludes, beside those that share a vertex."""
-
-    by_body: int  # 1: the two arrays that follow count
-    vertex_body: wp.array[wp.int32]
-    self_collision: wp.array[wp.int32]  # per body
-    by_pair: int  # 1: the array that follows counts
-    body_pairs: wp.array2d[wp.uint8]
-    by_world: int  # 1: the array that follows counts
-    vertex_world: wp.array[wp.int32]
-    by_ring: int  # 1: the arrays that follow count
-    ring_begin: wp.array[wp.int32]  # per vertex, one more at the end
-    ring: wp.array[wp.int32]  # the vertices near it, ascending
 
 
 @wp.struct
@@ -111,44 +96,6 @@ def ahead(mask: wp.uint32, within: int, query_block: int, level: int, block: int
     if behind > 0:
         return mask & lanes_after(behind - 1)
     return mask
-
-
-@wp.func
-def is_near(v: int, c: wp.vec3i, rings: Filter) -> bool:
-    """Whether a vertex of a primitive is in the rings around v: a search by halves."""
-    for k in range(3):
-        low = rings.ring_begin[v]
-        high = rings.ring_begin[v + 1]
-        while low < high:
-            middle = (low + high) / 2
-            if rings.ring[middle] < c[k]:
-                low = middle + 1
-            else:
-                high = middle
-        if low < rings.ring_begin[v + 1]:
-            if rings.ring[low] == c[k]:
-                return True
-    return False
-
-
-@wp.func
-def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
-    """Whether the mesh excludes a pair of primitives that share no vertex."""
-    if rules.by_world != 0:
-        if rules.vertex_world[a[0]] != rules.vertex_world[b[0]]:
-            return True
-    if rules.by_body != 0:
-        body_a = rules.vertex_body[a[0]]
-        body_b = rules.vertex_body[b[0]]
-        if body_a == body_b:
-            if rules.self_collision[body_a] == 0:
-                return True
-        elif rules.by_pair != 0:
-            if rules.body_pairs[body_a, body_b] == wp.uint8(0):
-                return True
-    if rules.by_ring != 0:
-        return is_near(a[0], b, rules) or is_near(a[1], b, rules) or is_near(a[2], b, rules)
-    return False
 
 
 # Where a search ends.

@@ -94,7 +94,7 @@ def test_wheel_holds_the_kernels_and_the_types_and_no_path_of_this_machine(tmp_p
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         contents = {name: archive.read(name) for name in names}
-    modules = {f"ccd_warp/{path.name}" for path in (ROOT / "ccd_warp").glob("*.py")}
+    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp").rglob("*.py")}
     for name in ("benchmarks", "kernels"):
         modules |= {f"ccd_warp/{name}/{path.name}" for path in (ROOT / name).glob("*.py")}
     assert modules | {"ccd_warp/py.typed"} == {name for name in names if ".dist-info/" not in name}

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 # NumPy, Warp and trimesh are imported where they are used, so that --help answers at once.
-from ccd_warp import __version__
 from ccd_warp._input.messages import printable
+from ccd_warp._version import __version__
 
 if TYPE_CHECKING:
     from ccd_warp._cli.progress import ProgressLine
@@ -320,12 +320,13 @@ def _solve(
     """Put the bodies into one mesh and run ``mesh_ccd``; the seconds of every stage come with the result."""
     import numpy as np
 
-    import ccd_warp as ccd
     from ccd_warp._cli.progress import ProgressLine
     from ccd_warp._input.options import Options
+    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._pipeline import CollisionPipeline
 
     begin = time.perf_counter()
-    mesh = ccd.CollisionMesh.from_arrays(
+    mesh = CollisionMesh.from_arrays(
         [(body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
@@ -335,7 +336,7 @@ def _solve(
     build_seconds = time.perf_counter() - begin
     line = ProgressLine(is_quiet)
     # options made here, so that no message names a function that is not on the command line
-    with ccd.CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
+    with CollisionPipeline.borrowed(mesh, Options(**options)) as pipeline:
         pipeline._show_progress = line.show
         try:
             with _warnings_on_stderr(line, is_quiet=is_quiet):

@@ -86,7 +86,7 @@ _CONTACT_FIELDS = ("kind", "primitives", "vertices", "toi", "parameters", "norma
 
 def _contact_rows(mesh, contacts) -> list[dict[str, Any]]:
     """The contacts as plain Python values, the enumerations by name."""
-    from ccd_warp import CCDStatus, PairKind
+    from ccd_warp._status import CCDStatus, PairKind
 
     columns = (
         [PairKind(int(kind)).name.lower() for kind in np.asarray(contacts.kind)],

@@ -105,7 +105,7 @@ def describe_contact(bodies: Sequence[Body], mesh, result) -> str:
 
 
 def _count_capped(result) -> int:
-    from ccd_warp import CCDStatus
+    from ccd_warp._status import CCDStatus
 
     return int((np.asarray(result.contacts.status) == CCDStatus.ITERATION_LIMIT).sum())
 

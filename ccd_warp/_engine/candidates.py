@@ -3,11 +3,11 @@
 import itertools
 import sys
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.search import Found, Join
 from ccd_warp._engine.topology import WIDTH
 from ccd_warp._input.arguments import check_real
@@ -118,8 +118,8 @@ class _Collector:
             self._execution.run([lambda p=p: _copy_pairs(*p) for p in parts])  # type: ignore[misc]
 
 
-def candidates_of(step: Step, inflation: float) -> Candidates:
-    """All pairs whose boxes overlap."""
+def candidates_of(step: Any, inflation: float) -> Candidates:
+    """All pairs whose boxes overlap; of a `host_step.Step`, which is above this module."""
     collector = _Collector(step.execution)
     step.candidates(inflation, collector.take)
     with step.timed("copy"):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes import Tree, fill_tree, new_tree
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
-from ccd_warp._engine.host_step import LONG_PART, half_up, moves_alone, possible_kinds
-from ccd_warp._engine.search import LONG_SEARCH, Join, joins_of, search_range
+from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
+from ccd_warp._engine.search import LONG_PART, LONG_SEARCH, Join, joins_of, search_range
 from ccd_warp._engine.topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
 from ccd_warp._input.interop import as_positions
 from ccd_warp._input.options import Options

@@ -1,6 +1,5 @@
 """One step of a mesh on its way through the stages: boxes, pairs, narrow phase, gather."""
 
-import math
 import sys
 import time
 import warnings
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
-from ccd_warp._engine.search import KEY_BYTES, Found, PairSearch, joins_of
+from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
+from ccd_warp._engine.search import KEY_BYTES, LONG_PART, Found, PairSearch, joins_of
 from ccd_warp._engine.topology import CORNER_ARRAYS
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -37,8 +37,6 @@ DEFAULT_PAIR_BYTES = 1 << 30
 # The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
 _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
-# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
-LONG_PART = 1 << 10
 # Pairs of a part at most, so that threads end together, and progress is seen.
 _LARGEST_PART = 1 << 14
 # Pairs left by the cull, in all and for each primitive, from which on overlaps have exploded.
@@ -516,30 +514,6 @@ def _level_of_caller() -> int:
     while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
         frame, level = frame.f_back, level + 1
     return level
-
-
-def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
-    """Kinds of pairs that the primitives of a mesh can form and the options ask for."""
-    possible = {
-        PairKind.VERTEX_FACE: mesh.num_faces > 0,
-        PairKind.EDGE_EDGE: mesh.num_edges > 0,
-        PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
-        PairKind.POINT_POINT: len(mesh.loose_points) > 0,
-    }
-    return tuple(kind for kind in options.kinds if possible[kind])
-
-
-def moves_alone(mesh: CollisionMesh) -> bool:
-    """Whether one body moves, and does not collide with itself."""
-    moving = mesh.self_collision[~mesh.static]
-    return len(moving) == 1 and not moving.any()
-
-
-def half_up(separation: float) -> float:
-    """Half a length, rounded up, for the boxes of both primitives of a pair."""
-    if separation <= 0.0:
-        return 0.0
-    return min(math.nextafter(0.5 * separation, math.inf), _LARGEST)
 
 
 def kind_name(kind: PairKind) -> str:

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from ccd_warp._mesh import CollisionMesh
-
 
 @dataclass(frozen=True)
 class MeshCache:
@@ -22,7 +20,7 @@ class MeshCache:
     idle_workspaces: dict[str, list[Any]] = field(default_factory=dict)
 
     @staticmethod
-    def of(mesh: CollisionMesh) -> "MeshCache":
+    def of(mesh: Any) -> "MeshCache":
         """The cache of a mesh, which lives as long as the mesh and is in no copy and no pickle of it.
 
         It stands in the mesh's dictionary, not in a weak one: a topology refers to its mesh, which would then never go.

@@ -1,16 +1,16 @@
 """The vertices that few edges lead to from each vertex, for the pairs that ``exclusion_rings`` leaves out."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-
-from ccd_warp._mesh import CollisionMesh
 
 # Vertices whose rings are walked at a time, and most vertices of all rings: half a gigabyte on the device.
 _SOURCES = 256
 _MOST_VERTICES = 1 << 27
 
 
-def vertex_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def vertex_rings(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Where the row of each vertex begins, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending.
 
     Raises:
@@ -24,7 +24,7 @@ def vertex_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int32], NDArray[np.int
     return begin.astype(np.int32), rows
 
 
-def _walked_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _walked_rings(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The length of each row, and the rows, ring by ring."""
     count = mesh.num_vertices
     a, b = mesh.edges.T.astype(np.int64)
@@ -60,7 +60,7 @@ def _walked_rings(mesh: CollisionMesh) -> tuple[NDArray[np.int64], NDArray[np.in
     return np.concatenate(lengths), np.concatenate(rows)
 
 
-def _whole_components(mesh: CollisionMesh) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _whole_components(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The length of each row, and the rows, where each is all that any number of edges leads to."""
     label = _components(mesh)
     order = np.argsort(label, kind="stable")
@@ -71,7 +71,7 @@ def _whole_components(mesh: CollisionMesh) -> tuple[NDArray[np.int64], NDArray[n
     return lengths, np.concatenate([np.zeros(0, dtype=np.int32), *(members[k] for k in label)])
 
 
-def _components(mesh: CollisionMesh) -> NDArray[np.int64]:
+def _components(mesh: Any) -> NDArray[np.int64]:
     """The lowest vertex that edges lead to from each vertex."""
     label = np.arange(mesh.num_vertices)
     a, b = mesh.edges.T
@@ -87,7 +87,7 @@ def _components(mesh: CollisionMesh) -> NDArray[np.int64]:
         label = lower
 
 
-def _check_total(mesh: CollisionMesh, total: int) -> None:
+def _check_total(mesh: Any, total: int) -> None:
     if total > _MOST_VERTICES:
         raise ValueError(
             f"exclusion_rings is {mesh.exclusion_rings}, which leaves out more than {_MOST_VERTICES} pairs of vertices "

@@ -31,6 +31,8 @@ KEY_BYTES = 8
 _MOST_PAIRS = int(np.iinfo(np.int32).max)
 # Tests of pairs of boxes from which on a part of a search may take long: some 0.3 s if all of them meet.
 LONG_SEARCH = 1 << 22
+# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
+LONG_PART = 1 << 10
 
 
 class Trees(Protocol):

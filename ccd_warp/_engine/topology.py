@@ -16,7 +16,7 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import rest_order
-from ccd_warp.kernels.pair_search import Filter
+from ccd_warp.kernels.collision_filter import Filter
 
 WIDTH = int(kernels.WIDTH)
 RECORD = int(kernels.RECORD)

@@ -5,28 +5,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ccd_warp._input.arguments import check_unmasked, on_one_line, shown
+from ccd_warp._input.arguments import check_unmasked, shown
+from ccd_warp._input.foreign import place_of, reason_of, speaks_dlpack
 from ccd_warp._runtime.launch import start_warp
 
-# Device types of DLPack: CUDA; and the CPU, and host memory that CUDA has pinned or manages.
+# Device type of CUDA in DLPack.
 _CUDA = 2
-_HOST_MEMORY = (1, 3, 13)
 _VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
-
-
-def is_device_array(value: Any) -> bool:
-    """Whether a value is an array of Warp, or of a library that speaks DLPack, other than NumPy."""
-    return isinstance(value, wp.array) or (_speaks_dlpack(value) and not isinstance(value, np.ndarray))
-
-
-def _speaks_dlpack(value: Any) -> bool:
-    """Whether it is an array that can be shared; the class of one has the same names."""
-    return hasattr(value, "__dlpack__") and not isinstance(value, type)
-
-
-def _reason(error: Exception) -> str:
-    """What another library says, in a line, and what it should be able to do."""
-    return f"{on_one_line(str(error))}; expected one that can"
 
 
 def as_warp(value: Any, name: str) -> wp.array:
@@ -45,39 +30,16 @@ def as_warp(value: Any, name: str) -> wp.array:
         if value.dtype not in (np.float32, np.float64):
             raise ValueError(f"{name} has dtype {shown(value.dtype)}; expected float32 or float64")
         return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
-    if not _speaks_dlpack(value):
+    if not speaks_dlpack(value):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
-    kind, index = _place(value, name)
+    kind, index = place_of(value, name)
     if kind == _CUDA and index >= wp.get_cuda_device_count():
         names = ", ".join(device.alias for device in wp.get_devices())
         raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
     try:
         return wp.from_dlpack(value)  # type: ignore[return-value]
     except Exception as error:  # whatever the other library raises
-        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {_reason(error)}") from error
-
-
-def _place(value: Any, name: str) -> tuple[int, int]:
-    """Type and index of the device of an array, as DLPack counts them."""
-    try:
-        kind, index = value.__dlpack_device__()
-    except Exception as error:  # whatever the other library raises
-        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {_reason(error)}") from error
-    return int(kind), int(index)
-
-
-def on_host(value: Any, name: str) -> Any:
-    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU.
-
-    Raises:
-        ValueError: If they are.
-    """
-    if is_device_array(value) and _place(value, name)[0] not in _HOST_MEMORY:
-        raise ValueError(
-            f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
-            f"or CollisionPipeline.launch, which takes arrays on its device"
-        )
-    return value.numpy() if isinstance(value, wp.array) else value
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error
 
 
 def check_writable(value: Any, name: str) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_count, check_items, shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
-from ccd_warp._input.interop import on_host
+from ccd_warp._input.foreign import on_host
 
 
 def unique_edges(

@@ -1,0 +1,32 @@
+"""What of a step a scene needs at all: kinds of pairs, and by how much boxes grow."""
+
+import math
+import sys
+
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._status import PairKind
+
+
+def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
+    """Kinds of pairs that the primitives of a mesh can form and the options ask for."""
+    possible = {
+        PairKind.VERTEX_FACE: mesh.num_faces > 0,
+        PairKind.EDGE_EDGE: mesh.num_edges > 0,
+        PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
+        PairKind.POINT_POINT: len(mesh.loose_points) > 0,
+    }
+    return tuple(kind for kind in options.kinds if possible[kind])
+
+
+def moves_alone(mesh: CollisionMesh) -> bool:
+    """Whether one body moves, and does not collide with itself."""
+    moving = mesh.self_collision[~mesh.static]
+    return len(moving) == 1 and not moving.any()
+
+
+def half_up(separation: float) -> float:
+    """Half a length, rounded up, for the boxes of both primitives of a pair."""
+    if separation <= 0.0:
+        return 0.0
+    return min(math.nextafter(0.5 * separation, math.inf), sys.float_info.max)

@@ -1,0 +1,49 @@
+"""Arrays of other libraries: what they are, and where."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._input.arguments import on_one_line
+
+# Device types of DLPack: the CPU, and host memory that CUDA has pinned or manages.
+_HOST_MEMORY = (1, 3, 13)
+
+
+def is_device_array(value: Any) -> bool:
+    """Whether a value is an array of Warp, or of a library that speaks DLPack, other than NumPy."""
+    return isinstance(value, wp.array) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+
+
+def speaks_dlpack(value: Any) -> bool:
+    """Whether it is an array that can be shared; the class of one has the same names."""
+    return hasattr(value, "__dlpack__") and not isinstance(value, type)
+
+
+def reason_of(error: Exception) -> str:
+    """What another library says, in a line, and what it should be able to do."""
+    return f"{on_one_line(str(error))}; expected one that can"
+
+
+def place_of(value: Any, name: str) -> tuple[int, int]:
+    """Type and index of the device of an array, as DLPack counts them."""
+    try:
+        kind, index = value.__dlpack_device__()
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error
+    return int(kind), int(index)
+
+
+def on_host(value: Any, name: str) -> Any:
+    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU.
+
+    Raises:
+        ValueError: If they are.
+    """
+    if is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY:
+        raise ValueError(
+            f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
+            f"or CollisionPipeline.launch, which takes arrays on its device"
+        )
+    return value.numpy() if isinstance(value, wp.array) else value
