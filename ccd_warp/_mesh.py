@@ -1,7 +1,6 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._arguments import check_items
 from ccd_warp._array_input import check_finite
+from ccd_warp._lazy import lazy_property
 from ccd_warp._mesh_input import (
     arrays_of_trimesh,
     as_positions,
@@ -262,7 +262,7 @@ class CollisionMesh:
         """Number of bodies."""
         return len(self.static)
 
-    @cached_property
+    @lazy_property
     def num_worlds(self) -> int:
         """Number of worlds, at least one; some may be empty."""
         return int(self.vertex_world.max(initial=0)) + 1

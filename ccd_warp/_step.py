@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from ccd_warp._bodies import bodies_near
 from ccd_warp._buffers import Buffers
 from ccd_warp._contacts import ContactStore
 from ccd_warp._launch import Execution, load
+from ccd_warp._lazy import lazy_property
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._options import Options
 from ccd_warp._pair_search import KEY_BYTES, Found, PairSearch, joins_of
@@ -155,7 +155,7 @@ class Step:
         self._events.clear()
         self.timings["total"] = sum(self.timings.values())
 
-    @cached_property
+    @lazy_property
     def length_scale(self) -> float:
         """The unit of tolerance and separation."""
         if self.options.length_scale is not None:

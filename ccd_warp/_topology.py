@@ -1,7 +1,6 @@
 """What a mesh keeps on a device: its primitives in sets, their order along the curve, and the rules of its filter."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._buffers import Buffers
 from ccd_warp._launch import Execution
+from ccd_warp._lazy import lazy_property
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._rings import vertex_rings
 from ccd_warp._status import PairKind
@@ -107,7 +107,7 @@ class Topology:
             raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
-    @cached_property
+    @lazy_property
     def corners(self) -> dict[str, wp.array]:
         """Vertices of every primitive, by kind and index; those that a scene lacks are empty."""
         return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
@@ -140,7 +140,7 @@ class Topology:
         corners = self._array(self._corners_host(array)[ids], wp.vec3i)
         return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
 
-    @cached_property
+    @lazy_property
     def rules(self) -> Any:
         """The filter of the mesh, as the search takes it."""
         mesh = self.mesh
