@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from ccd_warp._input.mesh_checks import (
     validated_static,
     validated_worlds,
 )
+from ccd_warp._runtime.lazy import lazy_property
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,7 +241,7 @@ class CollisionMesh:
         """Number of bodies."""
         return len(self.static)
 
-    @cached_property
+    @lazy_property
     def num_worlds(self) -> int:
         """Number of worlds, at least one; some may be empty."""
         return int(self.vertex_world.max(initial=0)) + 1

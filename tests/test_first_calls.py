@@ -150,6 +150,30 @@ def test_child_of_a_process_with_busy_threads_makes_calls_of_its_own():
     assert in_own_process("fork", 20) == ""
 
 
+def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
+    """Nor a child that is forked meanwhile, where the other thread is gone and holds a lock for ever."""
+    real = ccd._step.longest_side
+    is_in, go_on = threading.Event(), threading.Event()
+
+    def held_up(*arguments):
+        if threading.current_thread().name == "held up":
+            is_in.set()
+            go_on.wait(60.0)
+        return real(*arguments)
+
+    monkeypatch.setattr(ccd._step, "longest_side", held_up)
+    slow, other = (threading.Thread(target=of_mesh("mesh_ccd"), name=name) for name in ("held up", "other"))
+    slow.start()
+    assert is_in.wait(60.0)
+    other.start()
+    other.join(10.0)
+    has_ended = not other.is_alive()
+    go_on.set()
+    slow.join()
+    other.join()
+    assert has_ended
+
+
 def main():
     if sys.argv[1:2] == ["--run"]:
         wp.config.log_level = wp.LOG_ERROR

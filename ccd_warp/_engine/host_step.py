@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
 from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels import boxes as box_kernels
@@ -163,7 +163,7 @@ class Step:
         self._events.clear()
         self.timings["total"] = sum(self.timings.values())
 
-    @cached_property
+    @lazy_property
     def length_scale(self) -> float:
         """The unit of tolerance and separation."""
         if self.options.length_scale is not None:

@@ -1,7 +1,6 @@
 """What a mesh keeps on a device: its primitives in sets, their order along the curve, and the rules of its filter."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.rings import vertex_rings
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import rest_order
@@ -108,7 +108,7 @@ class Topology:
             raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
-    @cached_property
+    @lazy_property
     def corners(self) -> dict[str, wp.array]:
         """Vertices of every primitive, by kind and index; those that a scene lacks are empty."""
         return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
@@ -141,7 +141,7 @@ class Topology:
         corners = self._array(self._corners_host(array)[ids], wp.vec3i)
         return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
 
-    @cached_property
+    @lazy_property
     def rules(self) -> Any:
         """The filter of the mesh, as the search takes it."""
         mesh = self.mesh
