@@ -193,8 +193,18 @@ def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[],
         lambda: pile(1_000, 100),
         lambda: ground_under_cloth(100_000),
         lambda: long_step(20_000),
+        lambda: long_step(50_000),  # thirteen million candidates
         lambda: cloth_over_sphere(1_000_000),
     ]
-    names = ("cloth 10k", "cloth 100k", "spheres 100k", "pile", "giant face 100k", "long step", "cloth 1M")
+    names = (
+        "cloth 10k",
+        "cloth 100k",
+        "spheres 100k",
+        "pile",
+        "giant face 100k",
+        "long step",
+        "long step 50k",
+        "cloth 1M",
+    )
     made = list(zip(names, scenes, strict=True))
     return [*published_scenes(folder), *(made[:3] if quick else made)]
