@@ -25,24 +25,24 @@ def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarr
     begin = time.perf_counter()
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
     pipeline.reserve(vertices=start)
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3f, device=device) for x in (start, end))
-    wished = wp.clone(x_t1)
-    result = pipeline.launch(x_t0, x_t1)
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3f, device=device) for x in (start, end))
+    wished = wp.clone(vertices_t1)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     needed, contacts = int(result.num_pairs.numpy().max()), int(result.contacts.count.numpy()[0])
     if result.flags.numpy()[0]:
         pipeline.reserve(max_pairs=max(needed, 1), max_contacts=max(contacts, 1))
-        result = pipeline.launch(x_t0, x_t1)
+        result = pipeline.launch(vertices_t0, vertices_t1)
     first = time.perf_counter() - begin
     with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch(x_t0, x_t1)
+        pipeline.launch(vertices_t0, vertices_t1)
 
     def line_search() -> None:
-        wp.copy(wished, x_t1)
-        pipeline.launch_line_search(x_t0, wished, per="vertex")
+        wp.copy(wished, vertices_t1)
+        pipeline.launch_line_search(vertices_t0, wished, per="vertex")
 
-    rounded = [x.numpy().astype(np.float64) for x in (x_t0, x_t1)]
+    rounded = [x.numpy().astype(np.float64) for x in (vertices_t0, vertices_t1)]
     on_host = pipeline.mesh_ccd(*rounded)
-    pipeline.launch(x_t0, x_t1)
+    pipeline.launch(vertices_t0, vertices_t1)
     row = {
         "scene": name,
         "device": device,
@@ -57,7 +57,7 @@ def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarr
     row["seconds"] = side_figures.interleaved(
         {
             "mesh_ccd": lambda: pipeline.mesh_ccd(*rounded),
-            "launch": lambda: pipeline.launch(x_t0, x_t1),
+            "launch": lambda: pipeline.launch(vertices_t0, vertices_t1),
             "replay": lambda: wp.capture_launch(capture.graph),
             "line search": line_search,
         },

@@ -62,11 +62,11 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
     pipeline = ccd.CollisionPipeline(mesh, device=device)
     launched = ccd.CollisionPipeline(mesh, device=device)
     launched.reserve(vertices=scene.vertices_t0)
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in frames)
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in frames)
     peer = ToolkitScene(scene, mesh)
 
     def launch():
-        result = launched.launch(x_t0, x_t1)
+        result = launched.launch(vertices_t0, vertices_t1)
         wp.synchronize_device(device)
         return result
 

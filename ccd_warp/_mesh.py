@@ -12,7 +12,7 @@ from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.mesh_checks import (
     arrays_of_trimesh,
     as_positions,
-    find_loose_points,
+    find_codimensional_points,
     unique_edges,
     validated_body_pairs,
     validated_flags,
@@ -33,19 +33,19 @@ class CollisionMesh:
     read-only. Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without
     faces are valid.
 
-    Beside faces a body may have **loose edges**, as cables do, and **loose points**, as particles are. An edge that is
-    given as loose but belongs to a face is an edge of that face. A vertex in no face and no edge is a loose point only
-    in bodies whose ``loose_points`` is on, because meshes from files often hold vertices that nothing uses; elsewhere
+    Beside faces a body may have **codimensional edges**, as cables do, and **codimensional points**, as particles are. An edge that is
+    given as loose but belongs to a face is an edge of that face. A vertex in no face and no edge is a codimensional point only
+    in bodies whose ``codimensional_points`` is on, because meshes from files often hold vertices that nothing uses; elsewhere
     it meets faces alone.
 
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3].
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
-        edges: The unique pairs (min, max) of vertices that follow each other in a face or that a loose edge joins,
+        edges: The unique pairs (min, max) of vertices that follow each other in a face or that a codimensional edge joins,
             sorted by (max, min), int32, shape [E, 2]. A pair (a, a), as a face with a repeated vertex holds it, is not
             an edge.
-        loose_edges: Indices into ``edges`` of those that belong to no face, ascending, int32, shape [E_loose].
-        loose_points: Indices of the vertices that collide as points, ascending, int32, shape [V_loose].
+        codimensional_edges: Indices into ``edges`` of those that belong to no face, ascending, int32, shape [E_codim].
+        codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
         vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
         body_vertex_range: Body b owns the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
@@ -61,8 +61,8 @@ class CollisionMesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     edges: NDArray[np.int32] = field(init=False)
-    loose_edges: NDArray[np.int32] = field(init=False)
-    loose_points: NDArray[np.int32] = field(init=False)
+    codimensional_edges: NDArray[np.int32] = field(init=False)
+    codimensional_points: NDArray[np.int32] = field(init=False)
     vertex_body: NDArray[np.int32] = field(init=False)
     edge_body: NDArray[np.int32] = field(init=False)
     face_body: NDArray[np.int32] = field(init=False)
@@ -76,16 +76,18 @@ class CollisionMesh:
     # What the constructor takes beside fields. It checks nothing, and so does dataclasses.replace, which is refused
     # because these have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
-    with_loose_points: InitVar[NDArray[np.bool_]]
+    with_codimensional_points: InitVar[NDArray[np.bool_]]
 
-    def __post_init__(self, given_edges: NDArray[np.int32], with_loose_points: NDArray[np.bool_]) -> None:
+    def __post_init__(self, given_edges: NDArray[np.int32], with_codimensional_points: NDArray[np.bool_]) -> None:
         """Derive the other fields from those that are given and already validated."""
         vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
-        edges, loose_edges = unique_edges(self.faces, given_edges)
+        edges, codimensional_edges = unique_edges(self.faces, given_edges)
         derived = {
             "edges": edges,
-            "loose_edges": loose_edges,
-            "loose_points": find_loose_points(self.faces, edges, with_loose_points, vertex_body),
+            "codimensional_edges": codimensional_edges,
+            "codimensional_points": find_codimensional_points(
+                self.faces, edges, with_codimensional_points, vertex_body
+            ),
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
             "face_body": vertex_body[self.faces[:, 0]],
@@ -107,8 +109,8 @@ class CollisionMesh:
     def __repr__(self) -> str:
         parts = [f"{self.num_bodies} bodies", f"{self.num_vertices} vertices", f"{self.num_edges} edges"]
         parts += [f"{self.num_faces} faces"]
-        parts += [f"{len(self.loose_edges)} loose edges"] if len(self.loose_edges) else []
-        parts += [f"{len(self.loose_points)} loose points"] if len(self.loose_points) else []
+        parts += [f"{len(self.codimensional_edges)} codimensional edges"] if len(self.codimensional_edges) else []
+        parts += [f"{len(self.codimensional_points)} codimensional points"] if len(self.codimensional_points) else []
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
         return f"CollisionMesh({', '.join(parts)})"
 
@@ -118,7 +120,7 @@ class CollisionMesh:
         bodies: Sequence[Any],
         static: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
-        loose_points: bool | Sequence[bool] = False,
+        codimensional_points: bool | Sequence[bool] = False,
         *,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -128,10 +130,10 @@ class CollisionMesh:
 
         Args:
             bodies: One a body: a mesh (``trimesh.Trimesh``); a path of straight lines (``trimesh.path.Path3D``), whose
-                segments become loose edges; or points (``trimesh.PointCloud``), which become loose points.
+                segments become codimensional edges; or points (``trimesh.PointCloud``), which become codimensional points.
             static: Indices of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
-            loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
+            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points: one answer for
                 all bodies or one for each. Those of a point cloud always are.
             body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
                 (``self_collision`` has it). By default all may.
@@ -149,7 +151,7 @@ class CollisionMesh:
             ValueError: If there is no body, or an argument is not as described.
         """
         bodies = check_items("bodies", bodies, "a list of trimesh objects, one a body")
-        given = validated_flags(loose_points, len(bodies), "loose_points")
+        given = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         arrays = [arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
         is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
         loose = (given | np.array(is_cloud, dtype=bool)).tolist()
@@ -169,7 +171,7 @@ class CollisionMesh:
         bodies: Sequence[tuple[ArrayLike, ...]],
         static: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
-        loose_points: bool | Sequence[bool] = False,
+        codimensional_points: bool | Sequence[bool] = False,
         *,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -179,10 +181,10 @@ class CollisionMesh:
 
         Args:
             bodies: One tuple a body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape [V_b, 3];
-                faces, integer indices into these vertices, shape [F_b, 3]; and loose edges, likewise, shape [E_b, 2].
+                faces, integer indices into these vertices, shape [F_b, 3]; and codimensional edges, likewise, shape [E_b, 2].
             static: Indices of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
-            loose_points: Whether the vertices of a body that no face and no edge uses are loose points: one answer for
+            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points: one answer for
                 all bodies or one for each.
             body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
                 (``self_collision`` has it). By default all may.
@@ -218,7 +220,7 @@ class CollisionMesh:
         num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
         if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
             raise ValueError(
-                f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} loose edges; "
+                f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} codimensional edges; "
                 f"expected counts whose edges int32 can index"
             )
         faces = np.concatenate(all_faces).astype(np.int32)
@@ -230,10 +232,10 @@ class CollisionMesh:
             static=validated_static(static, len(bodies)),
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=edges,
-            with_loose_points=validated_flags(loose_points, len(bodies), "loose_points"),
+            with_codimensional_points=validated_flags(codimensional_points, len(bodies), "codimensional_points"),
             body_pairs=validated_body_pairs(body_pairs, len(bodies)),
             exclusion_rings=validated_rings(exclusion_rings),
-            vertex_world=validated_worlds(vertex_world, offsets[-1], {"face": faces, "loose edge": edges}),
+            vertex_world=validated_worlds(vertex_world, offsets[-1], {"face": faces, "codimensional edge": edges}),
         )
 
     @property

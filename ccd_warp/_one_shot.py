@@ -29,14 +29,14 @@ def find_candidates(
     bodies, pairs within a body whose self-collision is off, and what ``body_pairs`` and ``exclusion_rings`` of the mesh
     leave out.
 
-    Four kinds of pair are enough: vertices with faces, edges with edges, loose points with loose edges, and loose
-    points with each other. What collides are faces, loose edges and loose points: convex sets, two of which, A and B,
+    Four kinds of pair are enough: vertices with faces, edges with edges, codimensional points with codimensional edges, and loose
+    points with each other. What collides are faces, codimensional edges and codimensional points: convex sets, two of which, A and B,
     are as far apart in any norm as the origin is from the polytope A - B, which is at its boundary while they do not
-    touch. For two faces, or a face and a loose edge, that boundary consists of differences (vertex) - (face) and
-    (edge) - (edge), and where A - B is flat these cover all of it. Two loose edges are an edge-edge pair as they stand,
-    a loose point and a face a vertex-face pair. So a loose point and an edge of a face need no pair: the edge is part
-    of the face and no nearer. Nor do a vertex of an edge and a loose edge: the vertex is part of its own edge. Loose
-    points with loose edges, and with each other, are all that is left, and are looked for only where they exist.
+    touch. For two faces, or a face and a codimensional edge, that boundary consists of differences (vertex) - (face) and
+    (edge) - (edge), and where A - B is flat these cover all of it. Two codimensional edges are an edge-edge pair as they stand,
+    a codimensional point and a face a vertex-face pair. So a codimensional point and an edge of a face need no pair: the edge is part
+    of the face and no nearer. Nor do a vertex of an edge and a codimensional edge: the vertex is part of its own edge. Loose
+    points with codimensional edges, and with each other, are all that is left, and are looked for only where they exist.
     Because pairs that share a vertex are left out, a cable that folds back on itself at a joint is not noticed by the
     two segments of that joint, as two faces with a common edge meet only through their other vertices.
 
@@ -96,7 +96,7 @@ def mesh_ccd(
         Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
 
     Guarantee: that of :mod:`ccd_warp`, of every pair that passes the mesh's filter (vertex-face, edge-edge, and where
-    the mesh has loose primitives point-segment and point-point): no toi that covers the pair is late, ``inf`` is
+    the mesh has codimensional primitives point-segment and point-point): no toi that covers the pair is late, ``inf`` is
     certain.
     """
     chosen = options_of("mesh_ccd", MeshOptions, options)

@@ -157,15 +157,15 @@ class CollisionPipeline:
     def reserve(
         self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
     ) -> LaunchResult:
-        """Allocate all that :meth:`launch` needs: before the loop, and again where a flag told of too little room.
+        """Allocate all that :meth:`launch` needs: before the loop, and again where a flag told of too little capacity.
 
         The result of before is no longer written to. A graph that was captured before still writes there, as long as
         that result is kept: capture anew.
 
         Args:
-            max_pairs: Pairs of each kind that there is room for after the cull, 8 bytes each; by default as before, at
+            max_pairs: Pairs of each kind that there is capacity for after the cull, 8 bytes each; by default as before, at
                 first one a primitive and at least 4,096.
-            max_contacts: Contacts that there is room for, 80 bytes each; by default as before, at first one a vertex
+            max_contacts: Contacts that there is capacity for, 80 bytes each; by default as before, at first one a vertex
                 and at least 4,096.
             vertices: Positions that are typical of the loop, shape [V, 3]: boxes are laid out for them, and static
                 bodies rest there until a launch says otherwise. By default as before, at first those of the mesh.
@@ -201,7 +201,7 @@ class CollisionPipeline:
             self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step
 
-    def launch(self, x_t0: Any, x_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
+    def launch(self, vertices_t0: Any, vertices_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
         """Look at a step on the device, without waiting for it.
 
         For a time loop on the device: kernels of known sizes, recorded at the first call, read the positions and write
@@ -214,10 +214,10 @@ class CollisionPipeline:
         so that it is the same in every step. ``memory_limit`` does not count here; the capacities are the limits.
 
         Args:
-            x_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library that
+            vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library that
                 speaks DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or rows of
                 the moving vertices alone, when static bodies stay where they were.
-            x_t1: End positions of the same type. Rows of static bodies are not read.
+            vertices_t1: End positions of the same type. Rows of static bodies are not read.
             displacements: In their place, what is added to the start positions, in float64. A solver that adds them in
                 float32 must pass the positions that it gets, as its rounding is part of the motion.
 
@@ -225,26 +225,26 @@ class CollisionPipeline:
             The arrays that the launch writes to, the same ones until the next :meth:`reserve`.
 
         Raises:
-            ValueError: If an array is not as described, or not exactly one of ``x_t1`` and ``displacements`` is given.
+            ValueError: If an array is not as described, or not exactly one of ``vertices_t1`` and ``displacements`` is given.
             RuntimeError: If a graph of CUDA is being captured, and no call with arrays of these types came before.
 
         References:
             As of :func:`ccd_warp.mesh_ccd`.
 
         Guarantee: as of :func:`ccd_warp.mesh_ccd`, for the scene, each world, body and vertex, whatever the flags.
-        Where there is no room for a pair its toi counts as 0, and where a coordinate is not finite that of its world.
+        Where there is no capacity for a pair its toi counts as 0, and where a coordinate is not finite that of its world.
         """
-        if (x_t1 is None) == (displacements is None):
-            given = "both" if x_t1 is not None else "neither"
-            raise ValueError(f"{given} of x_t1 and displacements is given; expected one of them")
+        if (vertices_t1 is None) == (displacements is None):
+            given = "both" if vertices_t1 is not None else "neither"
+            raise ValueError(f"{given} of vertices_t1 and displacements is given; expected one of them")
         if displacements is None:
-            return self._launch(x_t0, x_t1)
-        return self._launch(x_t0, displacements, name_t1="displacements", is_displacement=True)
+            return self._launch(vertices_t0, vertices_t1)
+        return self._launch(vertices_t0, displacements, name_t1="displacements", is_displacement=True)
 
     def launch_line_search(
         self,
-        x_t0: Any,
-        x_t1: Any,
+        vertices_t0: Any,
+        vertices_t1: Any,
         *,
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
@@ -267,8 +267,8 @@ class CollisionPipeline:
         Pairs that rest are no matter here: two vertices that both stay may touch.
 
         Args:
-            x_t0: Start positions, as in :meth:`launch`.
-            x_t1: End positions wished for, of the same type, which become those that can be taken. Rows of static
+            vertices_t0: Start positions, as in :meth:`launch`.
+            vertices_t1: End positions wished for, of the same type, which become those that can be taken. Rows of static
                 bodies are neither read nor written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Share of its toi that what touches may move, in (0, 1).
@@ -277,7 +277,7 @@ class CollisionPipeline:
 
         Returns:
             The result of the last look: of a world in which something moves, toi is inf; of one that it had to stop it
-            is finite. Flags of too little room for pairs and of invalid input are those of all looks.
+            is finite. Flags of too little capacity for pairs and of invalid input are those of all looks.
 
         Raises:
             ValueError: As :meth:`launch`, or if an option is out of its range.
@@ -286,18 +286,18 @@ class CollisionPipeline:
         References:
             Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
 
-        Guarantee: while every vertex moves on a straight line from ``x_t0`` to ``x_t1``, no pair with a vertex that
+        Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a vertex that
         moves touches (or comes within the minimum separation), whatever the flags. Proof: the last look was at these
         very positions, as they are rounded, and where its toi was not inf the vertices do not move.
         """
-        check_writable(x_t1, "x_t1")
+        check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
             per, safety = _validated_line_search(per, safety)
             num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
             check_step_is_whole(self._options.t_max)
-        return self._launch(x_t0, x_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
+        return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 
-    def _launch(self, x_t0: Any, x_t1: Any, **arguments: Any) -> LaunchResult:
+    def _launch(self, vertices_t0: Any, vertices_t1: Any, **arguments: Any) -> LaunchResult:
         """Launch on what :meth:`reserve` made, or makes now."""
         with self._lock:
             if self._device_step is None:
@@ -306,11 +306,11 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
-            prepared = step.prepare(x_t0, x_t1, **arguments)
+            prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
                     "a launch was interrupted while it placed static bodies; "
-                    "pass x_t0 with a row for every vertex, or call reserve(vertices=...)"
+                    "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
                 )
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None

@@ -14,8 +14,8 @@ class Contacts:
 
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Vertex and face ids, two edge ids, vertex and edge id of a loose point and a loose edge, or two
-            vertex ids of loose points, int32, shape [m, 2].
+        primitives: Vertex and face ids, two edge ids, vertex and edge id of a codimensional point and a codimensional edge, or two
+            vertex ids of codimensional points, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
         normal: Unit normal of the contact at toi, from the second primitive towards the side that the first comes from;
@@ -50,7 +50,7 @@ class MeshResult:
         vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
         body_toi: The same for each body, float64, shape [B].
         contacts: Every pair with a finite toi.
-        counts: Sizes of the scene and of each stage's output; loose primitives and their pair kinds only where the mesh
+        counts: Sizes of the scene and of each stage's output; codimensional primitives and their pair kinds only where the mesh
             has them.
         timings: Seconds of each stage, and their ``total``.
         vertex_contact: Index of the contact that the toi of a vertex is of, the first where several share it, -1 where
@@ -80,7 +80,7 @@ class DeviceContacts:
     """Room for contacts on a device, filled from the front, in any order; the fields are those of :class:`Contacts`.
 
     Attributes:
-        count: Contacts that were found; beyond the room they are counted alone; int32, shape [1].
+        count: Contacts that were found; beyond the capacity they are counted alone; int32, shape [1].
         kind: int32, shape [max_contacts], as all that follow.
         primitives: vec2i.
         toi: float64.
@@ -120,10 +120,10 @@ class LaunchResult:
         world_toi: The same for each world, float64, shape [W]; without worlds the array ``toi`` itself.
         body_toi: The same for each body, float64, shape [B].
         vertex_toi: The same for each vertex, float64, shape [V].
-        contacts: Every pair with a finite toi, as far as there is room.
+        contacts: Every pair with a finite toi, as far as there is capacity.
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
         world_flags: The same for each world, int32, shape [W]; without worlds the array ``flags`` itself.
-        num_pairs: Pairs of each :class:`ccd_warp.PairKind` that the cull left open, whether there was room for them or
+        num_pairs: Pairs of each :class:`ccd_warp.PairKind` that the cull left open, whether there was capacity for them or
             not, int64, shape [4].
     """
 

@@ -40,10 +40,10 @@ class LaunchFlag(IntFlag):
     """What became of a launch on the device. Every toi is conservative, whatever the flags; 0 where all is well."""
 
     PAIRS_OVERFLOW = int(minima.PAIRS_OVERFLOW)
-    """More pairs than ``max_pairs`` of a kind: those without room count with toi 0, and are not among the contacts."""
+    """More pairs than ``max_pairs`` of a kind: those without capacity count with toi 0, and are not among the contacts."""
 
     CONTACTS_OVERFLOW = int(minima.CONTACTS_OVERFLOW)
-    """More contacts than ``max_contacts``: those without room are missing from the list alone."""
+    """More contacts than ``max_contacts``: those without capacity are missing from the list alone."""
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
     """A coordinate is not finite: every toi of its world is 0."""

@@ -301,7 +301,7 @@ class Trampoline:
         self.mesh = ccd.CollisionMesh.from_arrays(
             [(membrane, faces), (particles, np.zeros((0, 3), dtype=int))],
             self_collision=False,
-            loose_points=[False, True],
+            codimensional_points=[False, True],
         )
         # lengths in metres; the tolerance is small beside the separation, so that what is close can still move
         lengths = {"length_scale": 1.0, "tolerance": 1e-8, "pair_kinds": ["vertex_face"]}

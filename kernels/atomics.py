@@ -16,7 +16,7 @@ import warp as wp
 #endif
 """  # noqa: E501
 )
-def lower_to(values: wp.array[wp.int64], index: int, value: wp.int64):
+def atomic_min_int64(values: wp.array[wp.int64], index: int, value: wp.int64):
     """values[index] = min(values[index], value); a look before spares most of the writes."""
     ...
 
@@ -34,7 +34,7 @@ def lower_to(values: wp.array[wp.int64], index: int, value: wp.int64):
 #endif
 """
 )
-def lower_int(values: wp.array[wp.int32], index: int, value: int):
+def atomic_min_int32(values: wp.array[wp.int32], index: int, value: int):
     """values[index] = min(values[index], value)."""
     ...
 

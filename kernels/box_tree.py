@@ -17,7 +17,7 @@ that is a power of two. The difference, the product and both roundings are monot
 any finite input: boxes that overlap in float64 overlap in the image, and nothing is missed. And f(a) < f(b) implies
 a < b: a pair whose images overlap strictly on every side overlaps for certain. Only where two images are equal does the
 exact float64 test of the two boxes decide. And since f(min(a, b)) = min(f(a), f(b)), the image of a primitive's box is
-the union of the images of its vertices' boxes, which are made once a step: the **records**.
+the union of the images of its vertices' boxes, which are made once a step: the **vertex_aabbs**.
 
 **Worlds.** Scenes that know nothing of each other may lie in one place. Each is moved, in the image, to a cell of its
 own of a lattice: one more rounded sum that is monotone within a world, so nothing is missed there, and the filter of
@@ -33,14 +33,14 @@ Wald et al. 2008, "Getting rid of packets" (one ray against a wide node).
 import warp as wp
 
 from .boxes import end_box, inflated, point_box, united
-from .lanes import united_records, vec8f, write_leaves, write_union
+from .lanes import united_vertex_aabbs, vec8f, write_leaves, write_union
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 WIDTH = wp.constant(16)  # boxes of a block
 BLOCK_FLOATS = wp.constant(96)
 BLOCK_CORNERS = wp.constant(48)
-RECORD = wp.constant(8)  # floats of a record
+VERTEX_AABB_FLOATS = wp.constant(8)  # floats of a record
 CLASS_BITS = 3
 
 _HALF = wp.constant(wp.float64(0.5))
@@ -57,7 +57,7 @@ class BoxTree:
 
     num_boxes: int
     num_levels: int
-    num_frames: int
+    num_aabbs: int
     block_begin: vec8i  # first block of each level
     # a block, a frame: lower x, y, z, upper x, y, z of sixteen boxes; inf and -inf where there is none
     nodes: wp.array[wp.float32]
@@ -73,7 +73,7 @@ def box_corners(tree: BoxTree, place: int) -> wp.vec3i:
 
 
 @wp.struct
-class Frame:
+class Quantization:
     """The map f, and what the keys are made from."""
 
     origin: wp.vec3d
@@ -82,37 +82,37 @@ class Frame:
 
 
 @wp.func
-def image(x: wp.vec3d, frame: Frame) -> wp.vec3f:
+def quantized(x: wp.vec3d, quantization: Quantization) -> wp.vec3f:
     """f: monotone in every component; halves, so that the difference of two finite numbers is finite."""
-    y = (_HALF * x - _HALF * frame.origin) * (frame.scale + frame.scale)
+    y = (_HALF * x - _HALF * quantization.origin) * (quantization.scale + quantization.scale)
     return wp.vec3f(wp.float32(y[0]), wp.float32(y[1]), wp.float32(y[2]))
 
 
 @wp.func
-def vertex_record(
+def vertex_aabb(
     v: int,
     vertex_world: wp.array[wp.int32],
     world_shift: wp.array[wp.vec3f],
-    x_t0: wp.vec3d,
-    x_t1: wp.vec3d,
+    vertices_t0: wp.vec3d,
+    vertices_t1: wp.vec3d,
     t_end: wp.float64,
     inflation: wp.float64,
-    frame: Frame,
-    num_frames: int,
+    quantization: Quantization,
+    num_aabbs: int,
     n: int,
 ) -> vec8f:
     """The record of a vertex for frame n; empty where a coordinate is no number."""
-    box = point_box(x_t0)
-    if num_frames == 1:
-        box = united(box, end_box(x_t0, x_t1, t_end))
+    box = point_box(vertices_t0)
+    if num_aabbs == 1:
+        box = united(box, end_box(vertices_t0, vertices_t1, t_end))
     elif n == 1:
-        box = end_box(x_t0, x_t1, t_end)
+        box = end_box(vertices_t0, vertices_t1, t_end)
     box = inflated(box, inflation)
     shift = wp.vec3f()
     if world_shift.shape[0] > 0:
         shift = world_shift[vertex_world[v]]
-    lower = image(box.lower, frame) + shift
-    upper = image(box.upper, frame) + shift
+    lower = quantized(box.lower, quantization) + shift
+    upper = quantized(box.upper, quantization) + shift
     if not (lower[0] <= upper[0] and lower[1] <= upper[1] and lower[2] <= upper[2]):
         lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
         upper = -lower
@@ -121,14 +121,14 @@ def vertex_record(
 
 
 @wp.func
-def write_record(records: wp.array[wp.float32], place: int, record: vec8f):
+def write_vertex_aabb(vertex_aabbs: wp.array[wp.float32], place: int, aabb: vec8f):
     """Put a record in its place."""
-    for k in range(RECORD):
-        records[place * RECORD + k] = record[k]
+    for k in range(VERTEX_AABB_FLOATS):
+        vertex_aabbs[place * VERTEX_AABB_FLOATS + k] = aabb[k]
 
 
 @wp.kernel
-def fill_records(
+def fill_vertex_aabbs(
     begin: int,
     # in
     vertices: wp.array[wp.int32],
@@ -136,36 +136,45 @@ def fill_records(
     body_active: wp.array[wp.int32],
     vertex_world: wp.array[wp.int32],
     world_shift: wp.array[wp.vec3f],
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
     t_end: wp.float64,
     inflation: wp.float64,
-    frame: Frame,
-    num_frames: int,
+    quantization: Quantization,
+    num_aabbs: int,
     # out
-    records: wp.array[wp.float32],
+    vertex_aabbs: wp.array[wp.float32],
 ):
     """The image of each vertex's box, (lower, 0, -upper, 0) a frame: a union is a minimum. Empty if inactive."""
     v = vertices[begin + wp.tid()]
-    for n in range(num_frames):
-        record = vec8f(_INFINITY)
+    for n in range(num_aabbs):
+        aabb = vec8f(_INFINITY)
         if body_active[vertex_body[v]] != 0:
-            record = vertex_record(
-                v, vertex_world, world_shift, x_t0[v], x_t1[v], t_end, inflation, frame, num_frames, n
+            aabb = vertex_aabb(
+                v,
+                vertex_world,
+                world_shift,
+                vertices_t0[v],
+                vertices_t1[v],
+                t_end,
+                inflation,
+                quantization,
+                num_aabbs,
+                n,
             )
-        write_record(records, v * num_frames + n, record)
+        write_vertex_aabb(vertex_aabbs, v * num_aabbs + n, aabb)
 
 
 @wp.func
-def node_place(tree: BoxTree, level: int, n: int, frame: int) -> int:
+def node_place(tree: BoxTree, level: int, n: int, end: int) -> int:
     """Where the numbers of box n of a level begin."""
-    return ((tree.block_begin[level] + n / WIDTH) * tree.num_frames + frame) * BLOCK_FLOATS + n % WIDTH
+    return ((tree.block_begin[level] + n / WIDTH) * tree.num_aabbs + end) * BLOCK_FLOATS + n % WIDTH
 
 
 @wp.func
 def write_nothing(tree: BoxTree, level: int, n: int):
     """Leave box n of a level empty: it overlaps none but an infinite one."""
-    for f in range(tree.num_frames):
+    for f in range(tree.num_aabbs):
         at = node_place(tree, level, n, f)
         for k in range(3):
             tree.nodes[at + k * WIDTH] = _INFINITY
@@ -175,8 +184,8 @@ def write_nothing(tree: BoxTree, level: int, n: int):
 @wp.func
 def unite(tree: BoxTree, level: int, n: int, count: int):
     """Write box n of the ``count`` boxes of a level; after the last of them nothing, up to the end of its block."""
-    for f in range(tree.num_frames):
-        block = (tree.block_begin[level - 1] + n) * tree.num_frames + f
+    for f in range(tree.num_aabbs):
+        block = (tree.block_begin[level - 1] + n) * tree.num_aabbs + f
         write_union(tree.nodes, block, node_place(tree, level, n, f))
     if n == count - 1:
         for m in range(count, (count + WIDTH - 1) / WIDTH * WIDTH):
@@ -198,9 +207,9 @@ def sort_keys(
     begin: int,
     # in
     corners: wp.array[wp.vec3i],
-    records: wp.array[wp.float32],
-    num_frames: int,
-    frame: Frame,
+    vertex_aabbs: wp.array[wp.float32],
+    num_aabbs: int,
+    quantization: Quantization,
     morton_bits: int,
     index_bits: int,
     # out
@@ -208,10 +217,10 @@ def sort_keys(
 ):
     """Key of each primitive: size class, Morton code, index. Rounded anyhow: the order is free."""
     i = begin + wp.tid()
-    c = corners[i] * num_frames
-    r = united_records(records, c[0], c[1], c[2])
-    if num_frames == 2:
-        ends = united_records(records, c[0] + 1, c[1] + 1, c[2] + 1)
+    c = corners[i] * num_aabbs
+    r = united_vertex_aabbs(vertex_aabbs, c[0], c[1], c[2])
+    if num_aabbs == 2:
+        ends = united_vertex_aabbs(vertex_aabbs, c[0] + 1, c[1] + 1, c[2] + 1)
         for k in range(8):
             r[k] = wp.min(r[k], ends[k])
     largest = wp.float32((wp.int32(1) << morton_bits) - 1)
@@ -224,7 +233,7 @@ def sort_keys(
         longest = wp.max(longest, -r[k] - r[k + 4])
     code = places[0] | (places[1] << wp.uint64(1)) | (places[2] << wp.uint64(2))
     size = wp.int32(0)
-    limit = wp.float32(8.0) * frame.typical_extent
+    limit = wp.float32(8.0) * quantization.typical_extent
     while size < _LARGEST_CLASS and longest > limit:
         longest = longest * wp.float32(0.125)
         size += 1
@@ -258,9 +267,9 @@ def apply_order(
 
 
 @wp.func
-def fill_block(records: wp.array[wp.float32], num_corners: int, tree: BoxTree, b: int):
-    """Fill block b of level 0 from the records of its vertices, and its union on level 1."""
-    write_leaves(records, tree.num_frames, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+def fill_block(vertex_aabbs: wp.array[wp.float32], num_corners: int, tree: BoxTree, b: int):
+    """Fill block b of level 0 from the vertex_aabbs of its vertices, and its union on level 1."""
+    write_leaves(vertex_aabbs, tree.num_aabbs, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
     unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
 
 
@@ -278,13 +287,13 @@ def unite_from(tree: BoxTree, first_level: int, count: int):
 def fill_blocks(
     begin: int,
     # in
-    records: wp.array[wp.float32],
+    vertex_aabbs: wp.array[wp.float32],
     num_corners: int,
     # out
     tree: BoxTree,
 ):
     """`fill_block` for every block."""
-    fill_block(records, num_corners, tree, begin + wp.tid())
+    fill_block(vertex_aabbs, num_corners, tree, begin + wp.tid())
 
 
 @wp.kernel

@@ -87,8 +87,8 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
 def chunk_bounds(
     begin: int,
     # in
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
     chunk: int,
     # out
     lower: wp.array[wp.vec3d],
@@ -96,10 +96,10 @@ def chunk_bounds(
 ):
     """Box around both frames of a chunk of vertices: a reduction without atomics."""
     c = begin + wp.tid()
-    low = x_t0[c * chunk]
+    low = vertices_t0[c * chunk]
     high = low
-    for i in range(c * chunk, wp.min((c + 1) * chunk, x_t0.shape[0])):
-        low = wp.min(low, wp.min(x_t0[i], x_t1[i]))
-        high = wp.max(high, wp.max(x_t0[i], x_t1[i]))
+    for i in range(c * chunk, wp.min((c + 1) * chunk, vertices_t0.shape[0])):
+        low = wp.min(low, wp.min(vertices_t0[i], vertices_t1[i]))
+        high = wp.max(high, wp.max(vertices_t0[i], vertices_t1[i]))
     lower[c] = low
     upper[c] = high

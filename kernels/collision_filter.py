@@ -6,7 +6,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.struct
-class Filter:
+class CollisionFilter:
     """Which pairs the mesh excludes, beside those that share a vertex."""
 
     by_body: int  # 1: the two arrays that follow count
@@ -22,7 +22,7 @@ class Filter:
 
 
 @wp.func
-def is_near(v: int, c: wp.vec3i, rings: Filter) -> bool:
+def is_near(v: int, c: wp.vec3i, rings: CollisionFilter) -> bool:
     """Whether a vertex of a primitive is in the rings around v: a search by halves."""
     for k in range(3):
         low = rings.ring_begin[v]
@@ -40,20 +40,24 @@ def is_near(v: int, c: wp.vec3i, rings: Filter) -> bool:
 
 
 @wp.func
-def is_excluded(a: wp.vec3i, b: wp.vec3i, rules: Filter) -> bool:
+def is_excluded(a: wp.vec3i, b: wp.vec3i, collision_filter: CollisionFilter) -> bool:
     """Whether the mesh excludes a pair of primitives that share no vertex."""
-    if rules.by_world != 0:
-        if rules.vertex_world[a[0]] != rules.vertex_world[b[0]]:
+    if collision_filter.by_world != 0:
+        if collision_filter.vertex_world[a[0]] != collision_filter.vertex_world[b[0]]:
             return True
-    if rules.by_body != 0:
-        body_a = rules.vertex_body[a[0]]
-        body_b = rules.vertex_body[b[0]]
+    if collision_filter.by_body != 0:
+        body_a = collision_filter.vertex_body[a[0]]
+        body_b = collision_filter.vertex_body[b[0]]
         if body_a == body_b:
-            if rules.self_collision[body_a] == 0:
+            if collision_filter.self_collision[body_a] == 0:
                 return True
-        elif rules.by_pair != 0:
-            if rules.body_pairs[body_a, body_b] == wp.uint8(0):
+        elif collision_filter.by_pair != 0:
+            if collision_filter.body_pairs[body_a, body_b] == wp.uint8(0):
                 return True
-    if rules.by_ring != 0:
-        return is_near(a[0], b, rules) or is_near(a[1], b, rules) or is_near(a[2], b, rules)
+    if collision_filter.by_ring != 0:
+        return (
+            is_near(a[0], b, collision_filter)
+            or is_near(a[1], b, collision_filter)
+            or is_near(a[2], b, collision_filter)
+        )
     return False

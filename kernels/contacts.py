@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .atomics import lower_int
+from .atomics import atomic_min_int32
 from .minima import Minima
 from .patch import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .rounding import inverse_power_of_two
@@ -17,7 +17,7 @@ _ONE = wp.constant(wp.float64(1.0))
 
 @wp.struct
 class ContactList:
-    """Contacts of all kinds in any order, as far as there is room, and how many there are."""
+    """Contacts of all kinds in any order, as far as there is capacity, and how many there are."""
 
     count: wp.array[wp.int32]
     kind: wp.array[wp.int32]
@@ -84,8 +84,8 @@ def point_normal(side: wp.vec3d, velocity: wp.vec3d, gap: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def position(x_t0: wp.vec3d, x_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
-    return (_ONE - t) * x_t0 + t * x_t1
+def position(vertices_t0: wp.vec3d, vertices_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
+    return (_ONE - t) * vertices_t0 + t * vertices_t1
 
 
 @wp.kernel
@@ -106,28 +106,28 @@ def normal_at(
     kind: int,
     first: wp.vec3i,
     second: wp.vec3i,
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
     t: wp.float64,
     uv: wp.vec2d,
 ) -> wp.vec3d:
     """Unit normal of a contact of two primitives, given by their vertices."""
-    a0 = position(x_t0[first[0]], x_t1[first[0]], t)
-    b0 = position(x_t0[second[0]], x_t1[second[0]], t)
-    b1 = position(x_t0[second[1]], x_t1[second[1]], t)
+    a0 = position(vertices_t0[first[0]], vertices_t1[first[0]], t)
+    b0 = position(vertices_t0[second[0]], vertices_t1[second[0]], t)
+    b1 = position(vertices_t0[second[1]], vertices_t1[second[1]], t)
     # motion of the two points in contact over the step
-    va = x_t1[first[0]] - x_t0[first[0]]
-    vb = x_t1[second[0]] - x_t0[second[0]]
-    vb1 = x_t1[second[1]] - x_t0[second[1]]
+    va = vertices_t1[first[0]] - vertices_t0[first[0]]
+    vb = vertices_t1[second[0]] - vertices_t0[second[0]]
+    vb1 = vertices_t1[second[1]] - vertices_t0[second[1]]
     if kind == EDGE_EDGE:
-        q = position(x_t0[first[1]], x_t1[first[1]], t) - a0
+        q = position(vertices_t0[first[1]], vertices_t1[first[1]], t) - a0
         r = b1 - b0
-        va = (_ONE - uv[0]) * va + uv[0] * (x_t1[first[1]] - x_t0[first[1]])
+        va = (_ONE - uv[0]) * va + uv[0] * (vertices_t1[first[1]] - vertices_t0[first[1]])
         vb = (_ONE - uv[1]) * vb + uv[1] * vb1
     else:
         q = b1 - b0
-        r = position(x_t0[second[2]], x_t1[second[2]], t) - b0
-        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (x_t1[second[2]] - x_t0[second[2]])
+        r = position(vertices_t0[second[2]], vertices_t1[second[2]], t) - b0
+        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (vertices_t1[second[2]] - vertices_t0[second[2]])
     if kind == EDGE_EDGE or kind == VERTEX_FACE:
         return contact_normal(q, r, va - vb)
     # absent corners repeat the last one, so q is the segment, or 0 for a point
@@ -183,10 +183,10 @@ def first_of_primitive(
     """Note a contact as that of the vertices and of the body of a primitive, where their toi is its own."""
     for k in range(3):
         if m.vertex[c[k]] == bits:
-            lower_int(vertex_contact, c[k], n)
+            atomic_min_int32(vertex_contact, c[k], n)
     body = m.vertex_body[c[0]]
     if m.body[body] == bits:
-        lower_int(body_contact, body, n)
+        atomic_min_int32(body_contact, body, n)
 
 
 @wp.kernel

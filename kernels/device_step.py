@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .atomics import lower_to
-from .box_tree import WIDTH, BoxTree, Frame, fill_block, unite_from, vertex_record, write_record
+from .atomics import atomic_min_int64
+from .box_tree import WIDTH, BoxTree, Quantization, fill_block, unite_from, vertex_aabb, write_vertex_aabb
 from .minima import FOUND, INVALID_INPUT, OPEN, Minima, flag_world, world_of
 from .once import once
 
@@ -71,9 +71,9 @@ def reset_vertices(
     bits = _INFINITY_BITS
     if (m.world_flags[world_of(m, v)] & INVALID_INPUT) != 0:
         bits = _ZERO_BITS
-        lower_to(m.body, m.vertex_body[v], bits)
-        lower_to(m.world, world_of(m, v), bits)
-        lower_to(m.scene, 0, bits)
+        atomic_min_int64(m.body, m.vertex_body[v], bits)
+        atomic_min_int64(m.world, world_of(m, v), bits)
+        atomic_min_int64(m.scene, 0, bits)
     m.vertex[v] = bits
 
 
@@ -118,7 +118,7 @@ def is_finite(x: wp.vec3d) -> bool:
 
 
 @wp.kernel
-def refresh_records(
+def refresh_vertex_aabbs(
     begin: int,
     # in
     is_moved: wp.array[wp.int32],
@@ -127,21 +127,21 @@ def refresh_records(
     world_shift: wp.array[wp.vec3f],
     x: wp.array[wp.vec3d],
     inflation: wp.float64,
-    frame: Frame,
-    num_frames: int,
+    quantization: Quantization,
+    num_aabbs: int,
     # out
-    records: wp.array[wp.float32],
+    vertex_aabbs: wp.array[wp.float32],
 ):
-    """`fill_records` for a chunk of vertices that rest, if one of them is not where it was."""
+    """`fill_vertex_aabbs` for a chunk of vertices that rest, if one of them is not where it was."""
     if is_moved[0] != 0:
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
             v = vertices[k]
-            for n in range(num_frames):
-                record = vertex_record(
-                    v, vertex_world, world_shift, x[v], x[v], wp.float64(1.0), inflation, frame, num_frames, n
+            for n in range(num_aabbs):
+                aabb = vertex_aabb(
+                    v, vertex_world, world_shift, x[v], x[v], wp.float64(1.0), inflation, quantization, num_aabbs, n
                 )
-                write_record(records, v * num_frames + n, record)
+                write_vertex_aabb(vertex_aabbs, v * num_aabbs + n, aabb)
 
 
 @wp.kernel
@@ -149,7 +149,7 @@ def refresh_blocks(
     begin: int,
     # in
     is_moved: wp.array[wp.int32],
-    records: wp.array[wp.float32],
+    vertex_aabbs: wp.array[wp.float32],
     num_corners: int,
     # out
     tree: BoxTree,
@@ -159,7 +159,7 @@ def refresh_blocks(
         count = (tree.num_boxes + WIDTH - 1) / WIDTH
         first = (begin + wp.tid()) * CHUNK
         for b in range(first, wp.min(first + CHUNK, count)):
-            fill_block(records, num_corners, tree, b)
+            fill_block(vertex_aabbs, num_corners, tree, b)
 
 
 @wp.kernel
@@ -198,8 +198,8 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        x_t0: wp.array[vec3],
-        x_t1: wp.array[vec3],
+        vertices_t0: wp.array[vec3],
+        vertices_t1: wp.array[vec3],
         t0_by_vertex: int,  # 0: rows are those of the moving vertices alone
         t1_by_vertex: int,
         is_displacement: int,
@@ -212,8 +212,8 @@ def make_input(real) -> SimpleNamespace:
         """Positions of a moving vertex in float64, which hold those of either precision."""
         k = begin + wp.tid()
         v = vertices[k]
-        a = wp.vec3d(x_t0[wp.where(t0_by_vertex != 0, v, k)])
-        b = wp.vec3d(x_t1[wp.where(t1_by_vertex != 0, v, k)])
+        a = wp.vec3d(vertices_t0[wp.where(t0_by_vertex != 0, v, k)])
+        b = wp.vec3d(vertices_t1[wp.where(t1_by_vertex != 0, v, k)])
         if is_displacement != 0:
             b = a + b
         if is_kept != 0:
@@ -227,7 +227,7 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        x_t0: wp.array[vec3],
+        vertices_t0: wp.array[vec3],
         # out
         start: wp.array[wp.vec3d],
         end: wp.array[wp.vec3d],
@@ -241,7 +241,7 @@ def make_input(real) -> SimpleNamespace:
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
             v = vertices[k]
-            a = wp.vec3d(x_t0[v])
+            a = wp.vec3d(vertices_t0[v])
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
             elif not (a == start[v]):
@@ -254,14 +254,14 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        x_t0: wp.array[vec3],
+        vertices_t0: wp.array[vec3],
         t0_by_vertex: int,
         t1_by_vertex: int,
         per: int,
         safety: wp.float64,
         m: Minima,
         # in and out
-        x_t1: wp.array[vec3],
+        vertices_t1: wp.array[vec3],
     ):
         """Move a vertex no farther than a share of the toi of what it moves with; exactly nowhere for a share of 0."""
         k = begin + wp.tid()
@@ -275,14 +275,14 @@ def make_input(real) -> SimpleNamespace:
             bits = m.vertex[v]
         if bits < _INFINITY_BITS:
             row = wp.where(t1_by_vertex != 0, v, k)
-            x = x_t0[wp.where(t0_by_vertex != 0, v, k)]
+            x = vertices_t0[wp.where(t0_by_vertex != 0, v, k)]
             f = safety * wp.cast(bits, wp.float64)
             if f > wp.float64(0.0):
-                y = x_t1[row]
+                y = vertices_t1[row]
                 for i in range(3):
                     if y[i] != x[i]:  # what rests is not to move by a rounding
                         # no difference of two far positions is formed, which could overflow
                         x[i] = real((wp.float64(1.0) - f) * wp.float64(x[i]) + f * wp.float64(y[i]))
-            x_t1[row] = x
+            vertices_t1[row] = x
 
     return SimpleNamespace(read_moving=read_moving, read_static=read_static, shorten=shorten)

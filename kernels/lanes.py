@@ -144,24 +144,24 @@ SHARED_VERTEX = {
 }
 
 
-UNITED_RECORDS = {
+UNITED_VERTEX_AABBS = {
     "scalar": """
     wp::vec_t<8, wp::float32> r;
     for (int k = 0; k < 8; ++k) {
-        const float a = records.data[8LL * v0 + k], b = records.data[8LL * v1 + k], c = records.data[8LL * v2 + k];
+        const float a = vertex_aabbs.data[8LL * v0 + k], b = vertex_aabbs.data[8LL * v1 + k], c = vertex_aabbs.data[8LL * v2 + k];
         const float ab = a < b ? a : b;
         r[k] = ab < c ? ab : c;
     }
     return r;
 """,
     "vector": """
-    typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
-    const Record a = *(const Record*)(records.data + 8LL * v0);
-    const Record b = *(const Record*)(records.data + 8LL * v1);
-    const Record c = *(const Record*)(records.data + 8LL * v2);
-    const Record ab = a < b ? a : b;
+    typedef float Aabb __attribute__((ext_vector_type(8), aligned(4)));
+    const Aabb a = *(const Aabb*)(vertex_aabbs.data + 8LL * v0);
+    const Aabb b = *(const Aabb*)(vertex_aabbs.data + 8LL * v1);
+    const Aabb c = *(const Aabb*)(vertex_aabbs.data + 8LL * v2);
+    const Aabb ab = a < b ? a : b;
     wp::vec_t<8, wp::float32> r;
-    *(Record*)&r = ab < c ? ab : c;
+    *(Aabb*)&r = ab < c ? ab : c;
     return r;
 """,
 }
@@ -169,14 +169,14 @@ UNITED_RECORDS = {
 LEAVES = {
     "scalar": """
     const int* c = corners.data + (long long)block * 48;
-    for (int f = 0; f < num_frames; ++f)
+    for (int f = 0; f < num_aabbs; ++f)
         for (int k = 0; k < 16; ++k) {
-            float* p = nodes.data + ((long long)block * num_frames + f) * 96 + k;
+            float* p = nodes.data + ((long long)block * num_aabbs + f) * 96 + k;
             for (int m = 0; m < 6; ++m) {
                 float r = INFINITY;
                 for (int n = 0; n < num_corners && k < count; ++n) {
                     const long long v = c[16 * n + k];
-                    const float s = records.data[8 * (num_frames * v + f) + (m < 3 ? m : m + 1)];
+                    const float s = vertex_aabbs.data[8 * (num_aabbs * v + f) + (m < 3 ? m : m + 1)];
                     r = s < r ? s : r;
                 }
                 p[16 * m] = m < 3 ? r : -r;
@@ -184,16 +184,16 @@ LEAVES = {
         }
 """,
     "vector": """
-    typedef float Record __attribute__((ext_vector_type(8), aligned(4)));
+    typedef float Aabb __attribute__((ext_vector_type(8), aligned(4)));
     const int* c = corners.data + (long long)block * 48;
-    for (int f = 0; f < num_frames; ++f)
+    for (int f = 0; f < num_aabbs; ++f)
         for (int k = 0; k < 16; ++k) {
-            float* p = nodes.data + ((long long)block * num_frames + f) * 96 + k;
-            Record r = (Record)__builtin_inff();
+            float* p = nodes.data + ((long long)block * num_aabbs + f) * 96 + k;
+            Aabb r = (Aabb)__builtin_inff();
             if (k < count) {
-                r = *(const Record*)(records.data + 8 * ((long long)num_frames * c[k] + f));
+                r = *(const Aabb*)(vertex_aabbs.data + 8 * ((long long)num_aabbs * c[k] + f));
                 for (int n = 1; n < num_corners; ++n) {
-                    const Record s = *(const Record*)(records.data + 8 * ((long long)num_frames * c[16 * n + k] + f));
+                    const Aabb s = *(const Aabb*)(vertex_aabbs.data + 8 * ((long long)num_aabbs * c[16 * n + k] + f));
                     r = s < r ? s : r;
                 }
             }
@@ -305,23 +305,23 @@ def lowest_bit(mask: wp.uint32) -> int:
     ...
 
 
-@wp.func_native(chosen(UNITED_RECORDS))
-def united_records(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
-    """The union of three records."""
+@wp.func_native(chosen(UNITED_VERTEX_AABBS))
+def united_vertex_aabbs(vertex_aabbs: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
+    """The union of three vertex_aabbs."""
     ...
 
 
 @wp.func_native(chosen(LEAVES))
 def write_leaves(
-    records: wp.array[wp.float32],
-    num_frames: int,
+    vertex_aabbs: wp.array[wp.float32],
+    num_aabbs: int,
     corners: wp.array[wp.int32],
     num_corners: int,
     nodes: wp.array[wp.float32],
     block: int,
     count: int,
 ):
-    """Fill a block of level 0 with the unions of the records of its first ``count`` primitives, else with nothing."""
+    """Fill a block of level 0 with the unions of the vertex_aabbs of its first ``count`` primitives, else with nothing."""
     ...
 
 

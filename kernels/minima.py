@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .atomics import lower_to, set_bits
+from .atomics import atomic_min_int64, set_bits
 
 # Flags of a world, and of the scene.
 PAIRS_OVERFLOW = wp.constant(1)
@@ -42,8 +42,8 @@ def world_of(m: Minima, v: int) -> int:
 def lower_primitive(m: Minima, c: wp.vec3i, bits: wp.int64):
     """Lower the toi of a primitive's vertices and body."""
     for k in range(3):
-        lower_to(m.vertex, c[k], bits)
-    lower_to(m.body, m.vertex_body[c[0]], bits)
+        atomic_min_int64(m.vertex, c[k], bits)
+    atomic_min_int64(m.body, m.vertex_body[c[0]], bits)
 
 
 @wp.func
@@ -51,8 +51,8 @@ def lower_pair(m: Minima, a: wp.vec3i, b: wp.vec3i, bits: wp.int64):
     """Lower the toi of all that a pair belongs to."""
     lower_primitive(m, a, bits)
     lower_primitive(m, b, bits)
-    lower_to(m.world, world_of(m, a[0]), bits)
-    lower_to(m.scene, 0, bits)
+    atomic_min_int64(m.world, world_of(m, a[0]), bits)
+    atomic_min_int64(m.scene, 0, bits)
 
 
 @wp.func
@@ -63,7 +63,7 @@ def flag_world(m: Minima, v: int, flag: int):
 
 
 @wp.func
-def drop_pair(m: Minima, a: wp.vec3i, b: wp.vec3i):
-    """A pair that there is no room for: its toi is 0, which is never late."""
+def mark_overflow(m: Minima, a: wp.vec3i, b: wp.vec3i):
+    """A pair that there is no capacity for: its toi is 0, which is never late."""
     lower_pair(m, a, b, _ZERO_BITS)
     flag_world(m, a[0], PAIRS_OVERFLOW)

@@ -17,7 +17,7 @@ from .answer import (
     STATUS_NO_COLLISION,
     make_answer,
 )
-from .atomics import claim, claim_int, lower_to
+from .atomics import atomic_min_int64, claim, claim_int
 from .bisection import make_bisection
 from .closest_point import make_closest_point
 from .contacts import ContactList, normal_at
@@ -30,7 +30,7 @@ from .points import Corners as Corners64
 from .points import (
     Points,
     corners,
-    is_at_rest,
+    is_stationary,
     longest_side,
     magnitude,
     pair_of,
@@ -122,11 +122,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
         is_valid: bool
 
     @wp.func
-    def normalise(kind: int, x_t0: Points, x_t1: Points, options: Options) -> Normalised:
+    def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options) -> Normalised:
         """Form the corners and scale each axis by a power of two (rounding, steps 1 and 2)."""
         n = Normalised()
-        c0 = corners(kind, x_t0)
-        c1 = corners(kind, x_t1)
+        c0 = corners(kind, points_t0)
+        c1 = corners(kind, points_t1)
         sums = total(c0) + total(c1)
         one = wp.float64(1.0)
         smaller = wp.float64(1.0 / 1024.0)
@@ -136,8 +136,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
             for k in range(3):
                 if not sums[k] <= LARGEST:
                     pre[k] = smaller
-            c0 = corners(kind, scaled(x_t0, pre))
-            c1 = corners(kind, scaled(x_t1, pre))
+            c0 = corners(kind, scaled(points_t0, pre))
+            c1 = corners(kind, scaled(points_t1, pre))
             sums = total(c0) + total(c1)
         n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
         if n.is_valid:
@@ -145,11 +145,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
             shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
             scale = options.length_scale * shrink
             if scale <= wp.float64(0.0):
-                scale = longest_side(x_t0, x_t1)
+                scale = longest_side(points_t0, points_t1)
                 if shrink < one or not scale <= LARGEST:
                     shrink = smaller
                     small = vec3d(smaller, smaller, smaller)
-                    scale = longest_side(scaled(x_t0, small), scaled(x_t1, small))
+                    scale = longest_side(scaled(points_t0, small), scaled(points_t1, small))
             delta_length = wp.min(options.tolerance * scale, LARGEST)
             separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             m = wp.max(magnitude(c0), magnitude(c1))
@@ -279,8 +279,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
         begin: int,
         # in
         kind: int,
-        x_t0: wp.array2d[vec3d],
-        x_t1: wp.array2d[vec3d],
+        points_t0: wp.array2d[vec3d],
+        points_t1: wp.array2d[vec3d],
         options: Options,
         # out
         toi: wp.array[wp.float64],
@@ -294,7 +294,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         i = begin + wp.tid()
         if is_stopped(options.stop):
             return
-        n = normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options)
+        n = normalise(kind, row_points(points_t0, i), row_points(points_t1, i), options)
         outcome = solve(kind, n, options, options.max_iterations)
         toi[i] = outcome.toi
         status[i] = outcome.status
@@ -315,8 +315,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
-        x_t0: wp.array[vec3d],
-        x_t1: wp.array[vec3d],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
         options: Options,
         only_moving: int,  # 1: a pair that rests may touch
         is_second: int,  # 1: the round of those that the first has marked as open
@@ -351,11 +351,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
             pair = pair_of(key)
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
-            a = points_of(kind, first, second, x_t0)
-            b = points_of(kind, first, second, x_t1)
+            a = points_of(kind, first, second, vertices_t0)
+            b = points_of(kind, first, second, vertices_t1)
             outcome = Outcome()
             outcome.status = STATUS_NO_COLLISION
-            if only_moving == 0 or not is_at_rest(a, b):
+            if only_moving == 0 or not is_stationary(a, b):
                 outcome = solve(kind, normalise(kind, a, b, options), options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key
@@ -376,7 +376,9 @@ def make_narrow_phase(real) -> SimpleNamespace:
                     contacts.parameters[n] = outcome.parameters
                     contacts.gap[n] = outcome.gap
                     contacts.width[n] = outcome.width
-                    contacts.normal[n] = normal_at(kind, first, second, x_t0, x_t1, outcome.toi, outcome.parameters)
+                    contacts.normal[n] = normal_at(
+                        kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters
+                    )
                 else:
                     flag_world(minima, first[0], CONTACTS_OVERFLOW)
 
@@ -389,8 +391,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
-        x_t0: wp.array[vec3d],
-        x_t1: wp.array[vec3d],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
         options: Options,
         is_first: int,  # 1: pairs that reach the limit are listed, and do not count yet
         # out
@@ -410,7 +412,9 @@ def make_narrow_phase(real) -> SimpleNamespace:
         pair = pair_of(key)
         first = first_corners[pair[0]]
         second = second_corners[pair[1]]
-        n = normalise(kind, points_of(kind, first, second, x_t0), points_of(kind, first, second, x_t1), options)
+        n = normalise(
+            kind, points_of(kind, first, second, vertices_t0), points_of(kind, first, second, vertices_t1), options
+        )
         is_later = bool(False)
         if n.is_valid and options.method == CLIPPING:
             reached = advance(n.patch, n.problem, real(0.0), options.t_end, 1)
@@ -423,7 +427,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                     open_pairs[m] = key
                     open_toi[m] = outcome.toi
             else:
-                lower_to(least_bits, 0, wp.cast(outcome.toi, wp.int64))
+                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
     return SimpleNamespace(
         normalise=normalise,

@@ -23,8 +23,8 @@ _INFLATED = """
             n.bits += 1;
         return n.x > -largest ? n.x : -largest;
     };
-    const double* start = (const double*)x_t0.data;
-    const double* end = (const double*)x_t1.data;
+    const double* start = (const double*)vertices_t0.data;
+    const double* end = (const double*)vertices_t1.data;
     const int* c = corners.data + (long long)block * 48;
     const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
     unsigned apart = 0;
@@ -102,8 +102,8 @@ SEPARATED = {
 
 @wp.func_native(chosen(SEPARATED))
 def separated_mask(
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
     inflation: wp.float64,
     corners: wp.array[wp.int32],
     block: int,
@@ -114,7 +114,7 @@ def separated_mask(
     num_query_corners: int,
     tied: wp.uint32,
 ) -> wp.uint32:
-    """Which of the ``tied`` boxes of a block do not meet a query's in float64: exactly the boxes of `fill_records`."""
+    """Which of the ``tied`` boxes of a block do not meet a query's in float64: exactly the boxes of `fill_vertex_aabbs`."""
     ...
 
 

@@ -6,9 +6,9 @@ lanes after their own, so that each pair is found once.
 
 A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**. Before the cull it is enough that
 the images of the boxes at both ends of the step do not keep to one side of each other. What the cull does not settle is
-written as a key (first << 32) | second. An item counts what it finds and writes what there is room for: a count beyond
-the room tells the caller to search the items again in smaller parts, so nothing is lost. Where no caller looks
-(a shared capacity), the toi of a pair beyond the room is lowered to 0.
+written as a key (first << 32) | second. An item counts what it finds and writes what there is capacity for: a count beyond
+the capacity tells the caller to search the items again in smaller parts, so nothing is lost. Where no caller looks
+(a shared capacity), the toi of a pair beyond the capacity is lowered to 0.
 """
 
 from types import SimpleNamespace
@@ -17,12 +17,12 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i
-from .collision_filter import Filter, is_excluded
+from .collision_filter import CollisionFilter, is_excluded
 from .cull import is_free
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
 from .minima import FOUND as FOUND_BY_ALL
-from .minima import Minima, drop_pair
+from .minima import Minima, mark_overflow
 from .once import once
 from .pair_lanes import append_keys, separated_mask
 from .patch import EDGE_EDGE, VERTEX_FACE
@@ -40,7 +40,7 @@ NUM_COUNTS = 8
 
 
 @wp.struct
-class Join:
+class TreePair:
     """What is searched for."""
 
     kind: int
@@ -116,10 +116,10 @@ def make_pair_search(end: str) -> SimpleNamespace:
     def keep(
         query: BoxTree,
         target: BoxTree,
-        join: Join,
-        rules: Filter,
-        x_t0: wp.array[wp.vec3d],
-        x_t1: wp.array[wp.vec3d],
+        tree_pair: TreePair,
+        collision_filter: CollisionFilter,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
         query_block: int,
         query_lane: int,
         block: int,
@@ -134,31 +134,31 @@ def make_pair_search(end: str) -> SimpleNamespace:
         if q >= query.num_boxes:
             return 0  # an empty place meets only a box that is infinite in the image
         mask = images & lanes_before(target.num_boxes - block * WIDTH)
-        if rules.by_body + rules.by_world + rules.by_ring > 0:
+        if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
             a = box_corners(query, q)
             left = wp.uint32(mask)
             while left != _NONE:
                 lane = lowest_bit(left)
                 left = left & (left - wp.uint32(1))
-                if is_excluded(a, box_corners(target, block * WIDTH + lane), rules):
+                if is_excluded(a, box_corners(target, block * WIDTH + lane), collision_filter):
                     mask = mask & ~(wp.uint32(1) << wp.uint32(lane))
         if (mask & tied) != _NONE:
             mask = mask & ~separated_mask(
-                x_t0,
-                x_t1,
-                join.inflation,
+                vertices_t0,
+                vertices_t1,
+                tree_pair.inflation,
                 target.corners,
                 block,
-                join.num_target_corners,
+                tree_pair.num_target_corners,
                 query.corners,
                 query_block,
                 query_lane,
-                join.num_query_corners,
+                tree_pair.num_query_corners,
                 mask & tied,
             )
         if mask == _NONE:
             return 0
-        order = wp.where(join.symmetric != 0, 2, join.swapped)
+        order = wp.where(tree_pair.symmetric != 0, 2, tree_pair.swapped)
         return append_keys(
             query.primitive,
             q,
@@ -178,10 +178,10 @@ def make_pair_search(end: str) -> SimpleNamespace:
     def visit(
         query: BoxTree,
         target: BoxTree,
-        join: Join,
-        rules: Filter,
-        x_t0: wp.array[wp.vec3d],
-        x_t1: wp.array[wp.vec3d],
+        tree_pair: TreePair,
+        collision_filter: CollisionFilter,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
         q: int,
         p: int,
         is_shared: int,
@@ -197,29 +197,29 @@ def make_pair_search(end: str) -> SimpleNamespace:
             return 0  # an empty place meets only a box that is infinite in the image
         a = box_corners(query, q)
         b = box_corners(target, p)
-        if rules.by_body + rules.by_world + rules.by_ring > 0:
-            if is_excluded(a, b, rules):
+        if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
+            if is_excluded(a, b, collision_filter):
                 return 0
         i = query.primitive[q]
         j = target.primitive[p]
-        if join.swapped != 0 or (join.symmetric != 0 and j < i):
+        if tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and j < i):
             c = a
             a = b
             b = c
             k = i
             i = j
             j = k
-        if join.kind == EDGE_EDGE or join.kind == VERTEX_FACE:  # other pairs have no volume
-            c0 = corners(join.kind, points_of(join.kind, a, b, x_t0))
-            c1 = corners(join.kind, points_of(join.kind, a, b, x_t1))
-            if is_free(join.kind, c0, c1, join.separation, join.t_end):
+        if tree_pair.kind == EDGE_EDGE or tree_pair.kind == VERTEX_FACE:  # other pairs have no volume
+            c0 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t0))
+            c1 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t1))
+            if is_free(tree_pair.kind, c0, c1, tree_pair.separation, tree_pair.t_end):
                 return 1
         if is_shared != 0:
             n = claim(counts, row, FOUND_BY_ALL)
             if n < wp.int64(capacity):
                 keys[n] = pair_key(i, j)
             else:
-                drop_pair(minima, a, b)
+                mark_overflow(minima, a, b)
             return 1
         n = wp.atomic_add(counts, row, FOUND, wp.int64(1))
         if n < wp.int64(capacity):
@@ -233,10 +233,10 @@ def make_pair_search(end: str) -> SimpleNamespace:
         part: SearchRange,
         query: BoxTree,
         target: BoxTree,
-        join: Join,
-        rules: Filter,
-        x_t0: wp.array[wp.vec3d],
-        x_t1: wp.array[wp.vec3d],
+        tree_pair: TreePair,
+        collision_filter: CollisionFilter,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
         # out
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
@@ -262,7 +262,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
         level = wp.int32(top)
         node[top] = 0
         mask = overlaps(target.nodes, target.block_begin[top], query.nodes, item_block, item_lane, 0)
-        pending[top] = ahead(mask, join.within, query_block, top, 0)
+        pending[top] = ahead(mask, tree_pair.within, query_block, top, 0)
         while level <= top:
             if pending[level] == _NONE:
                 level += 1
@@ -274,13 +274,13 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 if child >= target.block_begin[level] - target.block_begin[level - 1]:
                     continue  # an empty place, which only a box that is infinite in the image meets
                 if level > 1:
-                    if is_stopped(join.stop):  # not at every leaf, which costs 3 % of a search
+                    if is_stopped(tree_pair.stop):  # not at every leaf, which costs 3 % of a search
                         return
                     level -= 1
                     block = target.block_begin[level] + child
                     mask = overlaps(target.nodes, block, query.nodes, item_block, item_lane, 0)
                     node[level] = child
-                    pending[level] = ahead(mask, join.within, query_block, level, child)
+                    pending[level] = ahead(mask, tree_pair.within, query_block, level, child)
                 else:
                     queries = wp.uint32(1) << wp.uint32(item_lane)
                     if item_level == 1:
@@ -291,27 +291,27 @@ def make_pair_search(end: str) -> SimpleNamespace:
                         queries = queries & (queries - wp.uint32(1))
                         both = overlaps(target.nodes, child, query.nodes, query_block, query_lane, 1)
                         mask = both & _LANES
-                        if join.within != 0 and child == query_block:
+                        if tree_pair.within != 0 and child == query_block:
                             mask = mask & lanes_after(query_lane)
                         if mask != _NONE:
                             mask = mask & ~shared_vertex_mask(
                                 target.corners,
                                 child,
-                                join.num_target_corners,
+                                tree_pair.num_target_corners,
                                 query.corners,
                                 query_block,
                                 query_lane,
-                                join.num_query_corners,
+                                tree_pair.num_query_corners,
                             )
                         if wp.static(not with_cull):
                             if mask != _NONE:
                                 num_candidates += keep(
                                     query,
                                     target,
-                                    join,
-                                    rules,
-                                    x_t0,
-                                    x_t1,
+                                    tree_pair,
+                                    collision_filter,
+                                    vertices_t0,
+                                    vertices_t1,
                                     query_block,
                                     query_lane,
                                     child,
@@ -328,10 +328,10 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                 num_candidates += visit(
                                     query,
                                     target,
-                                    join,
-                                    rules,
-                                    x_t0,
-                                    x_t1,
+                                    tree_pair,
+                                    collision_filter,
+                                    vertices_t0,
+                                    vertices_t1,
                                     query_block * WIDTH + query_lane,
                                     child * WIDTH + target_lane,
                                     is_shared,

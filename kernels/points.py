@@ -73,7 +73,7 @@ def points_of(kind: int, first: wp.vec3i, second: wp.vec3i, x: wp.array[vec3d]) 
 
 
 @wp.func
-def is_at_rest(a: Points, b: Points) -> bool:
+def is_stationary(a: Points, b: Points) -> bool:
     """Whether no point of a pair moves between two times."""
     return a.p0 == b.p0 and a.p1 == b.p1 and a.p2 == b.p2 and a.p3 == b.p3
 

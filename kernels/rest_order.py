@@ -9,7 +9,7 @@ hierarchies" (splits by the extent of the centroids).
 
 import warp as wp
 
-from .lanes import united_records
+from .lanes import united_vertex_aabbs
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -25,7 +25,7 @@ def fill_centres(
     # in
     corners: wp.array[wp.vec3i],
     vertex_body: wp.array[wp.int32],
-    records: wp.array[wp.float32],
+    vertex_aabbs: wp.array[wp.float32],
     # out
     centres: wp.array[wp.vec4f],
     order: wp.array[wp.int64],
@@ -33,7 +33,7 @@ def fill_centres(
     """Centre of each primitive's box in the image and its body, and the order to start from."""
     i = begin + wp.tid()
     c = corners[i]
-    r = united_records(records, c[0], c[1], c[2])
+    r = united_vertex_aabbs(vertex_aabbs, c[0], c[1], c[2])
     centres[i] = wp.vec4f(r[0] - r[4], r[1] - r[5], r[2] - r[6], wp.float32(vertex_body[c[0]]))
     order[i] = wp.int64(i)
 

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 # Capacities that suffice for the scenes of the tests.
-ROOM = {"max_pairs": 60_000, "max_contacts": 60_000}
+CAPACITIES = {"max_pairs": 60_000, "max_contacts": 60_000}
 
 
 def on_device(x, device="cpu", dtype=wp.vec3d):

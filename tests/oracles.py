@@ -33,11 +33,11 @@ def brute_force(mesh, start, end, inflation=0.0):
     end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
     vertices = np.arange(mesh.num_vertices)
     ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
-    ids |= {"p": mesh.loose_points, "s": mesh.loose_edges}
+    ids |= {"p": mesh.codimensional_points, "s": mesh.codimensional_edges}
     kinds = {"v": vertices[:, None], "e": mesh.edges, "f": mesh.faces}
-    kinds |= {"p": kinds["v"][mesh.loose_points], "s": mesh.edges[mesh.loose_edges]}
+    kinds |= {"p": kinds["v"][mesh.codimensional_points], "s": mesh.edges[mesh.codimensional_edges]}
     body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
-    body |= {"p": mesh.vertex_body[mesh.loose_points], "s": mesh.edge_body[mesh.loose_edges]}
+    body |= {"p": mesh.vertex_body[mesh.codimensional_points], "s": mesh.edge_body[mesh.codimensional_edges]}
     found = []
     for first, second in ("vf", "ee", "ps", "pp"):
         (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))

@@ -33,7 +33,7 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1):
 
 
 def cables_and_particles(rng, count, size):
-    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and loose edges."""
+    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and codimensional edges."""
     start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))
     start = start.reshape(-1, 3)
     groups = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)

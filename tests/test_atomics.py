@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.atomics import claim, claim_int, lower_to, set_bits
+from ccd_warp.kernels.atomics import atomic_min_int64, claim, claim_int, set_bits
 
 from ccd_warp._runtime.launch import Execution, load
 
@@ -37,7 +37,7 @@ def in_step(
             while patience > 0 and first_now(barrier) < wp.int64(2 * (2 * k + what + 1)):
                 patience -= 1
             if what == 0:
-                lower_to(minima, k, values[thread, k])
+                atomic_min_int64(minima, k, values[thread, k])
             else:
                 set_bits(flags, k, 1 << thread)
 

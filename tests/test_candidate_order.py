@@ -50,7 +50,7 @@ def one_place(rng, num_faces=60, num_particles=200):
     bodies = [(*soup(rng, num_faces, 0.2, 0.0), []) for _ in range(2)]
     particles = 0.01 * rng.standard_normal((num_particles, 3))
     cables = np.arange(num_particles // 2).reshape(-1, 2)
-    mesh = CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], loose_points=True)
+    mesh = CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
     return mesh, mesh.vertices, -mesh.vertices
 
 

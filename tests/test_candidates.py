@@ -193,8 +193,8 @@ def test_worlds_in_one_place(device, num_worlds, inflation, lattice):
 def test_cables_and_particles(device, size, inflation):
     rng = np.random.default_rng(19)
     body = cables_and_particles(rng, 30, size)
-    mesh = CollisionMesh.from_arrays([body], loose_points=True)
-    assert len(mesh.loose_points) == 90 and len(mesh.loose_edges) == 60
+    mesh = CollisionMesh.from_arrays([body], codimensional_points=True)
+    assert len(mesh.codimensional_points) == 90 and len(mesh.codimensional_edges) == 60
     end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
     found = find_candidates(mesh, mesh.vertices, end, inflation, device=device)
     assert len(found.point_segment) and len(found.point_point)
@@ -206,8 +206,8 @@ def test_cables_and_particles(device, size, inflation):
 def test_cables_and_particles_of_static_bodies_and_without_self_collision(device, static, self_collision):
     rng = np.random.default_rng(20)
     bodies = [cables_and_particles(rng, 10, 0.1) for _ in range(3)]
-    mesh = CollisionMesh.from_arrays(bodies, static, self_collision, loose_points=[True, False, True])
-    assert len(mesh.loose_points) == 60
+    mesh = CollisionMesh.from_arrays(bodies, static, self_collision, codimensional_points=[True, False, True])
+    assert len(mesh.codimensional_points) == 60
     count = check_candidates(mesh, mesh.vertices, mesh.vertices + 0.1, 0.01, device)
     assert (count > 0) == (len(static) < 3)
 
@@ -216,19 +216,19 @@ def test_long_cable_among_particles(device):
     rng = np.random.default_rng(21)
     particles = rng.random((400, 3)) * [1.0, 1e-3, 1e-3]
     start = np.concatenate([[[-1e3, -1e3, 0], [1e3, 1e3, 1e-3]], particles])
-    mesh = CollisionMesh.from_arrays([(start, [], [[0, 1]])], loose_points=True)
+    mesh = CollisionMesh.from_arrays([(start, [], [[0, 1]])], codimensional_points=True)
     assert len(find_candidates(mesh, start, start, device=device).point_segment) == 400
     check_candidates(mesh, start, start + 1e-3 * rng.standard_normal(start.shape), device=device)
 
 
 def test_particles_at_rest_in_one_place(device):
     start = np.zeros((50, 3))
-    mesh = CollisionMesh.from_arrays([(start, [])], loose_points=True)
+    mesh = CollisionMesh.from_arrays([(start, [])], codimensional_points=True)
     assert check_candidates(mesh, start, start, device=device) == 50 * 49 // 2
 
 
 @pytest.mark.parametrize(
-    ("body", "loose_points", "expected"),
+    ("body", "codimensional_points", "expected"),
     [
         ((np.zeros((4, 3)), [[0, 1, 2]]), False, ["vertex-face", "edge-edge"]),
         ((np.zeros((3, 3)), [[0, 1, 2]]), True, ["vertex-face", "edge-edge"]),
@@ -238,13 +238,13 @@ def test_particles_at_rest_in_one_place(device):
         ((np.zeros((3, 3)), [], [[0, 1]]), True, ["edge-edge", "point-segment", "point-point"]),
     ],
 )
-def test_only_kinds_that_occur_are_looked_for(body, loose_points, expected):
-    mesh = CollisionMesh.from_arrays([body], loose_points=loose_points)
+def test_only_kinds_that_occur_are_looked_for(body, codimensional_points, expected):
+    mesh = CollisionMesh.from_arrays([body], codimensional_points=codimensional_points)
     pipeline = ccd.CollisionPipeline(mesh)
     found = pipeline.find_candidates(mesh.vertices, mesh.vertices)
     searched = [name.removesuffix(" searches") for name, count in pipeline.counts.items() if name.endswith(" searches")]
     assert searched == expected
-    if not len(mesh.loose_points):
+    if not len(mesh.codimensional_points):
         assert found.point_segment.shape == found.point_point.shape == (0, 2)
 
 

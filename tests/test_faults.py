@@ -24,7 +24,7 @@ import ccd_warp as ccd
 
 FOLDERS = tuple(str(Path(module.__file__).parent) + "/" for module in (ccd, ccd.kernels))
 THREADS = {"num_threads": 2}
-ROOM = {"max_pairs": 20_000, "max_contacts": 20_000}
+CAPACITIES = {"max_pairs": 20_000, "max_contacts": 20_000}
 
 
 class Step:
@@ -84,9 +84,11 @@ class OnDevice:
 
     def __init__(self, step=STEP, dtype=wp.vec3d, **options):
         self.step = step
-        self.pipeline = ccd.CollisionPipeline(step.mesh(), device="cpu", length_scale=1.0, **THREADS, **ROOM, **options)
+        self.pipeline = ccd.CollisionPipeline(
+            step.mesh(), device="cpu", length_scale=1.0, **THREADS, **CAPACITIES, **options
+        )
         self.host = [np.zeros(step.start.shape, np.float64 if dtype is wp.vec3d else np.float32) for _ in range(2)]
-        self.x_t0, self.x_t1 = (wp.array(x, dtype=dtype, device="cpu", copy=False) for x in self.host)
+        self.vertices_t0, self.vertices_t1 = (wp.array(x, dtype=dtype, device="cpu", copy=False) for x in self.host)
 
     def put(self, frames=None):
         """Fill the arrays."""
@@ -96,13 +98,15 @@ class OnDevice:
 
 def launch(objects, frames=None):
     objects.put(frames)
-    return objects.pipeline.launch(objects.x_t0, objects.x_t1)
+    return objects.pipeline.launch(objects.vertices_t0, objects.vertices_t1)
 
 
 def launch_line_search(objects, frames=None, **options):
     objects.put(frames)
-    result = objects.pipeline.launch_line_search(objects.x_t0, objects.x_t1, per="body", num_rounds=2, **options)
-    return {"result": result, "x_t1": objects.x_t1}
+    result = objects.pipeline.launch_line_search(
+        objects.vertices_t0, objects.vertices_t1, per="body", num_rounds=2, **options
+    )
+    return {"result": result, "vertices_t1": objects.vertices_t1}
 
 
 def reserve_and_launch(objects):

@@ -20,7 +20,9 @@ from ccd_warp._engine.rings import vertex_rings
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 FACE = np.array([[0, 1, 2]])
 CABLE = np.array([[1.0, 1, 5], [2, 1, 5], [3, 3, 9]])
-MESH = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, np.zeros((0, 3), int), [[0, 1]])], loose_points=True)
+MESH = ccd.CollisionMesh.from_arrays(
+    [(TRIANGLE, FACE), (CABLE, np.zeros((0, 3), int), [[0, 1]])], codimensional_points=True
+)
 MESH_AND_STATIC = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, FACE[:0])], static=[1])
 START = np.concatenate([TRIANGLE, CABLE])
 END = np.concatenate([TRIANGLE + [0.0, 0, 8], CABLE])
@@ -50,12 +52,12 @@ BODIES = {
     "bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])],
     "static": [1],
     "self_collision": True,
-    "loose_points": False,
+    "codimensional_points": False,
     "body_pairs": None,
     "exclusion_rings": 1,
     "vertex_world": np.zeros(6, dtype=int),
 }
-LAUNCHED = {"x_t0": START, "x_t1": END}
+LAUNCHED = {"vertices_t0": START, "vertices_t1": END}
 
 
 def _of_arrays(**parts):
@@ -134,10 +136,10 @@ def _calls(folder):
         ),
         "reserve": (_reserve, {"max_pairs": 4096, "max_contacts": 4096, "vertices": START}),
         "launch": (PIPELINE.launch, LAUNCHED),
-        "launch of displacements": (PIPELINE.launch, {"x_t0": START, "displacements": END - START}),
+        "launch of displacements": (PIPELINE.launch, {"vertices_t0": START, "displacements": END - START}),
         "launch_line_search": (
             PIPELINE.launch_line_search,
-            {"x_t0": START, "x_t1": END.copy(), "per": "scene", "safety": 0.5, "num_rounds": 2},
+            {"vertices_t0": START, "vertices_t1": END.copy(), "per": "scene", "safety": 0.5, "num_rounds": 2},
         ),
         "pipeline.find_candidates": (
             PIPELINE.find_candidates,
@@ -211,7 +213,7 @@ OPTIONAL = {
 REQUIRED = {("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 PATHS = {"path", "folder", "start_path", "end_path"}
 # What is no mistake: the value has the meaning that the documentation gives it.
-FLAGS = {"self_collision", "loose_points", "progress"}
+FLAGS = {"self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
     "negative zero": {"minimum_separation", "t_max", "inflation"},
@@ -369,8 +371,8 @@ HOST_INTEGERS = [
     *(("edges_by_max", "faces"), ("write_boxes", "ids")),
 ]
 DEVICE_REALS = [
-    *(("launch", "x_t0"), ("launch", "x_t1"), ("launch of displacements", "displacements")),
-    *(("launch_line_search", "x_t0"), ("launch_line_search", "x_t1")),
+    *(("launch", "vertices_t0"), ("launch", "vertices_t1"), ("launch of displacements", "displacements")),
+    *(("launch_line_search", "vertices_t0"), ("launch_line_search", "vertices_t1")),
     *(("write_queries", "points_t0"), ("write_queries", "points_t1")),
 ]
 
@@ -412,7 +414,9 @@ def test_arrays_that_are_read_where_they_are_give_the_same_answer_or_are_refused
         try:
             result = _run(function, arguments | {argument: make(array, tmp_path)})
         except Exception as error:
-            _check_refusal(error, "x_t1" if argument == "x_t0" and "x_t1" in str(error) else argument)
+            _check_refusal(
+                error, "vertices_t1" if argument == "vertices_t0" and "vertices_t1" in str(error) else argument
+            )
         else:
             for a, b in zip(_arrays(result), expected, strict=True):
                 np.testing.assert_array_equal(a, b)
@@ -447,7 +451,7 @@ def test_mesh_stays_as_it_is_when_the_caller_changes_what_it_was_made_of():
     others = {
         "static": np.array([1]),
         "self_collision": np.array([True, False]),
-        "loose_points": np.array([True, True]),
+        "codimensional_points": np.array([True, True]),
         "body_pairs": np.ones((2, 2), dtype=bool),
         "vertex_world": np.zeros(6, dtype=np.int32),
     }

@@ -58,8 +58,8 @@ def test_launch_reads_where_it_is(library, dtype):
     start, end = library.array(START.astype(dtype)), library.array(END.astype(dtype))
     pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
     result = pipeline.launch(start, end)
-    assert recorded(pipeline, "x_t0").ptr == library.pointer(start)
-    assert recorded(pipeline, "x_t1").ptr == library.pointer(end)
+    assert recorded(pipeline, "vertices_t0").ptr == library.pointer(start)
+    assert recorded(pipeline, "vertices_t1").ptr == library.pointer(end)
     expected = ccd.mesh_ccd(MESH, START.astype(dtype), END.astype(dtype), length_scale=1.0, device="cpu")
     assert np.isfinite(expected.toi)
     np.testing.assert_array_equal(result.vertex_toi.numpy(), expected.vertex_toi)
@@ -125,7 +125,7 @@ class OnAnotherDevice:
 def test_array_on_a_gpu_is_named():
     with pytest.raises(ValueError, match="vertices_t1 is a OnAnotherDevice on a GPU; expected an array on the host"):
         ccd.mesh_ccd(MESH, START, OnAnotherDevice())
-    with pytest.raises(ValueError, match="x_t0 is a OnAnotherDevice on cuda:99; expected it on one of cpu"):
+    with pytest.raises(ValueError, match="vertices_t0 is a OnAnotherDevice on cuda:99; expected it on one of cpu"):
         ccd.CollisionPipeline(MESH, device="cpu").launch(OnAnotherDevice(), END)
 
 
@@ -142,7 +142,7 @@ class WithoutADevice:
 
 
 def test_array_that_does_not_say_where_it_is_is_named():
-    with pytest.raises(ValueError, match="x_t0 is a WithoutADevice that cannot be shared: deleted"):
+    with pytest.raises(ValueError, match="vertices_t0 is a WithoutADevice that cannot be shared: deleted"):
         ccd.CollisionPipeline(MESH, device="cpu").launch(WithoutADevice(), END)
     with pytest.raises(ValueError, match="vertices_t0 is a WithoutADevice that cannot be shared: deleted"):
         ccd.mesh_ccd(MESH, WithoutADevice(), END)
@@ -153,9 +153,9 @@ def test_bad_arrays_of_other_libraries_are_named(name):
     library = Library(name)
     pipeline = ccd.CollisionPipeline(MESH, device="cpu")
     good = library.array(START)
-    with pytest.raises(ValueError, match="x_t1 has dtype int64 and shape"):
+    with pytest.raises(ValueError, match="vertices_t1 has dtype int64 and shape"):
         pipeline.launch(good, library.array(START.astype(np.int64)))
-    with pytest.raises(ValueError, match="x_t0 has 3 rows; expected 6, one a vertex"):
+    with pytest.raises(ValueError, match="vertices_t0 has 3 rows; expected 6, one a vertex"):
         pipeline.launch(library.array(BULLET), good)
     with pytest.raises(ValueError, match=r"points_t0 has dtype float32 and shape \(1, 4, 3\); expected vec3d and"):
         ccd.vertex_face_ccd(*(library.array(points.astype(np.float32)) for points in PAIR))
@@ -167,9 +167,9 @@ def test_tensor_that_is_not_contiguous_or_requires_a_gradient_is_named():
     torch = pytest.importorskip("torch")
     pipeline = ccd.CollisionPipeline(MESH, device="cpu")
     good = torch.from_numpy(START.copy())
-    with pytest.raises(ValueError, match=r"x_t1 has strides \(48, 8\); expected a contiguous array"):
+    with pytest.raises(ValueError, match=r"vertices_t1 has strides \(48, 8\); expected a contiguous array"):
         pipeline.launch(good, torch.zeros(6, 6, dtype=torch.float64)[:, :3])
-    with pytest.raises(ValueError, match=r"x_t0 is a Tensor that cannot be shared: .*gradient"):
+    with pytest.raises(ValueError, match=r"vertices_t0 is a Tensor that cannot be shared: .*gradient"):
         pipeline.launch(good.clone().requires_grad_(), good)
 
 
@@ -177,7 +177,7 @@ def test_line_search_writes_where_it_is(library):
     pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
     start, wished = library.array(START), library.array(END)
     if library.name == "jax":
-        with pytest.raises(ValueError, match="x_t1 is an array of JAX, which does not change"):
+        with pytest.raises(ValueError, match="vertices_t1 is an array of JAX, which does not change"):
             pipeline.launch_line_search(start, wished)
         return
     pipeline.launch_line_search(start, wished, safety=0.9)
@@ -187,7 +187,7 @@ def test_line_search_writes_where_it_is(library):
 def test_line_search_into_a_read_only_array_is_named():
     wished = END.copy()
     wished.flags.writeable = False
-    with pytest.raises(ValueError, match="x_t1 is read-only; expected an array that can be written to"):
+    with pytest.raises(ValueError, match="vertices_t1 is read-only; expected an array that can be written to"):
         ccd.CollisionPipeline(MESH, device="cpu").launch_line_search(START, wished)
 
 

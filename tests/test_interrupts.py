@@ -126,7 +126,7 @@ class Steps:
         self.place = 0
         self.threads = num_threads
         self.host = [np.array(x) for x in self.frames[0]]
-        self.x_t0, self.x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in self.host)
+        self.vertices_t0, self.vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in self.host)
         options = {"device": "cpu", "length_scale": 1.0, "num_threads": num_threads}
         options |= {"max_pairs": 20 * num_faces, "max_contacts": 20 * num_faces}
         self.pipeline, self.long = (ccd.CollisionPipeline(self.mesh, **options, **more) for more in ({}, _LONG))
@@ -142,11 +142,13 @@ class Steps:
 
     def launch(self, pipeline, share=1.0):
         self.put(share)
-        return faults.arrays_of(pipeline.launch(self.x_t0, self.x_t1))
+        return faults.arrays_of(pipeline.launch(self.vertices_t0, self.vertices_t1))
 
     def launch_line_search(self):
         self.put()
-        return faults.arrays_of([self.pipeline.launch_line_search(self.x_t0, self.x_t1, per="vertex"), self.x_t1])
+        return faults.arrays_of(
+            [self.pipeline.launch_line_search(self.vertices_t0, self.vertices_t1, per="vertex"), self.vertices_t1]
+        )
 
     def calls(self):
         """Calls that end, which are compared themselves."""

@@ -124,12 +124,12 @@ def test_shared_vertex(version, corners):
 
 @pytest.mark.parametrize("version", lanes.LEAVES)
 @pytest.mark.parametrize("num_corners", [1, 2, 3])
-@pytest.mark.parametrize("num_frames", [1, 2])
-def test_leaves_records_and_unions(version, num_corners, num_frames):
+@pytest.mark.parametrize("num_aabbs", [1, 2])
+def test_leaves_records_and_unions(version, num_corners, num_aabbs):
     @wp.func_native(lanes.LEAVES[version])
     def leaves(
-        records: wp.array[wp.float32],
-        num_frames: int,
+        vertex_aabbs: wp.array[wp.float32],
+        num_aabbs: int,
         corners: wp.array[wp.int32],
         num_corners: int,
         nodes: wp.array[wp.float32],
@@ -140,12 +140,12 @@ def test_leaves_records_and_unions(version, num_corners, num_frames):
     @wp.func_native(lanes.UNION[version])
     def union(nodes: wp.array[wp.float32], block: int, at: int): ...
 
-    @wp.func_native(lanes.UNITED_RECORDS[version])
-    def united(records: wp.array[wp.float32], v0: int, v1: int, v2: int) -> lanes.vec8f: ...
+    @wp.func_native(lanes.UNITED_VERTEX_AABBS[version])
+    def united(vertex_aabbs: wp.array[wp.float32], v0: int, v1: int, v2: int) -> lanes.vec8f: ...
 
     @wp.kernel(module="unique", enable_backward=False)
     def run(
-        records: wp.array[wp.float32],
+        vertex_aabbs: wp.array[wp.float32],
         frames: int,
         corners: wp.array[wp.int32],
         n: int,
@@ -154,29 +154,29 @@ def test_leaves_records_and_unions(version, num_corners, num_frames):
         out: wp.array[wp.float32],
     ):
         b = wp.tid()
-        leaves(records, frames, corners, n, nodes, b, count - 16 * b)
+        leaves(vertex_aabbs, frames, corners, n, nodes, b, count - 16 * b)
         for f in range(frames):
             union(nodes, b * frames + f, (4 * frames + f) * 96 + b)
-        r = united(records, corners[48 * b] * frames, corners[48 * b + 16] * frames, corners[48 * b + 32] * frames)
+        r = united(vertex_aabbs, corners[48 * b] * frames, corners[48 * b + 16] * frames, corners[48 * b + 32] * frames)
         for k in range(8):
             out[8 * b + k] = r[k]
 
     rng = np.random.default_rng(3)
     count = 53
-    records = rng.standard_normal((40, num_frames, 8)).astype(np.float32)
+    vertex_aabbs = rng.standard_normal((40, num_aabbs, 8)).astype(np.float32)
     corners = rng.integers(0, 40, (4, 3, WIDTH))
-    nodes = wp.zeros(5 * num_frames * 96, dtype=wp.float32, device="cpu")
+    nodes = wp.zeros(5 * num_aabbs * 96, dtype=wp.float32, device="cpu")
     out = wp.zeros(32, dtype=wp.float32, device="cpu")
-    inputs = [on_cpu(records, wp.float32), num_frames, on_cpu(corners, wp.int32), num_corners, count]
+    inputs = [on_cpu(vertex_aabbs, wp.float32), num_aabbs, on_cpu(corners, wp.int32), num_corners, count]
     wp.launch(run, dim=4, inputs=inputs, outputs=[nodes, out], device="cpu")
-    least = records[corners[:, :num_corners]].min(axis=1)  # [block, lane, frame, 8]
+    least = vertex_aabbs[corners[:, :num_corners]].min(axis=1)  # [block, lane, frame, 8]
     least[np.arange(64).reshape(4, WIDTH) >= count] = np.inf
     expected = np.concatenate([least[..., :3], -least[..., 4:7]], axis=-1).transpose(0, 2, 3, 1)
-    found = nodes.numpy().reshape(5, num_frames, 6, WIDTH)
+    found = nodes.numpy().reshape(5, num_aabbs, 6, WIDTH)
     assert np.array_equal(found[:4], expected)
     assert np.array_equal(found[4, :, :3, :4], expected[:, :, :3].min(axis=3).transpose(1, 2, 0))
     assert np.array_equal(found[4, :, 3:, :4], expected[:, :, 3:].max(axis=3).transpose(1, 2, 0))
-    assert np.array_equal(out.numpy().reshape(4, 8), records[corners[:, :, 0], 0].min(axis=1))
+    assert np.array_equal(out.numpy().reshape(4, 8), vertex_aabbs[corners[:, :, 0], 0].min(axis=1))
 
 
 @pytest.mark.parametrize("inflation", [0.0, 0.25, 5e-324])
@@ -187,8 +187,8 @@ def test_boxes_that_are_apart_in_float64(version, corners, inflation):
 
     @wp.func_native(pair_lanes.SEPARATED[version])
     def separated(
-        x_t0: wp.array[wp.vec3d],
-        x_t1: wp.array[wp.vec3d],
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
         inflation: wp.float64,
         corners: wp.array[wp.int32],
         block: int,
@@ -202,8 +202,8 @@ def test_boxes_that_are_apart_in_float64(version, corners, inflation):
 
     @wp.kernel(module="unique", enable_backward=False)
     def run(
-        x_t0: wp.array[wp.vec3d],
-        x_t1: wp.array[wp.vec3d],
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
         inflation: wp.float64,
         a: wp.array[wp.int32],
         n: int,
@@ -213,7 +213,7 @@ def test_boxes_that_are_apart_in_float64(version, corners, inflation):
         out: wp.array2d[wp.uint32],
     ):
         i, j = wp.tid()
-        out[i, j] = separated(x_t0, x_t1, inflation, a, j, n, q, i / 16, i % 16, m, tied)
+        out[i, j] = separated(vertices_t0, vertices_t1, inflation, a, j, n, q, i / 16, i % 16, m, tied)
 
     rng = np.random.default_rng(3)
     frames = 0.25 * rng.integers(-5, 5, (2, 40, 3))

@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp.benchmarks.oracle import exact_tois
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from launches import ROOM, check_same, host, on_device
+from launches import CAPACITIES, check_same, host, on_device
 from oracles import corners_of
 from scenes import cables_and_particles, crowd, sheet, sheet_over_ball, single, soup
 
@@ -23,7 +23,7 @@ from ccd_warp import LaunchFlag, PairKind
 def test_crowd_is_as_on_the_host(device, precision, separation):
     mesh, start, end = crowd(np.random.default_rng(3))
     options = {"length_scale": 1.0, "precision": precision, "minimum_separation": separation}
-    pipeline = ccd.CollisionPipeline(mesh, device=device, **options, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **options, **CAPACITIES)
     result = pipeline.launch(on_device(start, device), on_device(end, device))
     expected = ccd.mesh_ccd(mesh, start, end, device=device, **options)
     assert len(expected.contacts) > 1000
@@ -37,8 +37,8 @@ def test_every_form_of_input(device, form):
     dtype = wp.vec3f if "float32" in form else wp.vec3d
     if dtype is wp.vec3f:
         start, end = start.astype(np.float32).astype(np.float64), end.astype(np.float32).astype(np.float64)
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
-    x_t0, x_t1 = on_device(start, device, dtype), on_device(end, device, dtype)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
+    vertices_t0, vertices_t1 = on_device(start, device, dtype), on_device(end, device, dtype)
     if form == "moving rows":
         moving = mesh.moving_vertices
         pipeline.reserve(vertices=start)
@@ -46,9 +46,9 @@ def test_every_form_of_input(device, form):
     elif "displacements" in form:
         step = (end - start).astype(np.float32).astype(np.float64)
         end = start + step
-        result = pipeline.launch(x_t0, displacements=on_device(step, device, dtype))
+        result = pipeline.launch(vertices_t0, displacements=on_device(step, device, dtype))
     else:
-        result = pipeline.launch(x_t0, x_t1)
+        result = pipeline.launch(vertices_t0, vertices_t1)
     expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
     assert expected.hit
     check_same(result, expected)
@@ -57,7 +57,7 @@ def test_every_form_of_input(device, form):
 @pytest.mark.parametrize("kinds", [["vertex_face"], ["edge_edge"], ["vertex_face", "edge_edge"]])
 def test_kinds_that_are_not_asked_for_have_no_room(device, kinds):
     mesh, start, end = crowd(np.random.default_rng(5))
-    pipeline = ccd.CollisionPipeline(mesh, pair_kinds=kinds, length_scale=1.0, device=device, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, pair_kinds=kinds, length_scale=1.0, device=device, **CAPACITIES)
     result = pipeline.launch(on_device(start, device), on_device(end, device))
     check_same(result, ccd.mesh_ccd(mesh, start, end, pair_kinds=kinds, length_scale=1.0, device=device))
     assert {kind.name.lower() for kind in pipeline._device_step._keys} == set(kinds)
@@ -65,10 +65,10 @@ def test_kinds_that_are_not_asked_for_have_no_room(device, kinds):
 
 def test_cables_and_particles(device):
     rng = np.random.default_rng(2)
-    mesh = ccd.CollisionMesh.from_arrays([cables_and_particles(rng, 60, 0.1)], loose_points=True)
+    mesh = ccd.CollisionMesh.from_arrays([cables_and_particles(rng, 60, 0.1)], codimensional_points=True)
     end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
     options = {"minimum_separation": 0.02, "length_scale": 1.0, "device": device}
-    result = ccd.CollisionPipeline(mesh, **options, **ROOM).launch(
+    result = ccd.CollisionPipeline(mesh, **options, **CAPACITIES).launch(
         on_device(mesh.vertices, device), on_device(end, device)
     )
     expected = ccd.mesh_ccd(mesh, mesh.vertices, end, **options)
@@ -105,17 +105,17 @@ def test_random_soups_are_never_late(seed, size, flat, t_max):
 
 def test_capture_and_replay_with_new_positions(device):
     mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
-    x_t0, x_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(x_t0, x_t1)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     with wp.ScopedCapture(device=device) as capture:
-        assert pipeline.launch(x_t0, x_t1) is result
+        assert pipeline.launch(vertices_t0, vertices_t1) is result
     for shift in (0.0, 0.3, -0.45, 5.0):
         a, b = start.copy(), end.copy()
         a[mesh.moving_vertices, 2] += shift
         b[mesh.moving_vertices, 2] += shift
-        x_t0.assign(a)
-        x_t1.assign(b)
+        vertices_t0.assign(a)
+        vertices_t1.assign(b)
         wp.capture_launch(capture.graph)
         expected = ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device=device)
         assert expected.hit == (shift < 1)
@@ -124,16 +124,16 @@ def test_capture_and_replay_with_new_positions(device):
 
 def test_capture_follows_a_static_body_that_is_moved(device):
     mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
-    x_t0, x_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(x_t0, x_t1)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch(x_t0, x_t1)
+        pipeline.launch(vertices_t0, vertices_t1)
     at_rest = mesh.static[mesh.vertex_body]
     for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
         a = start.copy()
         a[at_rest, 0] += shift
-        x_t0.assign(a)  # rows of static bodies are not read from x_t1
+        vertices_t0.assign(a)  # rows of static bodies are not read from vertices_t1
         wp.capture_launch(capture.graph)
         check_same(result, ccd.mesh_ccd(mesh, a, end, length_scale=1.0, device=device))
 
@@ -171,8 +171,8 @@ def test_float64_positions_are_read_where_they_are(device):
 def test_pairs_without_room_count_as_touching(device, max_pairs):
     mesh, start, end = crowd(np.random.default_rng(3))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=max_pairs, max_contacts=60_000)
-    x_t0, x_t1 = on_device(start, device), on_device(end, device)
-    short = host(pipeline.launch(x_t0, x_t1))
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
+    short = host(pipeline.launch(vertices_t0, vertices_t1))
     expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
     assert short["flags"][0] == LaunchFlag.PAIRS_OVERFLOW
     assert short["toi"][0] == 0.0
@@ -182,14 +182,14 @@ def test_pairs_without_room_count_as_touching(device, max_pairs):
     needed = pipeline._device_step.result.num_pairs.numpy().max()
     assert needed > max_pairs
     pipeline.reserve(max_pairs=int(needed))
-    check_same(pipeline.launch(x_t0, x_t1), expected)
+    check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
 
 
 def test_contacts_without_room_are_missing_from_the_list_alone(device):
     mesh, start, end = crowd(np.random.default_rng(3))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=60_000, max_contacts=10)
-    x_t0, x_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(x_t0, x_t1)
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
     short = host(result)
     assert short["flags"][0] == LaunchFlag.CONTACTS_OVERFLOW
@@ -197,7 +197,7 @@ def test_contacts_without_room_are_missing_from_the_list_alone(device):
     np.testing.assert_array_equal(short["vertex_toi"], expected.vertex_toi)
     count = int(result.contacts.count.numpy()[0])
     assert count == len(expected.contacts)
-    check_same((pipeline.reserve(max_contacts=count), pipeline.launch(x_t0, x_t1))[0], expected)
+    check_same((pipeline.reserve(max_contacts=count), pipeline.launch(vertices_t0, vertices_t1))[0], expected)
 
 
 def worlds_of(scenes):
@@ -215,7 +215,9 @@ def test_worlds_in_one_place_are_scenes_of_their_own(device, num_worlds):
     scenes = [crowd(rng, num_faces=int(rng.integers(1, 25)), size=0.3) for _ in range(num_worlds)]
     mesh, start, end, first = worlds_of(scenes)
     options = {"length_scale": 1.0, "device": device}
-    result = ccd.CollisionPipeline(mesh, **options, **ROOM).launch(on_device(start, device), on_device(end, device))
+    result = ccd.CollisionPipeline(mesh, **options, **CAPACITIES).launch(
+        on_device(start, device), on_device(end, device)
+    )
     on_host = ccd.mesh_ccd(mesh, start, end, **options)
     check_same(result, on_host)
     world_toi = result.world_toi.numpy()
@@ -234,7 +236,7 @@ def test_world_that_is_no_number_stops_itself_alone(device):
     mesh, start, end, first = worlds_of(scenes)
     options = {"length_scale": 1.0, "device": device}
     expected = ccd.mesh_ccd(mesh, start, end, **options)
-    pipeline = ccd.CollisionPipeline(mesh, **options, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, **options, **CAPACITIES)
     for value in (np.nan, np.inf, -np.inf):
         for broken in (start, end):
             kept = broken[first[2] + 7].copy()
@@ -253,7 +255,7 @@ def test_world_that_is_no_number_stops_itself_alone(device):
 def test_body_that_is_no_number_at_rest_stops_its_world(device):
     mesh, start, end = sheet_over_ball()
     start[-1] = np.nan
-    pipeline = ccd.CollisionPipeline(mesh, device=device, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **CAPACITIES)
     result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
     assert result["flags"][0] == LaunchFlag.INVALID_INPUT
     assert (result["vertex_toi"] == 0.0).all()
@@ -262,7 +264,7 @@ def test_body_that_is_no_number_at_rest_stops_its_world(device):
 
 def test_body_at_rest_that_was_no_number_is_where_it_was_before(device):
     mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
     expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
     broken = start.copy()
     broken[-1] = np.nan
@@ -352,14 +354,14 @@ def test_first_launch_in_a_capture_of_the_cpu(rules):
     mesh, start, end = falling(**rules)
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
     result = pipeline.reserve()
-    x_t0, x_t1 = on_device(start), on_device(end)
+    vertices_t0, vertices_t1 = on_device(start), on_device(end)
     with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(x_t0, x_t1)
+        pipeline.launch(vertices_t0, vertices_t1)
     expected = ccd.mesh_ccd(falling(**rules)[0], start, end, length_scale=1.0, device="cpu")
     assert expected.hit
     wp.capture_launch(capture.graph)
     check_same(result, expected)
-    check_same(pipeline.launch(x_t0, x_t1), expected)
+    check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
     assert ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu").toi == expected.toi
 
 
@@ -385,7 +387,7 @@ def test_face_whose_box_is_infinite_in_the_image(device, count, far):
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (np.eye(3), ONE_FACE)], self_collision=False)
     start = mesh.vertices.copy()
     end = start + [0, 0, 0.01]
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
     pipeline.reserve(vertices=start)
     start[-2] = end[-2] = far
     start[-1] = end[-1] = -far
@@ -440,8 +442,8 @@ def test_reserve_that_fails_changes_nothing():
 def test_result_keeps_what_a_graph_uses():
     mesh, start, end = falling()
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
-    x_t0, x_t1 = on_device(start), on_device(end)
-    result = pipeline.launch(x_t0, x_t1)
+    vertices_t0, vertices_t1 = on_device(start), on_device(end)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     step = weakref.ref(pipeline._device_step)
     pipeline.reserve()
     gc.collect()
@@ -459,8 +461,8 @@ def test_no_rows(device):
     assert pipeline.launch_line_search(empty, empty).toi.numpy()[0] == np.inf
 
 
-def launch_on_cpu(mesh, x_t0, x_t1=None, **arrays):
-    return ccd.CollisionPipeline(mesh, device="cpu").launch(x_t0, x_t1, **arrays)
+def launch_on_cpu(mesh, vertices_t0, vertices_t1=None, **arrays):
+    return ccd.CollisionPipeline(mesh, device="cpu").launch(vertices_t0, vertices_t1, **arrays)
 
 
 TRIANGLE = np.eye(3)
@@ -469,14 +471,17 @@ TRIANGLE = np.eye(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((TRIANGLE, None), "neither of x_t1 and displacements is given; expected one of them"),
-        ((TRIANGLE[:2], TRIANGLE), "x_t0 has 2 rows; expected 3, one a vertex"),
-        ((TRIANGLE, TRIANGLE.astype(np.float32)), "x_t1 has dtype vec3f; expected vec3d like x_t0"),
-        ((TRIANGLE.astype(int), TRIANGLE), "x_t0 has dtype int64; expected float32 or float64"),
-        ((TRIANGLE, TRIANGLE[::-1]), r"x_t1 has strides \(-24, 8\); expected a contiguous array"),
-        ((TRIANGLE.T, TRIANGLE), r"x_t0 has strides \(8, 24\); expected a contiguous array"),
-        ((TRIANGLE.tolist(), TRIANGLE), "x_t0 is a list; expected an array of Warp, NumPy, or with DLPack"),
-        ((TRIANGLE.ravel(), TRIANGLE), r"x_t0 has dtype float64 and shape \(9,\); expected vec3f or vec3d and \(n,\)"),
+        ((TRIANGLE, None), "neither of vertices_t1 and displacements is given; expected one of them"),
+        ((TRIANGLE[:2], TRIANGLE), "vertices_t0 has 2 rows; expected 3, one a vertex"),
+        ((TRIANGLE, TRIANGLE.astype(np.float32)), "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"),
+        ((TRIANGLE.astype(int), TRIANGLE), "vertices_t0 has dtype int64; expected float32 or float64"),
+        ((TRIANGLE, TRIANGLE[::-1]), r"vertices_t1 has strides \(-24, 8\); expected a contiguous array"),
+        ((TRIANGLE.T, TRIANGLE), r"vertices_t0 has strides \(8, 24\); expected a contiguous array"),
+        ((TRIANGLE.tolist(), TRIANGLE), "vertices_t0 is a list; expected an array of Warp, NumPy, or with DLPack"),
+        (
+            (TRIANGLE.ravel(), TRIANGLE),
+            r"vertices_t0 has dtype float64 and shape \(9,\); expected vec3f or vec3d and \(n,\)",
+        ),
     ],
 )
 def test_bad_arrays_are_named(arguments, message):
@@ -487,7 +492,7 @@ def test_bad_arrays_are_named(arguments, message):
 
 def test_both_ends_and_displacements_are_one_too_many():
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
-    with pytest.raises(ValueError, match="both of x_t1 and displacements is given"):
+    with pytest.raises(ValueError, match="both of vertices_t1 and displacements is given"):
         launch_on_cpu(mesh, TRIANGLE, TRIANGLE, displacements=TRIANGLE)
 
 

@@ -194,9 +194,11 @@ EVERY_PER = ("scene", "world", "body", "vertex")
 def _launched(mesh, start, end, dtype=wp.vec3d, device="cpu", **options):
     """Start and end positions of a line search on the device, as they are there, and its result."""
     real = np.float64 if dtype is wp.vec3d else np.float32
-    x_t0, x_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (start, end))
-    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch_line_search(x_t0, x_t1, **options)
-    return x_t0.numpy().astype(np.float64), x_t1.numpy().astype(np.float64), result
+    vertices_t0, vertices_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (start, end))
+    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch_line_search(
+        vertices_t0, vertices_t1, **options
+    )
+    return vertices_t0.numpy().astype(np.float64), vertices_t1.numpy().astype(np.float64), result
 
 
 @pytest.mark.parametrize("per", EVERY_PER)
@@ -294,18 +296,18 @@ def test_what_a_look_finds_free_has_no_pairs_in_the_next(device):
         bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(2)]
         mesh = ccd.CollisionMesh.from_arrays(bodies)
         end = mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape)
-        x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (mesh.vertices, end))
+        vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (mesh.vertices, end))
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-        result = pipeline.launch(x_t0, x_t1)
+        result = pipeline.launch(vertices_t0, vertices_t1)
         num_pairs = result.num_pairs.numpy().sum()
         if np.isinf(result.toi.numpy()[0]) and num_pairs > 0:
             break
     else:
         pytest.fail("no free step has pairs that the cull leaves open")
-    pipeline.launch_line_search(x_t0, x_t1)
+    pipeline.launch_line_search(vertices_t0, vertices_t1)
     assert np.isinf(result.toi.numpy()[0]) and result.num_pairs.numpy().sum() == 0
-    np.testing.assert_array_equal(x_t1.numpy(), end)
-    pipeline.launch(x_t0, x_t1)
+    np.testing.assert_array_equal(vertices_t1.numpy(), end)
+    pipeline.launch(vertices_t0, vertices_t1)
     assert result.num_pairs.numpy().sum() == num_pairs
 
 
@@ -337,13 +339,13 @@ def test_a_world_that_another_shortens_is_looked_at_again(device, monkeypatch):
         rng = np.random.default_rng(seed)
         bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(4)]
         mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat([0, 1], 6))
-        x_t0 = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
-        x_t1 = wp.array(mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape), dtype=wp.vec3d, device=device)
+        vertices_t0 = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
+        vertices_t1 = wp.array(mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape), dtype=wp.vec3d, device=device)
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-        touched = np.isfinite(pipeline.launch(x_t0, x_t1).world_toi.numpy()).sum() == 1
-        result = pipeline.launch_line_search(x_t0, x_t1, per="scene")
+        touched = np.isfinite(pipeline.launch(vertices_t0, vertices_t1).world_toi.numpy()).sum() == 1
+        result = pipeline.launch_line_search(vertices_t0, vertices_t1, per="scene")
         looked_at = result.num_pairs.numpy().copy()
-        there = pipeline.launch(x_t0, x_t1).num_pairs.numpy()
+        there = pipeline.launch(vertices_t0, vertices_t1).num_pairs.numpy()
         if touched and there.sum() > 0:
             np.testing.assert_array_equal(looked_at, there)
             break
@@ -387,9 +389,11 @@ def test_random_scenes_are_free_whatever_the_room(per, dtype, device):
         options = {"minimum_separation": rng.choice([0, 1e-6, 1e-3, 0.05]), "device": device}
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, **options, max_pairs=int(rng.choice([5, 100_000])))
         real = np.float64 if dtype is wp.vec3d else np.float32
-        x_t0, x_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (mesh.vertices, wished))
-        pipeline.launch_line_search(x_t0, x_t1, per=per, num_rounds=int(rng.integers(1, 7)))
-        start, end = (x.numpy().astype(np.float64) for x in (x_t0, x_t1))
+        vertices_t0, vertices_t1 = (
+            wp.array(x.astype(real), dtype=dtype, device=device) for x in (mesh.vertices, wished)
+        )
+        pipeline.launch_line_search(vertices_t0, vertices_t1, per=per, num_rounds=int(rng.integers(1, 7)))
+        start, end = (x.numpy().astype(np.float64) for x in (vertices_t0, vertices_t1))
         end[mesh.static[mesh.vertex_body]] = start[mesh.static[mesh.vertex_body]]
         assert num_touching(mesh, start, end, length_scale=1.0, **options) == 0
         num_moved += (start != end).any()
@@ -411,14 +415,14 @@ def test_without_room_for_pairs_nothing_moves_into_another(device):
     start = np.concatenate([vertices for vertices, _ in bodies])
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     wished = start + rng.uniform(-1, 1, start.shape)
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, max_pairs=1, device=device)
-    result = pipeline.launch_line_search(x_t0, x_t1, per="vertex")
-    assert exact_contacts(mesh, start, x_t1.numpy()) == []
+    result = pipeline.launch_line_search(vertices_t0, vertices_t1, per="vertex")
+    assert exact_contacts(mesh, start, vertices_t1.numpy()) == []
     assert result.flags.numpy()[0] == ccd.LaunchFlag.PAIRS_OVERFLOW
     pipeline.reserve(max_pairs=1000)
-    x_t1.assign(wished)
-    assert pipeline.launch_line_search(x_t0, x_t1, per="vertex").flags.numpy()[0] == 0
+    vertices_t1.assign(wished)
+    assert pipeline.launch_line_search(vertices_t0, vertices_t1, per="vertex").flags.numpy()[0] == 0
 
 
 def _triangle_over_a_face() -> tuple[ccd.CollisionMesh, np.ndarray, float]:
@@ -431,14 +435,14 @@ def _triangle_over_a_face() -> tuple[ccd.CollisionMesh, np.ndarray, float]:
 
 def test_pushes_again_and_again_do_not_round_through_a_face(device):
     mesh, start, level = _triangle_over_a_face()
-    x_t0, x_t1 = (wp.array(start, dtype=wp.vec3f, device=device) for _ in range(2))
+    vertices_t0, vertices_t1 = (wp.array(start, dtype=wp.vec3f, device=device) for _ in range(2))
     pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-7, length_scale=1.0, device=device)
     for _ in range(8):
-        x_t1.assign(start - np.float32([0, 0, 1]))  # rows of the moving vertices alone
-        pipeline.launch_line_search(x_t0, x_t1, per="vertex")
-        x_t0.assign(x_t1)
-        assert (x_t0.numpy()[:, 2].astype(np.float64) > level).all()
-    assert x_t0.numpy()[:, 2].min() < level + 2e-4
+        vertices_t1.assign(start - np.float32([0, 0, 1]))  # rows of the moving vertices alone
+        pipeline.launch_line_search(vertices_t0, vertices_t1, per="vertex")
+        vertices_t0.assign(vertices_t1)
+        assert (vertices_t0.numpy()[:, 2].astype(np.float64) > level).all()
+    assert vertices_t0.numpy()[:, 2].min() < level + 2e-4
 
 
 def test_a_vertex_one_rounding_from_a_face_does_not_stop_its_world(device):
@@ -447,15 +451,15 @@ def test_a_vertex_one_rounding_from_a_face_does_not_stop_its_world(device):
     face = mesh.vertices[3:]
     mesh = ccd.CollisionMesh.from_arrays([(start, FACE), (face, FACE), (start + 50, FACE)], static=[1])
     begin = np.concatenate([start, start + np.float32(50)])
-    x_t0, x_t1 = (wp.array(begin, dtype=wp.vec3f, device=device) for _ in range(2))
+    vertices_t0, vertices_t1 = (wp.array(begin, dtype=wp.vec3f, device=device) for _ in range(2))
     pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-7, length_scale=1.0, device=device)
     for _ in range(12):
-        before = x_t0.numpy().copy()
-        x_t1.assign(np.concatenate([start - np.float32([0, 0, 1]), before[3:] + np.float32([0.25, 0, 0])]))
-        result = pipeline.launch_line_search(x_t0, x_t1, per="vertex")
+        before = vertices_t0.numpy().copy()
+        vertices_t1.assign(np.concatenate([start - np.float32([0, 0, 1]), before[3:] + np.float32([0.25, 0, 0])]))
+        result = pipeline.launch_line_search(vertices_t0, vertices_t1, per="vertex")
         assert np.isinf(result.toi.numpy()[0])
-        np.testing.assert_array_equal(x_t1.numpy()[3:, 0] - before[3:, 0], 0.25)
-        x_t0.assign(x_t1)
+        np.testing.assert_array_equal(vertices_t1.numpy()[3:, 0] - before[3:, 0], 0.25)
+        vertices_t0.assign(vertices_t1)
 
 
 def test_rounding_afterwards_goes_through_the_face():
@@ -474,17 +478,17 @@ def test_rounding_afterwards_goes_through_the_face():
 
 def test_line_search_in_a_graph(device):
     mesh, start = stacked(0.0, 1.0)
-    x_t0, x_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
+    vertices_t0, vertices_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-    pipeline.launch_line_search(x_t0, x_t1)
+    pipeline.launch_line_search(vertices_t0, vertices_t1)
     with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch_line_search(x_t0, x_t1)
+        pipeline.launch_line_search(vertices_t0, vertices_t1)
     for fall, expected in ((2.0, 1 - 0.9 * 1.0), (0.5, 0.5), (10.0, 1 - 0.9 * 1.0)):
         wished = start.copy()
         wished[3:, 2] -= fall
-        x_t1.assign(wished)
+        vertices_t1.assign(wished)
         wp.capture_launch(capture.graph)
-        assert x_t1.numpy()[3:, 2].min() == pytest.approx(expected, rel=1e-6)
+        assert vertices_t1.numpy()[3:, 2].min() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -57,9 +57,9 @@ def test_cloth_that_is_close_to_a_ball_moves_on_on_the_device(per, gap, device):
     mesh, start, wished = _cloth_on_a_ball(gap)
     exact = ccd.mesh_ccd(mesh, start, wished).toi
     pipeline = ccd.CollisionPipeline(mesh, precision="float32", length_scale=2.0, max_pairs=100_000, device=device)
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
-    result = pipeline.launch_line_search(x_t0, x_t1, per=per)
-    end = x_t1.numpy()
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
+    result = pipeline.launch_line_search(vertices_t0, vertices_t1, per=per)
+    end = vertices_t1.numpy()
     moved = np.linalg.norm(end - start, axis=1)[mesh.moving_vertices]
     assert moved.min() > 0 and moved.mean() > 0.05 * exact * LENGTH
     assert np.isinf(result.toi.numpy()[0]) and result.flags.numpy()[0] == 0

@@ -32,7 +32,7 @@ class Calls:
     def __init__(self):
         self.mesh, self.start, self.end = sheet_over_floor()
         self.host = [np.array(self.start), np.array(self.end)]
-        self.x_t0, self.x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in self.host)
+        self.vertices_t0, self.vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu", copy=False) for x in self.host)
         self.held = ccd.CollisionPipeline(self.mesh, device="cpu", length_scale=1.0, num_threads=2)
         self.grown = ccd.CollisionPipeline(self.mesh, device="cpu", length_scale=1.0)
         self.points = random_pairs("edge_edge")
@@ -40,7 +40,9 @@ class Calls:
 
     def launch_line_search(self, k):
         self.host[1][:] = self.end
-        self.held.launch_line_search(self.x_t0, self.x_t1, per="body", safety=0.3 + 1e-5 * k, num_rounds=1 + k % 5)
+        self.held.launch_line_search(
+            self.vertices_t0, self.vertices_t1, per="body", safety=0.3 + 1e-5 * k, num_rounds=1 + k % 5
+        )
 
     def launch_on_new_arrays(self, k):
         dtype = (wp.vec3d, wp.vec3f)[k % 2]
@@ -48,7 +50,7 @@ class Calls:
 
     def new_pipeline(self, k):
         pipeline = ccd.CollisionPipeline(self.mesh, device="cpu", tolerance=1e-6 * (1 + 1e-4 * k), max_pairs=5000 + k)
-        pipeline.launch(self.x_t0, self.x_t1)
+        pipeline.launch(self.vertices_t0, self.vertices_t1)
 
     def reserve(self, k):
         self.grown.reserve(max_pairs=5000 + k % 50)

@@ -66,30 +66,30 @@ def test_loose_edges_join_the_edges_of_faces():
     mesh = CollisionMesh.from_arrays([TRIANGLE, cable, (np.zeros((2, 3)), [], [[1, 0]])])
     # [1, 0] of the second body is an edge of its face, [2, 3] comes twice, and [4, 4] is no edge
     edges = [[0, 1], [0, 2], [1, 2], [3, 4], [3, 5], [4, 5], [5, 6], [6, 7], [8, 9]]
-    assert mesh.edges.dtype == mesh.loose_edges.dtype == np.int32
+    assert mesh.edges.dtype == mesh.codimensional_edges.dtype == np.int32
     assert mesh.edges.tolist() == edges
-    assert mesh.edges[mesh.loose_edges].tolist() == [[5, 6], [6, 7], [8, 9]]
+    assert mesh.edges[mesh.codimensional_edges].tolist() == [[5, 6], [6, 7], [8, 9]]
     assert mesh.edge_body.tolist() == [0] * 3 + [1] * 5 + [2]
-    assert "3 loose edges" in repr(mesh)
+    assert "3 codimensional edges" in repr(mesh)
 
 
 def test_triangle_mesh_has_no_loose_primitives():
     for bodies in ([TRIANGLE, TETRAHEDRON], [(*TRIANGLE, [])], [(*TETRAHEDRON, [[1, 2]])]):
         mesh = CollisionMesh.from_arrays(bodies)
-        assert mesh.loose_edges.tolist() == mesh.loose_points.tolist() == []
+        assert mesh.codimensional_edges.tolist() == mesh.codimensional_points.tolist() == []
         assert "loose" not in repr(mesh)
 
 
 def test_unused_vertices_are_loose_points_only_where_asked():
     body = (np.zeros((7, 3)), [[0, 1, 2], [6, 6, 6]], [[3, 4], [2, 2]])  # nothing uses vertex 5
-    assert CollisionMesh.from_arrays([body, body]).loose_points.tolist() == []
-    assert CollisionMesh.from_arrays([body, body], loose_points=True).loose_points.tolist() == [5, 12]
-    mesh = CollisionMesh.from_arrays([body, body], loose_points=[False, True])
-    assert mesh.loose_points.tolist() == [12] and mesh.loose_points.dtype == np.int32
-    assert "1 loose points" in repr(mesh)
+    assert CollisionMesh.from_arrays([body, body]).codimensional_points.tolist() == []
+    assert CollisionMesh.from_arrays([body, body], codimensional_points=True).codimensional_points.tolist() == [5, 12]
+    mesh = CollisionMesh.from_arrays([body, body], codimensional_points=[False, True])
+    assert mesh.codimensional_points.tolist() == [12] and mesh.codimensional_points.dtype == np.int32
+    assert "1 codimensional points" in repr(mesh)
     unused = trimesh.Trimesh(np.zeros((4, 3)), [[0, 1, 2]], process=False)
-    assert CollisionMesh.from_trimesh([unused]).loose_points.tolist() == []
-    assert CollisionMesh.from_trimesh([unused], loose_points=True).loose_points.tolist() == [3]
+    assert CollisionMesh.from_trimesh([unused]).codimensional_points.tolist() == []
+    assert CollisionMesh.from_trimesh([unused], codimensional_points=True).codimensional_points.tolist() == [3]
 
 
 def test_from_trimesh_takes_paths_and_point_clouds():
@@ -97,8 +97,8 @@ def test_from_trimesh_takes_paths_and_point_clouds():
     cloud = trimesh.PointCloud(np.eye(2, 3))
     mesh = CollisionMesh.from_trimesh([cloud, trimesh.creation.box(), path], static=[1])
     assert mesh.body_vertex_range.tolist() == [0, 2, 10, 13]
-    assert mesh.loose_points.tolist() == [0, 1]
-    assert mesh.edges[mesh.loose_edges].tolist() == [[10, 11], [11, 12]]
+    assert mesh.codimensional_points.tolist() == [0, 1]
+    assert mesh.edges[mesh.codimensional_edges].tolist() == [[10, 11], [11, 12]]
     assert mesh.num_faces == 12
 
 
@@ -181,8 +181,16 @@ def test_mesh_does_not_freeze_the_arrays_of_the_caller():
         ([(*TRIANGLE, [[0, 3]])], {}, r"edges of body 0 holds index 3; expected indices in \[0, 3\)"),
         ([(*TRIANGLE, [[0, 1, 2]])], {}, r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
         ([(*TRIANGLE, [[0.0, 1.0]])], {}, "edges of body 0 has dtype float64; expected integers"),
-        ([TRIANGLE], {"loose_points": [True, False]}, r"loose_points has shape \(2,\); expected a bool or \(1,\)"),
-        ([TRIANGLE], {"loose_points": [0]}, r"loose_points is \[0\]; expected a bool or one bool a body"),
+        (
+            [TRIANGLE],
+            {"codimensional_points": [True, False]},
+            r"codimensional_points has shape \(2,\); expected a bool or \(1,\)",
+        ),
+        (
+            [TRIANGLE],
+            {"codimensional_points": [0]},
+            r"codimensional_points is \[0\]; expected a bool or one bool a body",
+        ),
         ([TRIANGLE], {"static": [1]}, r"static holds 1; expected body indices in \[0, 1\)"),
         ([TRIANGLE], {"static": [-1]}, r"static holds -1; expected body indices in \[0, 1\)"),
         ([TRIANGLE], {"static": [True]}, r"static holds True; expected body indices"),

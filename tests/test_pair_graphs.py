@@ -15,13 +15,13 @@ OPTIONS = {"minimum_separation": 0.02, "device": "cpu"}
 @pytest.mark.parametrize("kind", CORNERS)
 def test_graph_holds_all_pairs_and_answers_for_what_its_arrays_hold_by_then(kind, num_threads):
     call = getattr(ccd, f"{kind}_ccd")
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs(kind, 10_000))
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs(kind, 10_000))
     with wp.ScopedCapture(device="cpu") as capture:
-        result = call(x_t0, x_t1, num_threads=num_threads, **OPTIONS)
+        result = call(vertices_t0, vertices_t1, num_threads=num_threads, **OPTIONS)
     for seed in (0, 1, 2):
         start, end = random_pairs(kind, 10_000, seed)
-        x_t0.assign(start)
-        x_t1.assign(end)
+        vertices_t0.assign(start)
+        vertices_t1.assign(end)
         wp.capture_launch(capture.graph)
         truth = faults.arrays_of(call(start, end, **OPTIONS))
         assert np.isfinite(truth["result.toi"]).sum() > 20
@@ -30,26 +30,28 @@ def test_graph_holds_all_pairs_and_answers_for_what_its_arrays_hold_by_then(kind
 
 @pytest.mark.parametrize("num_threads", [1, 4])
 def test_graph_of_pairs_in_the_plane(num_threads):
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec2d, device="cpu") for x in random_pairs("point_segment", 10_000, dimension=2))
+    vertices_t0, vertices_t1 = (
+        wp.array(x, dtype=wp.vec2d, device="cpu") for x in random_pairs("point_segment", 10_000, dimension=2)
+    )
     with wp.ScopedCapture(device="cpu") as capture:
-        result = ccd.point_segment_ccd(x_t0, x_t1, num_threads=num_threads, **OPTIONS)
+        result = ccd.point_segment_ccd(vertices_t0, vertices_t1, num_threads=num_threads, **OPTIONS)
     start, end = random_pairs("point_segment", 10_000, 1, dimension=2)
-    x_t0.assign(start)
-    x_t1.assign(end)
+    vertices_t0.assign(start)
+    vertices_t1.assign(end)
     wp.capture_launch(capture.graph)
     truth = faults.arrays_of(ccd.point_segment_ccd(start, end, **OPTIONS))
     assert faults.difference(faults.arrays_of(result), truth) == ""
 
 
 def test_graph_of_both_precisions():
-    x_t0, x_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs("edge_edge", 10_000, 3))
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in random_pairs("edge_edge", 10_000, 3))
     with wp.ScopedCapture(device="cpu") as capture:
-        results = [ccd.edge_edge_ccd(x_t0, x_t1, precision=p, **OPTIONS) for p in ("float32", "float64")]
-    for array, values in zip((x_t0, x_t1), random_pairs("edge_edge", 10_000, 4), strict=True):
+        results = [ccd.edge_edge_ccd(vertices_t0, vertices_t1, precision=p, **OPTIONS) for p in ("float32", "float64")]
+    for array, values in zip((vertices_t0, vertices_t1), random_pairs("edge_edge", 10_000, 4), strict=True):
         array.assign(values)
     wp.capture_launch(capture.graph)
     for precision, result in zip(("float32", "float64"), results, strict=True):
-        truth = faults.arrays_of(ccd.edge_edge_ccd(x_t0, x_t1, precision=precision, **OPTIONS))
+        truth = faults.arrays_of(ccd.edge_edge_ccd(vertices_t0, vertices_t1, precision=precision, **OPTIONS))
         assert faults.difference(faults.arrays_of(result), truth) == ""
 
 

@@ -279,7 +279,7 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
     sheet = wall(0.0)
     particles = np.array([[0.5, 0.5, 0.25], [-0.75, 0.5, 0.25], [0.5, 1.0, -0.5], [-1.0, 1.0, -0.5], [0.5, 9.0, 9.0]])
     bodies = [(sheet.vertices, sheet.faces), (particles, [])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, loose_points=[False, True])
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=[False, True])
     end = mesh.vertices.copy()
     end[:4, 0] += 1.0  # the sheet comes towards +x, through the first particle after 1/2 - separation
     end[5, 0] -= 1.0
@@ -300,7 +300,7 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
     assert contacts.primitives[meeting].tolist() == [[6, 7]]
     assert contacts.toi[meeting] == pytest.approx((1.5 - 0.0625) / 1.5, abs=accuracy)
     np.testing.assert_allclose(contacts.normal[meeting], [[1, 0, 0]], atol=1e-12)
-    assert result.counts["point-point contacts"] == 1 and result.counts["loose points"] == 5
+    assert result.counts["point-point contacts"] == 1 and result.counts["codimensional points"] == 5
     assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, **options)
     assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=accuracy)
 
@@ -316,14 +316,14 @@ def test_two_cables_cross(precision):
     assert [[0, 2]] == result.contacts.primitives[first].tolist()
     assert result.contacts.kind[first].tolist() == [ccd.PairKind.EDGE_EDGE]
     np.testing.assert_allclose(np.abs(result.contacts.normal[first]), [[1, 0, 0]], atol=1e-12)
-    assert "loose points" not in result.counts and result.counts["loose edges"] == 4
+    assert "codimensional points" not in result.counts and result.counts["codimensional edges"] == 4
 
 
 def test_particle_passes_a_cable_at_less_than_the_separation(precision):
     cable = np.array([[0, -1, 0], [0.1, 0.2, 0], [0, 1, 0.1]])
     particle = np.array([[-1.0, 0.5, 0.07]])
     bodies = [(cable, [], [[0, 1], [1, 2]]), (particle, [])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], loose_points=True)
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], codimensional_points=True)
     end = mesh.vertices + [2, 0, 0]
     options = {"length_scale": 1.0, "precision": precision}
     assert np.isinf(ccd.mesh_ccd(mesh, mesh.vertices, end, **options).toi)
@@ -346,7 +346,7 @@ def test_particle_passes_a_cable_at_less_than_the_separation(precision):
 
 def test_normal_of_points_that_rest_within_the_separation():
     cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
-    mesh = ccd.CollisionMesh.from_arrays([(cable, [], [[0, 1]]), (particles, [])], loose_points=True)
+    mesh = ccd.CollisionMesh.from_arrays([(cable, [], [[0, 1]]), (particles, [])], codimensional_points=True)
     for motion in ([0, 0, 0], [0, 0.125, 0]):  # at rest, and sliding along the cable
         end = mesh.vertices + np.array([[0, 0, 0]] * 2 + [motion] * 2)
         contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.5, length_scale=1.0).contacts
@@ -361,7 +361,7 @@ def test_sheet_cables_and_particles_match_brute_force(seed, precision):
     sheet = (rng.uniform(-1, 1, (4, 3)), [[0, 1, 2], [0, 2, 3]])
     cable = (rng.uniform(-1, 1, (4, 3)), [], [[0, 1], [1, 2], [2, 3]])
     mixed = (rng.uniform(-1, 1, (9, 3)), [], [[0, 1]])
-    mesh = ccd.CollisionMesh.from_arrays([sheet, cable, mixed, mixed], loose_points=True)
+    mesh = ccd.CollisionMesh.from_arrays([sheet, cable, mixed, mixed], codimensional_points=True)
     start, end = mesh.vertices, rng.uniform(-1, 1, mesh.vertices.shape)
     start = start + np.where(mesh.vertex_body == 3, 0.4, 0.0)[:, None]
     separation = 0.125
@@ -369,7 +369,7 @@ def test_sheet_cables_and_particles_match_brute_force(seed, precision):
     contacts = result.contacts
     keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
     assert keys == sorted(keys)
-    points, segments = mesh.loose_points.tolist(), mesh.loose_edges.tolist()
+    points, segments = mesh.codimensional_points.tolist(), mesh.codimensional_edges.tolist()
     every = {
         ccd.PairKind.POINT_SEGMENT: [(p, s) for p in points for s in segments],
         ccd.PairKind.POINT_POINT: [(p, q) for p in points for q in points if p < q],
@@ -402,7 +402,7 @@ def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
     result = ccd.mesh_ccd(mesh, mesh.vertices, end)
     assert np.isinf(result.toi)
     assert not [name for name in result.counts if "point" in name or "loose" in name]
-    asked = ccd.CollisionMesh.from_arrays([cloth], loose_points=True)
+    asked = ccd.CollisionMesh.from_arrays([cloth], codimensional_points=True)
     assert ccd.mesh_ccd(asked, mesh.vertices, end).toi == pytest.approx(1.0, abs=1e-6)
 
 

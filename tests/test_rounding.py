@@ -122,8 +122,8 @@ def make_probe(real):
     def probe(
         # in
         kind: int,
-        x_t0: wp.array2d[wp.vec3d],
-        x_t1: wp.array2d[wp.vec3d],
+        vertices_t0: wp.array2d[wp.vec3d],
+        vertices_t1: wp.array2d[wp.vec3d],
         options: Options,
         numbers: wp.array2d[wp.float64],  # direction d, margin, u, v, t, x, four control points
         facet: wp.array2d[int],  # side, axis
@@ -131,7 +131,7 @@ def make_probe(real):
         out: wp.array2d[wp.float64],
     ):
         i = wp.tid()
-        n = normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options)
+        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
         d = vector_of(numbers, i, 0)
         margin = vector_of(numbers, i, 3)
         u = real(numbers[i, 6])
@@ -189,8 +189,8 @@ def make_probe(real):
     def clips(
         # in
         kind: int,
-        x_t0: wp.array2d[wp.vec3d],
-        x_t1: wp.array2d[wp.vec3d],
+        vertices_t0: wp.array2d[wp.vec3d],
+        vertices_t1: wp.array2d[wp.vec3d],
         options: Options,
         numbers: wp.array2d[wp.float64],  # direction d, start t
         # out
@@ -200,7 +200,7 @@ def make_probe(real):
         unit: wp.array[wp.vec3d],
     ):
         i = wp.tid()
-        n = normalise(kind, row_points(x_t0, i), row_points(x_t1, i), options)
+        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
         d = vector_of(numbers, i, 0)
         t = real(numbers[i, 3])
         clipped[i] = wp.float64(clip(d, n.problem.error + n.problem.separation, t, n.patch))
@@ -261,7 +261,7 @@ class Sample:
             setattr(self, name, convert(inputs[name]))
         self.weights = [convert(inputs[name])[:, None] for name in ("u", "v", "t", "x")]
         unit = self.out["unit"]
-        points = [convert(inputs[name]) for name in ("x_t0", "x_t1")]
+        points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
         # (corner, side) as in kernels/patch.py, from the definition of each pair kind
         rows = {"vertex-face": ((0, 1), (0, 2), (0, 3), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
         self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in rows] for p in points]
@@ -465,8 +465,8 @@ def drawn(n: int, rng: np.random.Generator) -> dict:
 
     k = rng.integers(0, 21, (2, n))
     return {
-        "x_t0": numbers(n, 4, 3),
-        "x_t1": numbers(n, 4, 3),
+        "vertices_t0": numbers(n, 4, 3),
+        "vertices_t1": numbers(n, 4, 3),
         "d": numbers(n, 3) + 2.0**-20,
         "margin": abs(numbers(n, 3)) + 2.0**-20,
         "h": numbers(n, 4),
@@ -527,7 +527,7 @@ def evaluated(kind: str, inputs: dict, real: str, separation: float) -> np.ndarr
         dim=n,
         inputs=[
             KINDS[kind],
-            *(wp.array(inputs[name], dtype=wp.vec3d, device="cpu") for name in ("x_t0", "x_t1")),
+            *(wp.array(inputs[name], dtype=wp.vec3d, device="cpu") for name in ("vertices_t0", "vertices_t1")),
             options,
             wp.array(np.concatenate(numbers, axis=1), dtype=wp.float64, device="cpu"),
             wp.array(inputs["facet"], dtype=wp.int32, device="cpu"),
@@ -675,8 +675,8 @@ def make_cull_probe():
     def cull_probe(
         # in
         kind: int,
-        x_t0: wp.array2d[wp.vec3d],
-        x_t1: wp.array2d[wp.vec3d],
+        vertices_t0: wp.array2d[wp.vec3d],
+        vertices_t1: wp.array2d[wp.vec3d],
         separation: wp.float64,
         t_end: wp.float64,
         by_sides: int,
@@ -684,8 +684,8 @@ def make_cull_probe():
         is_free: wp.array[wp.bool],
     ):
         i = wp.tid()
-        c0 = corners(kind, row_points(x_t0, i))
-        c1 = corners(kind, row_points(x_t1, i))
+        c0 = corners(kind, row_points(vertices_t0, i))
+        c1 = corners(kind, row_points(vertices_t1, i))
         if by_sides == 1:
             is_free[i] = is_free_by_sides(kind, c0, c1, separation, t_end)
         else:

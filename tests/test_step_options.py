@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ccd_warp.benchmarks.oracle import exact_tois
-from launches import ROOM, check_same, on_device
+from launches import CAPACITIES, check_same, on_device
 from oracles import corners_of
 from scenes import crowd, sheet, single, soup, stacked
 
@@ -16,7 +16,7 @@ def solved(mesh, start, end, device, **options):
     """The result of `mesh_ccd`, once `launch` and `collision_free_step` have said the same."""
     options = {"length_scale": 1.0, "device": device} | options
     result = ccd.mesh_ccd(mesh, start, end, **options)
-    pipeline = ccd.CollisionPipeline(mesh, **options, **ROOM)
+    pipeline = ccd.CollisionPipeline(mesh, **options, **CAPACITIES)
     check_same(pipeline.launch(on_device(start, device), on_device(end, device)), result)
     step = ccd.collision_free_step(mesh, start, end, **options)
     # pairs that are free up to its bound may be left out, so the step may be larger by the tolerance of a toi
@@ -196,20 +196,20 @@ def test_lengths_of_a_launch_are_shares_of_the_positions_it_is_laid_out_for():
 
 def test_counts_after_a_launch_are_those_of_the_last_call_on_the_host(device):
     mesh, start, end = crowd(np.random.default_rng(3), 60, 0.2)
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **ROOM)
-    x_t0, x_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(x_t0, x_t1)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
+    result = pipeline.launch(vertices_t0, vertices_t1)
     assert pipeline.counts == {} == pipeline.timings
     on_host = pipeline.mesh_ccd(start, end)
     counts, timings = pipeline.counts, pipeline.timings
     assert counts["edge-edge candidates"] > 0
-    x_t1.assign(start)
-    pipeline.launch(x_t0, x_t1)
-    pipeline.launch_line_search(x_t0, x_t1)
+    vertices_t1.assign(start)
+    pipeline.launch(vertices_t0, vertices_t1)
+    pipeline.launch_line_search(vertices_t0, vertices_t1)
     assert pipeline.counts is counts and pipeline.timings is timings
     # a launch has counts of its own, on the device
-    x_t1.assign(end)
-    pipeline.launch(x_t0, x_t1)
+    vertices_t1.assign(end)
+    pipeline.launch(vertices_t0, vertices_t1)
     for kind in SOLVERS:
         name = kind.name.lower().replace("_", "-")
         assert result.num_pairs.numpy()[kind] == on_host.counts[f"{name} after the cull"] > 0

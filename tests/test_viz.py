@@ -120,12 +120,12 @@ def test_contact_points_of_loose_points():
         ([[0.0, 0, 0], [4, 0, 0]], NO_FACES, [[0, 1]]),
         ([[1.0, 0, 1], [0, 5, 0], [2, 5, 0]], NO_FACES),
     ]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, loose_points=True)
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True)
     start = np.vstack([body[0] for body in bodies])
     end = start.copy()
     end[5] -= [0, 0, 2]
     end[6] += [2, 0, 0]
-    (cable,) = mesh.loose_edges
+    (cable,) = mesh.codimensional_edges
     contacts = _contacts([2, 3], [[5, cable], [6, 7]], [0.5, 1.0], [[0.25, 0.0], [0.0, 0.0]])
     assert viz.contact_points(mesh, start, end, contacts).tolist() == [[1.0, 0.0, 0.0], [2.0, 5.0, 0.0]]
     found = ccd.mesh_ccd(mesh, start, end).contacts
@@ -254,7 +254,9 @@ def test_cables_and_particles_are_drawn(tmp_path):
     cable = np.column_stack([x, 0.0 * x, 0.5 + 0.2 * x * x])
     particles = np.column_stack([x, 0.5 + 0.0 * x, 0.3 + 0.0 * x])
     links = np.column_stack([np.arange(20), np.arange(1, 21)])
-    mesh = ccd.CollisionMesh.from_arrays([(cable, NO_FACES, links), (particles, NO_FACES)], loose_points=[False, True])
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(cable, NO_FACES, links), (particles, NO_FACES)], codimensional_points=[False, True]
+    )
     start = np.vstack([cable, particles])
     end = start - [0.0, 0.0, 0.5]
     panels = _draw(tmp_path, mesh, start, end)

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.search import PairSearch, joins_of
+from ccd_warp._engine.search import PairSearch, tree_pairs_of
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
@@ -28,9 +28,9 @@ def bodies_near(
         lower[filled] = np.minimum.reduceat(np.minimum(*host), first[filled], axis=0)
         upper[filled] = np.maximum.reduceat(np.maximum(*host), first[filled], axis=0)
     hull = workspace.body_hull()
-    x_t0: wp.array = wp.array(lower, dtype=wp.vec3d, device=execution.device, copy=False)
-    x_t1: wp.array = wp.array(upper, dtype=wp.vec3d, device=execution.device, copy=False)
-    hull.boxes.begin((lower, upper), x_t0, x_t1, 1.0, inflation, execution, num_frames=1)
+    vertices_t0: wp.array = wp.array(lower, dtype=wp.vec3d, device=execution.device, copy=False)
+    vertices_t1: wp.array = wp.array(upper, dtype=wp.vec3d, device=execution.device, copy=False)
+    hull.boxes.begin((lower, upper), vertices_t0, vertices_t1, 1.0, inflation, execution, num_aabbs=1)
     search = PairSearch(
         hull.boxes,
         execution,
@@ -38,10 +38,10 @@ def bodies_near(
         with_cull=False,
         t_end=1.0,
         separation=0.0,
-        largest_room=max(_MOST_PAIRS, execution.num_threads * mesh.num_bodies),
+        largest_capacity=max(_MOST_PAIRS, execution.num_threads * mesh.num_bodies),
     )
     near = mesh.self_collision & ~mesh.static
-    for batch in search.batches(joins_of(hull.boxes, (PairKind.POINT_POINT,), skip_moving=False)):
+    for batch in search.batches(tree_pairs_of(hull.boxes, (PairKind.POINT_POINT,), skip_moving=False)):
         for found in batch:
             keys = found.keys[found.begin : found.begin + found.count].numpy()
             a, b = keys >> 32, keys & 0xFFFFFFFF

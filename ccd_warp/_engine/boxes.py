@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
-    RECORD,
+    VERTEX_AABB_FLOATS,
     WIDTH,
     PrimitiveSet,
     Topology,
-    choose_frame,
-    choose_static_frame,
+    choose_quantization,
+    choose_static_quantization,
     sorted_keys,
 )
 from ccd_warp._runtime.launch import Execution, Recording
@@ -44,11 +44,11 @@ class Tree:
     levels: tuple[int, ...]  # blocks of each level
 
     def level_boxes(self, level: int) -> NDArray[np.float32]:
-        """Lower and upper corners of a level, by block, frame, corner, axis and lane; on the CPU."""
-        size = self.arrays.num_frames * BLOCK_FLOATS
+        """Lower and upper corners of a level, by block, quantization, corner, axis and lane; on the CPU."""
+        size = self.arrays.num_aabbs * BLOCK_FLOATS
         first = sum(self.levels[:level])
         floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
-        return floats.reshape(-1, self.arrays.num_frames, 2, 3, WIDTH)
+        return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
 
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The box around the tree, in the image; on the CPU."""
@@ -61,15 +61,15 @@ class _StaticKey:
     """What the boxes of resting bodies depend on."""
 
     positions: list[NDArray[np.float64]]
-    frame: tuple[float, ...]
+    quantization: tuple[float, ...]
     inflation: float
-    num_frames: int
+    num_aabbs: int
 
     def same(self, other: "_StaticKey | None") -> bool:
         return (
             other is not None
-            and self.frame == other.frame
-            and (self.inflation, self.num_frames) == (other.inflation, other.num_frames)
+            and self.quantization == other.quantization
+            and (self.inflation, self.num_aabbs) == (other.inflation, other.num_aabbs)
             and all(map(np.array_equal, self.positions, other.positions))
         )
 
@@ -82,25 +82,25 @@ def level_sizes(count: int) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-def new_tree(primitives: PrimitiveSet, num_frames: int, allocate: Callable[[int], wp.array]) -> Tree:
+def new_tree(primitives: PrimitiveSet, num_aabbs: int, allocate: Callable[[int], wp.array]) -> Tree:
     """A tree without an order or boxes yet; ``allocate`` gives it so many numbers."""
     levels = level_sizes(primitives.count)
     first = np.concatenate([[0], np.cumsum(levels)])
-    size = int(first[-1]) * BLOCK_FLOATS * num_frames
+    size = int(first[-1]) * BLOCK_FLOATS * num_aabbs
     if size >= 2**31:
         raise ValueError(f"the mesh has {primitives.count} boxes of one kind; expected at most 150 million")
     arrays = kernels.BoxTree()
     arrays.num_boxes = primitives.count
     arrays.num_levels = len(levels)
-    arrays.num_frames = num_frames
+    arrays.num_aabbs = num_aabbs
     arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
     arrays.nodes = allocate(size)
     return Tree(primitives, arrays, levels)
 
 
-def fill_tree(tree: Tree, records: wp.array, execution: Execution | Recording) -> None:
-    """The boxes of every level, from the records."""
-    inputs = [records, tree.primitives.num_corners]
+def fill_tree(tree: Tree, vertex_aabbs: wp.array, execution: Execution | Recording) -> None:
+    """The boxes of every level, from the vertex_aabbs."""
+    inputs = [vertex_aabbs, tree.primitives.num_corners]
     execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
     level, last = 2, len(tree.levels)
     while level < last and (execution.is_cuda or tree.levels[level - 1] > _FEW_BOXES):
@@ -128,49 +128,49 @@ class StepBoxes:
         self._trees: dict[str, Tree] = {}
         self._static_trees: dict[str, Tree] = {}
         self._static_key: _StaticKey | None = None
-        self._static_frame: Any = None
+        self._static_quantization: Any = None
 
     def begin(
         self,
         host: tuple[NDArray[np.float64], NDArray[np.float64]],
-        x_t0: wp.array,
-        x_t1: wp.array,
+        vertices_t0: wp.array,
+        vertices_t1: wp.array,
         t_end: float,
         inflation: float,
         execution: Execution,
-        num_frames: int,
+        num_aabbs: int,
         active: wp.array | None = None,
     ) -> None:
         """Start a step: its positions, the share of it that counts, frames of a box, and the bodies that matter."""
         start, end = host
         self.execution = execution
-        self.x_t0, self.x_t1, self.inflation = x_t0, x_t1, inflation
+        self.vertices_t0, self.vertices_t1, self.inflation = vertices_t0, vertices_t1, inflation
         self.num_boxes = self.num_sorted = 0
         self.active = self._all_active if active is None else active
-        self.num_frames = num_frames
-        self.frame = choose_frame(self.topology.mesh, start, end, num_frames)
+        self.num_aabbs = num_aabbs
+        self.quantization = choose_quantization(self.topology.mesh, start, end, num_aabbs)
         self._trees.clear()
         if self.topology.mesh.static_vertex_ranges:
-            frame = (*self.frame.origin, self.frame.scale)
+            quantization = (*self.quantization.origin, self.quantization.scale)
             at_rest = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
-            key = _StaticKey(at_rest, frame, inflation, num_frames)
+            key = _StaticKey(at_rest, quantization, inflation, num_aabbs)
             if not key.same(self._static_key):
                 self._static_key = None
                 self._static_trees.clear()
-                self._static_frame = choose_static_frame(self.topology.mesh, start, self.frame)
-                self._fill_records(self.topology.static_vertices, self._all_active, _NO_END)
+                self._static_quantization = choose_static_quantization(self.topology.mesh, start, self.quantization)
+                self._fill_vertex_aabbs(self.topology.static_vertices, self._all_active, _NO_END)
                 self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
         self.t_end = t_end
-        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+        self._fill_vertex_aabbs(self.topology.moving_vertices, self.active, t_end)
 
     def shorten(self, t_end: float) -> None:
         """Take the boxes over [0, t_end] only, where that is worth while; the order of the trees stays."""
         if t_end > _WORTH_SHORTENING * self.t_end:
             return
         self.t_end = t_end
-        self._fill_records(self.topology.moving_vertices, self.active, t_end)
+        self._fill_vertex_aabbs(self.topology.moving_vertices, self.active, t_end)
         trees = list(self._trees.values())
-        fills = [lambda t=t: fill_tree(t, self.records, self.execution) for t in trees]  # type: ignore[misc]
+        fills = [lambda t=t: fill_tree(t, self.vertex_aabbs, self.execution) for t in trees]  # type: ignore[misc]
         self._at_once(fills, [t.primitives for t in trees])
 
     def _at_once(self, tasks: Sequence[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
@@ -202,46 +202,48 @@ class StepBoxes:
         low_b, high_b = b.bounds()
         return bool((low_a <= high_b).all() and (low_b <= high_a).all())
 
-    def _fill_records(self, vertices: wp.array, active: wp.array, t_end: float) -> None:
-        records = self.buffers.get("records", self.topology.mesh.num_vertices * self.num_frames * RECORD, wp.float32)
+    def _fill_vertex_aabbs(self, vertices: wp.array, active: wp.array, t_end: float) -> None:
+        vertex_aabbs = self.buffers.get(
+            "vertex_aabbs", self.topology.mesh.num_vertices * self.num_aabbs * VERTEX_AABB_FLOATS, wp.float32
+        )
         self.execution.launch(
-            kernels.fill_records,
+            kernels.fill_vertex_aabbs,
             len(vertices),
             inputs=[
                 vertices,
                 *self.topology.of_vertices(active),
-                self.x_t0,
-                self.x_t1,
+                self.vertices_t0,
+                self.vertices_t1,
                 t_end,
                 self.inflation,
-                self.frame,
-                self.num_frames,
+                self.quantization,
+                self.num_aabbs,
             ],
-            outputs=[records],
+            outputs=[vertex_aabbs],
         )
-        self.records = records
+        self.vertex_aabbs = vertex_aabbs
 
     def _build(self, primitives: PrimitiveSet) -> Tree:
         tree = new_tree(
-            primitives, self.num_frames, lambda n: self.buffers.get(f"{primitives.name} boxes", n, wp.float32)
+            primitives, self.num_aabbs, lambda n: self.buffers.get(f"{primitives.name} boxes", n, wp.float32)
         )
         arrays = tree.arrays
         # On CUDA sorting is cheap, and whether it is needed would have to be read back.
         in_order = not self.execution.is_cuda
         if in_order:
             arrays.primitive, arrays.corners = self.topology.rest_order(primitives, self.execution)
-            fill_tree(tree, self.records, self.execution)
-            in_order = self._is_in_order(tree, self._frame_of(primitives))
+            fill_tree(tree, self.vertex_aabbs, self.execution)
+            in_order = self._is_in_order(tree, self._quantization_of(primitives))
         if not in_order:
             self._sort(primitives, arrays)
-            fill_tree(tree, self.records, self.execution)
+            fill_tree(tree, self.vertex_aabbs, self.execution)
         return tree
 
     def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
         """Order the primitives by where they are now."""
         self.num_sorted += 1
-        frame = self._frame_of(primitives)
-        keys = sorted_keys(primitives, self.records, self.num_frames, frame, self.buffers, self.execution)
+        quantization = self._quantization_of(primitives)
+        keys = sorted_keys(primitives, self.vertex_aabbs, self.num_aabbs, quantization, self.buffers, self.execution)
         name = primitives.name
         arrays.primitive = self.buffers.get(f"{name} order", primitives.count, wp.int32)
         arrays.corners = self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
@@ -253,15 +255,15 @@ class StepBoxes:
             grain=64,
         )
 
-    def _frame_of(self, primitives: PrimitiveSet) -> Any:
+    def _quantization_of(self, primitives: PrimitiveSet) -> Any:
         """What the order of a set is judged and made by.
 
         The trees of static bodies stay while steps with other frames come and go, so their order must not depend on
         what moves in the step that happens to make them.
         """
-        return self._static_frame if primitives.is_static else self.frame
+        return self._static_quantization if primitives.is_static else self.quantization
 
-    def _is_in_order(self, tree: Tree, frame: Any) -> bool:
+    def _is_in_order(self, tree: Tree, quantization: Any) -> bool:
         """Whether most of the blocks are no longer than neighbours are together."""
         count = tree.levels[0]
         if count <= 4:
@@ -271,4 +273,4 @@ class StepBoxes:
         with np.errstate(invalid="ignore", over="ignore"):
             longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
         longest.sort()
-        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * frame.typical_extent)
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * quantization.typical_extent)

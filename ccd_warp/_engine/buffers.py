@@ -12,13 +12,13 @@ class Buffers:
 
     Attributes:
         num_allocations: Arrays that were allocated so far.
-        rooms: Pairs that a search is to have room for, by whether it culls; what steps before came to need.
+        capacities: Pairs that a search is to have capacity for, by whether it culls; what steps before came to need.
     """
 
     def __init__(self, device: Any) -> None:
         self.device = device
         self.num_allocations = 0
-        self.rooms: dict[bool, int] = {}
+        self.capacities: dict[bool, int] = {}
         self._arrays: dict[str, wp.array] = {}
 
     def get(self, name: str, count: int, dtype: Any) -> wp.array:

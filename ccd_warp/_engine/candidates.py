@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.search import Found, Join
+from ccd_warp._engine.search import Found, TreePair
 from ccd_warp._engine.topology import WIDTH
 from ccd_warp._input.arguments import check_real
 from ccd_warp._runtime.launch import Execution
@@ -37,9 +37,9 @@ class Candidates:
     Attributes:
         vertex_face: Vertex and face indices, int32, shape [m, 2].
         edge_edge: Edge indices, first < second, int32, shape [k, 2].
-        point_segment: Indices of loose points among the vertices and of loose edges among the edges, int32,
+        point_segment: Indices of codimensional points among the vertices and of codimensional edges among the edges, int32,
             shape [n, 2]; empty where the mesh has none.
-        point_point: Indices of loose points among the vertices, first < second, int32, shape [l, 2]; likewise.
+        point_point: Indices of codimensional points among the vertices, first < second, int32, shape [l, 2]; likewise.
     """
 
     vertex_face: NDArray[np.int32]
@@ -101,7 +101,7 @@ class _Collector:
             blocks = list(group)
             begin, end = end, end + sum(len(piece.pairs) for piece in blocks)
             if is_cut and not self._execution.is_cuda:
-                pairs[begin:end] = _as_one_block(blocks[0].found.join, pairs[begin:end])
+                pairs[begin:end] = _as_one_block(blocks[0].found.tree_pair, pairs[begin:end])
         return pairs
 
     def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
@@ -144,21 +144,21 @@ def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
             target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
 
 
-def _as_one_block(join: Join | None, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+def _as_one_block(tree_pair: TreePair | None, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
     """Pairs of a query block, found query by query, in the order in which the whole block finds them.
 
     That is by target block, then by query, then by target: a walk goes through the targets in the order of the tree.
     """
-    assert join
-    sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (join.query, join.target)]
+    assert tree_pair
+    sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (tree_pair.query, tree_pair.target)]
     places = [np.full(1 + max(map(np.max, sets)), -1, dtype=np.int32) for _ in sets]
     for place, primitives in zip(places, sets, strict=True):
         place[primitives] = np.arange(len(primitives))
     query_place, target_place = places
-    query, target = pairs.T[::-1] if join.swapped else pairs.T
-    if join.is_symmetric:
+    query, target = pairs.T[::-1] if tree_pair.swapped else pairs.T
+    if tree_pair.is_symmetric:
         # the lower index comes first, whichever of the two asked; within a set the first in the tree asks
-        is_turned = query_place[query] > query_place[target] if join.within else query_place[query] < 0
+        is_turned = query_place[query] > query_place[target] if tree_pair.within else query_place[query] < 0
         query, target = np.where(is_turned, target, query), np.where(is_turned, query, target)
     asking, found = query_place[query], target_place[target]
     return pairs[np.lexsort((found % WIDTH, asking % WIDTH, found // WIDTH))]

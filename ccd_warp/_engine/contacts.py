@@ -86,7 +86,7 @@ class ContactStore:
         every = wp.full(sum(sizes.values()), value=np.inf, dtype=wp.float64, device=execution.device)
         ends = itertools.accumulate(sizes.values())
         self._toi = {name: every[end - sizes[name] : end] for name, end in zip(sizes, ends, strict=True)}
-        # flags tell of too little room alone, and here the counts do
+        # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = buffers.get("flags", 1, wp.int32), buffers.get("world flags", mesh.num_worlds, wp.int32)
         self.minima = new_minima(topology, **self._toi, flags=flags, world_flags=world_flags)
 

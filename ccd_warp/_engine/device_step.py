@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes import Tree, fill_tree, new_tree
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
-from ccd_warp._engine.search import LONG_PART, LONG_SEARCH, Join, joins_of, search_range
-from ccd_warp._engine.topology import CORNER_ARRAYS, RECORD, PrimitiveSet, Topology, choose_frame
+from ccd_warp._engine.search import LONG_PART, LONG_SEARCH, TreePair, search_range, tree_pairs_of
+from ccd_warp._engine.topology import CORNER_ARRAYS, VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._input.interop import as_positions
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -26,8 +26,8 @@ from ccd_warp.kernels.pair_search import CULL, NUM_COUNTS, make_pair_search
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
-_LEAST_ROOM = 1 << 12
-_NUM_FRAMES = 2
+_LEAST_CAPACITY = 1 << 12
+_NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
 # Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
 _MOST_SOLVERS = 1 << 17
@@ -67,7 +67,7 @@ class Capacities:
     def default(mesh: CollisionMesh) -> "Capacities":
         """A pair of each kind a primitive, a contact a vertex: less than the boxes take."""
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
-        return Capacities(min(max(_LEAST_ROOM, primitives), MOST_PAIRS), max(_LEAST_ROOM, mesh.num_vertices))
+        return Capacities(min(max(_LEAST_CAPACITY, primitives), MOST_PAIRS), max(_LEAST_CAPACITY, mesh.num_vertices))
 
 
 @dataclass(frozen=True)
@@ -107,15 +107,15 @@ class PreparedLaunch(NamedTuple):
 
     Attributes:
         form: Which launches it consists of.
-        x_t0: Start positions.
-        x_t1: End positions, or displacements.
+        vertices_t0: Start positions.
+        vertices_t1: End positions, or displacements.
         safety: Share of a toi that a line search keeps.
         places_static: Whether it says where static bodies are.
     """
 
     form: _Form
-    x_t0: wp.array
-    x_t1: wp.array
+    vertices_t0: wp.array
+    vertices_t1: wp.array
     safety: float
     places_static: bool
 
@@ -138,7 +138,7 @@ class DeviceStep:
         """Allocate everything; ``vertices`` are where the trees are laid out, rows of ``at_rest`` static bodies."""
         self.topology = topology
         self._mesh = mesh = topology.mesh
-        _ = topology.corners, topology.rules  # made now, not when a graph is captured
+        _ = topology.corners, topology.collision_filter  # made now, not when a graph is captured
         self._options = options
         self._flag = StopFlag(topology.device)
         self._execution = Execution(topology.device, options.threads, self._flag)
@@ -146,8 +146,8 @@ class DeviceStep:
         self._length_scale = options.length_scale or _longest_side(vertices)
         self._separation = options.separation(self._length_scale)
         self._inflation = half_up(self._separation)
-        self._frame = choose_frame(mesh, vertices, vertices, _NUM_FRAMES)
-        self._records = self._empty(mesh.num_vertices * _NUM_FRAMES * RECORD, wp.float32)
+        self._quantization = choose_quantization(mesh, vertices, vertices, _NUM_AABBS)
+        self._vertex_aabbs = self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32)
         self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
         self._is_moved = self._full(1, 0, wp.int32)
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
@@ -155,8 +155,11 @@ class DeviceStep:
         self._start = self._end = self._empty(0, wp.vec3d)
         if mesh.static.any():
             self._place(at_rest)
-        self._joins = joins_of(self, possible_kinds(mesh, options), moves_alone(mesh))
-        self._keys = {kind: self._empty(capacities.max_pairs, wp.int64) for kind in {join.kind for join in self._joins}}
+        self._tree_pairs = tree_pairs_of(self, possible_kinds(mesh, options), moves_alone(mesh))
+        self._keys = {
+            kind: self._empty(capacities.max_pairs, wp.int64)
+            for kind in {tree_pair.kind for tree_pair in self._tree_pairs}
+        }
         self._recordings: dict[_Form, Recording] = {}  # the one made last is the last
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
@@ -196,9 +199,9 @@ class DeviceStep:
         if mesh.num_worlds > 1:
             arrays["world_toi"] = self._full(mesh.num_worlds, 0.0, wp.float64)
             arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
-        room = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
+        capacity = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
         count = self._full(1, 0, wp.int32)
-        contacts = DeviceContacts(count=count, **room)
+        contacts = DeviceContacts(count=count, **capacity)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
@@ -206,16 +209,16 @@ class DeviceStep:
         sets = [self.topology.primitives(*end) for end in dict.fromkeys(wanted)]
         if any(primitives.is_static for primitives in sets):
             self._execution.launch(
-                box_tree.fill_records,
+                box_tree.fill_vertex_aabbs,
                 len(self.topology.static_vertices),
                 inputs=self._record_inputs(self.topology.static_vertices, self._active, self._start, self._end, 1.0),
-                outputs=[self._records],
+                outputs=[self._vertex_aabbs],
             )
         for primitives in sets:
-            tree = new_tree(primitives, _NUM_FRAMES, lambda n: self._empty(n, wp.float32))
+            tree = new_tree(primitives, _NUM_AABBS, lambda n: self._empty(n, wp.float32))
             tree.arrays.primitive, tree.arrays.corners = self._order(primitives)
             if primitives.is_static:
-                fill_tree(tree, self._records, self._execution)
+                fill_tree(tree, self._vertex_aabbs, self._execution)
             self._trees[primitives.name] = tree
 
     def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
@@ -233,14 +236,14 @@ class DeviceStep:
 
     def _record_inputs(self, vertices: wp.array, active: wp.array, start: Any, end: Any, t_end: float) -> list:
         of_vertices = self.topology.of_vertices(active)
-        return [vertices, *of_vertices, start, end, t_end, self._inflation, self._frame, _NUM_FRAMES]
+        return [vertices, *of_vertices, start, end, t_end, self._inflation, self._quantization, _NUM_AABBS]
 
     def prepare(
         self,
-        x_t0: Any,
-        x_t1: Any,
+        vertices_t0: Any,
+        vertices_t1: Any,
         *,
-        name_t1: str = "x_t1",
+        name_t1: str = "vertices_t1",
         is_displacement: bool = False,
         line_search: LineSearch | None = None,
         safety: float = 1.0,
@@ -250,10 +253,12 @@ class DeviceStep:
         rows = {mesh.num_vertices: "one a vertex"}
         if mesh.static.any():
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        start = as_positions(x_t0, "x_t0", device, rows)
-        end = as_positions(x_t1, name_t1, device, rows)
+        start = as_positions(vertices_t0, "vertices_t0", device, rows)
+        end = as_positions(vertices_t1, name_t1, device, rows)
         if start.dtype is not end.dtype:
-            raise ValueError(f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like x_t0")
+            raise ValueError(
+                f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like vertices_t0"
+            )
         real = wp.float64 if start.dtype is wp.vec3d else wp.float32
         count = mesh.num_vertices
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
@@ -263,21 +268,23 @@ class DeviceStep:
 
     def launch(self, prepared: "PreparedLaunch") -> None:
         """Launch a step. If this raises, the step is half-made and is not to be used again."""
-        form, start, end = prepared.form, prepared.x_t0, prepared.x_t1
+        form, start, end = prepared.form, prepared.vertices_t0, prepared.vertices_t1
         recording = self._recordings.get(form)
         if recording is None:
             recording = self._record(form, start, end)
             if len(self._recordings) == _MOST_RECORDINGS:
                 self._recordings.pop(next(iter(self._recordings)))
             self._recordings[form] = recording
-        recording.bind("x_t0", start)
-        recording.bind("x_t1", end)
+        recording.bind("vertices_t0", start)
+        recording.bind("vertices_t1", end)
         recording.bind(_SAFETY.name, prepared.safety)
         recording.play()
 
-    def _record(self, form: _Form, x_t0: wp.array, x_t1: wp.array) -> Recording:
+    def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """All launches of a step, or of as many as a line search looks at."""
-        recording = Recording(self._execution, {"x_t0": x_t0, "x_t1": x_t1, _SAFETY.name: 1.0})
+        recording = Recording(
+            self._execution, {"vertices_t0": vertices_t0, "vertices_t1": vertices_t1, _SAFETY.name: 1.0}
+        )
         if form.line_search is None:
             self._record_step(recording, form)
             return recording
@@ -304,22 +311,22 @@ class DeviceStep:
                 len(topology.moving_vertices),
                 inputs=[
                     topology.moving_vertices,
-                    Slot("x_t0"),
+                    Slot("vertices_t0"),
                     int(form.t0_by_vertex),
                     int(form.t1_by_vertex),
                     _PER[per],
                     share,
                     self._minima,
                 ],
-                outputs=[Slot("x_t1")],
+                outputs=[Slot("vertices_t1")],
             )
         return recording
 
     def _record_step(self, recording: Recording, form: _Form, kept_flags: int = 0, gaps_moved: float = 0.0) -> None:
         """The launches of a look at a step."""
         mesh, topology = self._mesh, self.topology
-        start: Any = Slot("x_t0")
-        end: Any = Slot("x_t1")
+        start: Any = Slot("vertices_t0")
+        end: Any = Slot("vertices_t1")
         is_kept = form.real is not wp.float64 or form.is_displacement or bool(mesh.static.any())
         if is_kept:
             if len(self._start) == 0:
@@ -327,7 +334,7 @@ class DeviceStep:
             start, end = self._start, self._end
         self._record_input(recording, form, is_kept, kept_flags)
         recording.launch(
-            box_tree.fill_records,
+            box_tree.fill_vertex_aabbs,
             len(topology.moving_vertices),
             inputs=self._record_inputs(
                 topology.moving_vertices,
@@ -336,13 +343,13 @@ class DeviceStep:
                 end,
                 self._options.t_max,
             ),
-            outputs=[self._records],
+            outputs=[self._vertex_aabbs],
         )
         for tree in self._trees.values():
             if not tree.primitives.is_static:
-                fill_tree(tree, self._records, recording)
-        for join in self._joins:
-            self._record_search(recording, join, start, end)
+                fill_tree(tree, self._vertex_aabbs, recording)
+        for tree_pair in self._tree_pairs:
+            self._record_search(recording, tree_pair, start, end)
         for kind in self._keys:
             self._record_narrow_phase(recording, kind, start, end, form.line_search is not None, gaps_moved)
 
@@ -360,7 +367,7 @@ class DeviceStep:
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // _CHUNK),
-                inputs=[topology.static_vertices, Slot("x_t0")],
+                inputs=[topology.static_vertices, Slot("vertices_t0")],
                 outputs=[self._start, self._end, self._is_moved, minima],
                 grain=64,
             )
@@ -370,8 +377,8 @@ class DeviceStep:
             len(topology.moving_vertices),
             inputs=[
                 topology.moving_vertices,
-                Slot("x_t0"),
-                Slot("x_t1"),
+                Slot("vertices_t0"),
+                Slot("vertices_t1"),
                 *by_vertex,
                 int(form.is_displacement),
                 int(is_kept),
@@ -390,7 +397,7 @@ class DeviceStep:
             return
         lattice = [topology.vertex_world, topology.world_shift]
         recording.launch(
-            device_step.refresh_records,
+            device_step.refresh_vertex_aabbs,
             -(-len(topology.static_vertices) // _CHUNK),
             inputs=[
                 self._is_moved,
@@ -398,17 +405,17 @@ class DeviceStep:
                 *lattice,
                 self._start,
                 self._inflation,
-                self._frame,
-                _NUM_FRAMES,
+                self._quantization,
+                _NUM_AABBS,
             ],
-            outputs=[self._records],
+            outputs=[self._vertex_aabbs],
             grain=64,
         )
         for tree in trees:
             recording.launch(
                 device_step.refresh_blocks,
                 -(-tree.levels[0] // _CHUNK),
-                inputs=[self._is_moved, self._records, tree.primitives.num_corners],
+                inputs=[self._is_moved, self._vertex_aabbs, tree.primitives.num_corners],
                 outputs=[tree.arrays],
                 grain=64,
             )
@@ -418,19 +425,21 @@ class DeviceStep:
                 )
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
 
-    def _record_search(self, recording: Recording, join: Join, start: Any, end: Any) -> None:
-        """Look for the pairs of a join, a block of queries an item, on CUDA a query."""
+    def _record_search(self, recording: Recording, tree_pair: TreePair, start: Any, end: Any) -> None:
+        """Look for the pairs of a tree_pair, a block of queries an item, on CUDA a query."""
         level = 0 if recording.is_cuda else 1
-        count = join.query.primitives.count if level == 0 else join.query.levels[0]
+        count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
         num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
-        is_long = join.query.primitives.count * join.target.primitives.count > LONG_SEARCH * num_parts
-        keys = self._keys[join.kind]
+        is_long = tree_pair.query.primitives.count * tree_pair.target.primitives.count > LONG_SEARCH * num_parts
+        keys = self._keys[tree_pair.kind]
         recording.launch(
             make_pair_search(CULL).search_pairs,
             count,
             inputs=[
-                search_range(level, int(join.kind), len(keys), is_shared=True),
-                *join.search_inputs(self.topology, self._options.t_max, self._inflation, self._separation, self._flag),
+                search_range(level, int(tree_pair.kind), len(keys), is_shared=True),
+                *tree_pair.search_inputs(
+                    self.topology, self._options.t_max, self._inflation, self._separation, self._flag
+                ),
                 start,
                 end,
             ],

@@ -17,7 +17,7 @@ from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
 from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
-from ccd_warp._engine.search import KEY_BYTES, LONG_PART, Found, PairSearch, joins_of
+from ccd_warp._engine.search import KEY_BYTES, LONG_PART, Found, PairSearch, tree_pairs_of
 from ccd_warp._engine.topology import CORNER_ARRAYS
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -137,8 +137,8 @@ class Step:
         with self.timed("input"):
             device = self.execution.device
             self.host = start, end = host
-            self.x_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
-            self.x_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
+            self.vertices_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
+            self.vertices_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -168,7 +168,7 @@ class Step:
         """The unit of tolerance and separation."""
         if self.options.length_scale is not None:
             return self.options.length_scale
-        return longest_side(self.x_t0, self.x_t1, self.execution, self.buffers)
+        return longest_side(self.vertices_t0, self.vertices_t1, self.execution, self.buffers)
 
     @property
     def separation(self) -> float:
@@ -182,7 +182,7 @@ class Step:
         """Growth of the boxes for the separation."""
         return half_up(self.separation)
 
-    def begin_boxes(self, inflation: float, t_end: float, num_frames: int) -> None:
+    def begin_boxes(self, inflation: float, t_end: float, num_aabbs: int) -> None:
         """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
         mesh = self.mesh
         active = None
@@ -192,11 +192,13 @@ class Step:
             self.counts["active bodies"] = int((near | mesh.static).sum())
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))
-        self.boxes.begin(self.host, self.x_t0, self.x_t1, t_end, inflation, self.execution, num_frames, active)
-        self.joins = joins_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
+        self.boxes.begin(
+            self.host, self.vertices_t0, self.vertices_t1, t_end, inflation, self.execution, num_aabbs, active
+        )
+        self.tree_pairs = tree_pairs_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
 
     def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
-        """A search with the room that the memory limit leaves."""
+        """A search with the capacity that the memory limit leaves."""
         search = PairSearch(
             self.boxes,
             self.execution,
@@ -206,12 +208,12 @@ class Step:
             separation=self.separation,
             progress=self.progress,
         )
-        search.largest_room = self.room(bytes_per_pair)  # which counts what the search has just allocated
+        search.largest_capacity = self.capacity(bytes_per_pair)  # which counts what the search has just allocated
         return search
 
-    def room(self, bytes_per_pair: int) -> int:
-        """Pairs that the memory limit has room for at a time."""
-        least = max([_LEAST_KEYS, *(join.target.primitives.count for join in self.joins)])
+    def capacity(self, bytes_per_pair: int) -> int:
+        """Pairs that the memory limit has capacity for at a time."""
+        least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.tree_pairs)])
         least *= 1 if self.execution.is_cuda else self.execution.num_threads
         limit = self.options.memory_limit
         if limit is None:
@@ -231,7 +233,7 @@ class Step:
         return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact", "pair")
 
     def largest_contacts(self) -> int:
-        """Contacts that the memory limit has room for."""
+        """Contacts that the memory limit has capacity for."""
         if self.options.memory_limit is None:
             return np.iinfo(np.int32).max
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
@@ -239,10 +241,10 @@ class Step:
     def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
         """Hand the keys of all pairs whose boxes overlap to ``take``, a batch at a time, which the next overwrites."""
         with self.timed("boxes"):
-            self.begin_boxes(inflation, 1.0, num_frames=1)
+            self.begin_boxes(inflation, 1.0, num_aabbs=1)
         with self.timed("pairs"):
             search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
-            batches = search.ranges(self.joins)
+            batches = search.ranges(self.tree_pairs)
         while True:
             with self.timed("pairs"):
                 ranges = next(batches, None)
@@ -256,7 +258,15 @@ class Step:
         """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
         a, b = CORNER_ARRAYS[found.kind]
         corners = self.topology.corners
-        return [int(found.kind), found.begin + first, found.keys, corners[a], corners[b], self.x_t0, self.x_t1]
+        return [
+            int(found.kind),
+            found.begin + first,
+            found.keys,
+            corners[a],
+            corners[b],
+            self.vertices_t0,
+            self.vertices_t1,
+        ]
 
     def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
         """A batch in parts that are worth a launch each, some for every thread, and many of a large one."""
@@ -294,7 +304,7 @@ class Step:
         """
         best = self.options.t_max
         with self.timed("boxes"):
-            self.begin_boxes(self.inflation, best, num_frames=2)
+            self.begin_boxes(self.inflation, best, num_aabbs=2)
         for stride in (_SAMPLE_STRIDE, 1):
             if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
                 continue
@@ -302,7 +312,7 @@ class Step:
                 self.boxes.shorten(best)
             with self.timed("pairs"):
                 search = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
-                batches = search.batches(self.joins, 0, stride)
+                batches = search.batches(self.tree_pairs, 0, stride)
             least = best
             open_pairs = OpenPairs()
             while True:
@@ -387,10 +397,10 @@ class Step:
         t_max = self.options.t_max
         survivors: Counter[PairKind] = Counter()
         with self.timed("boxes"):
-            self.begin_boxes(self.inflation, t_max, num_frames=2)
+            self.begin_boxes(self.inflation, t_max, num_aabbs=2)
         with self.timed("pairs"):
             search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + BYTES_PER_CONTACT)
-            batches = search.batches(self.joins)
+            batches = search.batches(self.tree_pairs)
             store = ContactStore(self.topology, self.buffers, self.execution, self.largest_contacts())
         open_pairs = OpenPairs()
         while True:
@@ -438,7 +448,18 @@ class Step:
             wp.launch(
                 kernel,
                 dim=part.count,
-                inputs=[0, part.count, int(found.kind), *pairs, self.x_t0, self.x_t1, options, 0, is_second, 0.0],
+                inputs=[
+                    0,
+                    part.count,
+                    int(found.kind),
+                    *pairs,
+                    self.vertices_t0,
+                    self.vertices_t1,
+                    options,
+                    0,
+                    is_second,
+                    0.0,
+                ],
                 outputs=outputs,
                 device=self.execution.device,
             )
@@ -482,7 +503,7 @@ class Step:
             "vertices": mesh.num_vertices,
             "edges": mesh.num_edges,
             "faces": mesh.num_faces,
-            **_loose_counts(mesh),
+            **_codimensional_counts(mesh),
             "active bodies": self.counts["active bodies"],
             "boxes": self.boxes.num_boxes,
             "sets sorted anew": self.boxes.num_sorted,
@@ -523,25 +544,30 @@ def kind_name(kind: PairKind) -> str:
 def _kinds(mesh: CollisionMesh) -> list[PairKind]:
     """Pair kinds that the primitives of a mesh can form."""
     kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
-    if len(mesh.loose_points):
+    if len(mesh.codimensional_points):
         kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
     return kinds
 
 
-def _loose_counts(mesh: CollisionMesh) -> dict[str, int]:
+def _codimensional_counts(mesh: CollisionMesh) -> dict[str, int]:
     """Numbers of codimensional primitives, where a mesh has any."""
-    counts = {"loose edges": len(mesh.loose_edges), "loose points": len(mesh.loose_points)}
+    counts = {
+        "codimensional edges": len(mesh.codimensional_edges),
+        "codimensional points": len(mesh.codimensional_points),
+    }
     return {name: count for name, count in counts.items() if count}
 
 
-def longest_side(x_t0: wp.array, x_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
+def longest_side(vertices_t0: wp.array, vertices_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
     """Longest side of the box around both frames."""
-    if len(x_t0) == 0:
+    if len(vertices_t0) == 0:
         return 0.0
     chunk = 64 if execution.is_cuda else 2048
-    count = -(-len(x_t0) // chunk)
+    count = -(-len(vertices_t0) // chunk)
     lower, upper = (buffers.get(f"chunk {side}", count, wp.vec3d) for side in ("lower", "upper"))
-    execution.launch(box_kernels.chunk_bounds, count, inputs=[x_t0, x_t1, chunk], outputs=[lower, upper], grain=8)
+    execution.launch(
+        box_kernels.chunk_bounds, count, inputs=[vertices_t0, vertices_t1, chunk], outputs=[lower, upper], grain=8
+    )
     with np.errstate(over="ignore"):
         sides = upper.numpy()[:count].max(axis=0) - lower.numpy()[:count].min(axis=0)
     return float(min(sides.max(), _LARGEST))

@@ -13,8 +13,8 @@ def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...
     possible = {
         PairKind.VERTEX_FACE: mesh.num_faces > 0,
         PairKind.EDGE_EDGE: mesh.num_edges > 0,
-        PairKind.POINT_SEGMENT: len(mesh.loose_points) > 0 and len(mesh.loose_edges) > 0,
-        PairKind.POINT_POINT: len(mesh.loose_points) > 0,
+        PairKind.POINT_SEGMENT: len(mesh.codimensional_points) > 0 and len(mesh.codimensional_edges) > 0,
+        PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
     }
     return tuple(kind for kind in options.kinds if possible[kind])
 

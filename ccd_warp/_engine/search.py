@@ -1,4 +1,4 @@
-"""Runs the search for pairs in parts, so that what it finds fits the room there is."""
+"""Runs the search for pairs in parts, so that what it finds fits the capacity there is."""
 
 import threading
 from collections import Counter, deque
@@ -51,7 +51,7 @@ class Trees(Protocol):
 
 
 @dataclass(frozen=True)
-class Join:
+class TreePair:
     """Two trees whose boxes may overlap; the same one twice for pairs within a set."""
 
     kind: PairKind
@@ -73,16 +73,16 @@ class Join:
         self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
     ) -> list[Any]:
         """What a search of the two trees takes, after the range and before the positions."""
-        rules = kernels.Join()
-        rules.kind = int(self.kind)
-        rules.within = int(self.within)
-        rules.symmetric = int(self.is_symmetric)
-        rules.swapped = int(self.swapped)
-        rules.num_query_corners = self.query.primitives.num_corners
-        rules.num_target_corners = self.target.primitives.num_corners
-        rules.t_end, rules.inflation, rules.separation = t_end, inflation, separation
-        rules.stop = flag.array
-        return [self.query.arrays, self.target.arrays, rules, topology.rules]
+        packed = kernels.TreePair()
+        packed.kind = int(self.kind)
+        packed.within = int(self.within)
+        packed.symmetric = int(self.is_symmetric)
+        packed.swapped = int(self.swapped)
+        packed.num_query_corners = self.query.primitives.num_corners
+        packed.num_target_corners = self.target.primitives.num_corners
+        packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
+        packed.stop = flag.array
+        return [self.query.arrays, self.target.arrays, packed, topology.collision_filter]
 
 
 def search_range(
@@ -98,10 +98,10 @@ def search_range(
 
 @dataclass(frozen=True)
 class _Part:
-    """Items first, first + stride, … of a join: blocks of queries (level 1) or single queries (level 0)."""
+    """Items first, first + stride, … of a tree_pair: blocks of queries (level 1) or single queries (level 0)."""
 
-    join: Join
-    number: int  # of the join
+    tree_pair: TreePair
+    number: int  # of the tree_pair
     level: int
     first: int
     stride: int
@@ -114,13 +114,13 @@ class _Part:
 
     @property
     def place(self) -> tuple[int, int, int]:
-        """Where the part begins: the join, the query block, and the query in it."""
+        """Where the part begins: the tree_pair, the query block, and the query in it."""
         return (self.number, self.first, 0) if self.level else (self.number, *divmod(self.first, WIDTH))
 
     @property
     def num_tests(self) -> int:
         """Pairs of boxes, most of which the tree parts at once."""
-        return self.num_queries * self.join.target.primitives.count
+        return self.num_queries * self.tree_pair.target.primitives.count
 
     def split(self) -> list["_Part"]:
         """Smaller parts of the same items."""
@@ -132,7 +132,9 @@ class _Part:
             ]
         first = WIDTH * self.first
         return [
-            replace(self, level=0, first=first, stride=1, count=min(WIDTH, self.join.query.primitives.count - first))
+            replace(
+                self, level=0, first=first, stride=1, count=min(WIDTH, self.tree_pair.query.primitives.count - first)
+            )
         ]
 
 
@@ -145,8 +147,8 @@ class Found:
         keys: The capacity that the search has filled.
         begin: The first key.
         count: Number of keys.
-        join: The trees that were searched; None where the keys come from several parts.
-        place: The number of the join, the query block and the query in it that the keys begin with.
+        tree_pair: The trees that were searched; None where the keys come from several parts.
+        place: The number of the tree_pair, the query block and the query in it that the keys begin with.
         is_cut: Whether a block of queries was cut, so that keys come query by query.
     """
 
@@ -154,7 +156,7 @@ class Found:
     keys: wp.array
     begin: int
     count: int
-    join: Join | None = None
+    tree_pair: TreePair | None = None
     place: tuple[int, int, int] = (0, 0, 0)
     is_cut: bool = False
 
@@ -168,7 +170,7 @@ class Found:
 
 @dataclass
 class _Region:
-    """A thread's part of the room."""
+    """A thread's part of the capacity."""
 
     slot: int
     begin: int
@@ -177,7 +179,7 @@ class _Region:
     found: list[Found] = field(default_factory=list)
 
 
-def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[Join]:
+def tree_pairs_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[TreePair]:
     """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
     wanted = []
     for kind in kinds:
@@ -189,16 +191,16 @@ def joins_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> li
             if boxes.topology.primitives(first, a_static).count and boxes.topology.primitives(second, b_static).count:
                 wanted.append((kind, (first, a_static), (second, b_static)))
     boxes.build([end for _, *ends in wanted for end in ends])
-    joins = []
+    tree_pairs = []
     for kind, a, b in wanted:
         tree_a, tree_b = boxes.tree(*a), boxes.tree(*b)
         # what moves asks, so that the tree of what rests is only looked up
         is_swapped = a[1]
         assert tree_a and tree_b
-        join = Join(kind, tree_b, tree_a, swapped=True) if is_swapped else Join(kind, tree_a, tree_b)
-        if boxes.may_meet(join.query, join.target):
-            joins.append(join)
-    return joins
+        tree_pair = TreePair(kind, tree_b, tree_a, swapped=True) if is_swapped else TreePair(kind, tree_a, tree_b)
+        if boxes.may_meet(tree_pair.query, tree_pair.target):
+            tree_pairs.append(tree_pair)
+    return tree_pairs
 
 
 def _merged(ranges: list[Found]) -> list[Found]:
@@ -214,14 +216,14 @@ def _merged(ranges: list[Found]) -> list[Found]:
 
 
 class PairSearch:
-    """A search over all joins of a step.
+    """A search over all tree_pairs of a step.
 
     Attributes:
         candidates: Pairs of each kind that passed the boxes and the mesh's filter.
-        num_batches: Times that the room was filled.
+        num_batches: Times that the capacity was filled.
         num_launches: Launches of the search, by kind.
-        room: Pairs that the last batch had room for.
-        largest_room: Pairs that a batch may have room for.
+        capacity: Pairs that the last batch had capacity for.
+        largest_capacity: Pairs that a batch may have capacity for.
     """
 
     def __init__(
@@ -233,14 +235,14 @@ class PairSearch:
         with_cull: bool,
         t_end: float,
         separation: float,
-        largest_room: int = _MOST_PAIRS,
+        largest_capacity: int = _MOST_PAIRS,
         progress: Progress | None = None,
     ) -> None:
         self.execution = execution
         self.buffers = buffers
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
-        self.num_batches = self.room = 0
+        self.num_batches = self.capacity = 0
         self._made_progress = True
         self._boxes = boxes
         assert execution.flag
@@ -248,7 +250,7 @@ class PairSearch:
         self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
         self._with_cull = with_cull
         self._t_end, self._separation = t_end, separation
-        self.largest_room = largest_room
+        self.largest_capacity = largest_capacity
         self._progress = progress or Progress()
         self._num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
@@ -257,15 +259,15 @@ class PairSearch:
     def _num_slots(self) -> int:
         return 64 if self.execution.is_cuda else self._num_workers
 
-    def batches(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
-        """Search every ``stride``-th block of queries from ``first`` on; yields what the room holds at a time.
+    def batches(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+        """Search every ``stride``-th block of queries from ``first`` on; yields what the capacity holds at a time.
 
-        What comes in which batch depends on the room and the threads; all batches together do not.
+        What comes in which batch depends on the capacity and the threads; all batches together do not.
         """
-        for ranges in self.ranges(joins, first, stride):
+        for ranges in self.ranges(tree_pairs, first, stride):
             yield _merged(ranges)
 
-    def ranges(self, joins: list[Join], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
+    def ranges(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
         """The same with the keys of each part apart, which says where among all keys they stand.
 
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
@@ -273,36 +275,42 @@ class PairSearch:
         trees alone, wherever the parts were cut: but for a block that was cut into its queries (`Found.is_cut`). On
         CUDA the threads of a part claim places as they come.
         """
-        pending = deque(part for k, join in enumerate(joins) for part in self._parts(join, k, first, stride))
+        pending = deque(
+            part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k, first, stride)
+        )
         if not pending:
             return
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
         # Room for all partners of one query is enough, and is what a thread needs.
-        least = max(join.target.primitives.count for join in joins)
-        wanted = sum(join.query.primitives.count for join in joins) * (1 if self._with_cull else 16) // stride
-        last = self.buffers.rooms.get(self._with_cull, 0)  # what the last step came to need
-        room = min(self.largest_room, max(self._num_workers * least, wanted, last, 1 << 16))
+        least = max(tree_pair.target.primitives.count for tree_pair in tree_pairs)
+        wanted = (
+            sum(tree_pair.query.primitives.count for tree_pair in tree_pairs) * (1 if self._with_cull else 16) // stride
+        )
+        last = self.buffers.capacities.get(self._with_cull, 0)  # what the last step came to need
+        capacity = min(self.largest_capacity, max(self._num_workers * least, wanted, last, 1 << 16))
         total = 0
         while pending:
-            self.buffers.get("keys", room, wp.int64)
-            self.room = room
+            self.buffers.get("keys", capacity, wp.int64)
+            self.capacity = capacity
             self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
             regions = (
-                self._cuda_batch(pending, room) if self.execution.is_cuda else self._cpu_batch(pending, room, is_long)
+                self._cuda_batch(pending, capacity)
+                if self.execution.is_cuda
+                else self._cpu_batch(pending, capacity, is_long)
             )
             self.num_batches += 1
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
-                # threads find unequal shares, so twice the room is what the next step does in one batch
-                self.buffers.rooms[self._with_cull] = min(2 * total, self.largest_room)
+                # threads find unequal shares, so twice the capacity is what the next step does in one batch
+                self.buffers.capacities[self._with_cull] = min(2 * total, self.largest_capacity)
             yield [found for region in regions for found in region.found]
-            room = min(2 * room, self.largest_room)
+            capacity = min(2 * capacity, self.largest_capacity)
 
-    def _parts(self, join: Join, number: int, first: int, stride: int) -> list[_Part]:
+    def _parts(self, tree_pair: TreePair, number: int, first: int, stride: int) -> list[_Part]:
         level = 0 if self.execution.is_cuda else 1
-        items = join.query.primitives.count if level == 0 else join.query.levels[0]
+        items = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
         count = max(0, -(-(items - first) // stride))
         if count == 0:
             return []
@@ -311,12 +319,12 @@ class PairSearch:
             parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
         bounds = [count * k // parts for k in range(parts + 1)]
         return [
-            _Part(join, number, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k])
+            _Part(tree_pair, number, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k])
             for k in range(parts)
         ]
 
-    def _record(self, join: Join) -> wp.Launch:
-        """The launch of a join, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
+    def _record(self, tree_pair: TreePair) -> wp.Launch:
+        """The launch of a tree_pair, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
         boxes = self._boxes
         return wp.launch(
             self._kernel,
@@ -324,9 +332,9 @@ class PairSearch:
             inputs=[
                 0,
                 kernels.SearchRange(),
-                *join.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
-                boxes.x_t0,
-                boxes.x_t1,
+                *tree_pair.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
+                boxes.vertices_t0,
+                boxes.vertices_t1,
             ],
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
@@ -334,25 +342,25 @@ class PairSearch:
         )
 
     @staticmethod
-    def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, room: int) -> None:
-        command.set_param_at_index(1, search_range(part.level, slot, room, part.first, part.stride, begin))
+    def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> None:
+        command.set_param_at_index(1, search_range(part.level, slot, capacity, part.first, part.stride, begin))
         command.set_dim(part.count)
         command.launch()
 
     def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
-        self.candidates[part.join.kind] += int(counts[_CANDIDATES])
-        self.num_launches[part.join.kind] += 1
+        self.candidates[part.tree_pair.kind] += int(counts[_CANDIDATES])
+        self.num_launches[part.tree_pair.kind] += 1
         count = int(counts[_FOUND])
         if count == 0:
             return
         region.filled += count
         keys = self.buffers.get("keys", 0, wp.int64)
         is_cut = part.level == 0
-        region.found.append(Found(part.join.kind, keys, begin, count, part.join, part.place, is_cut))
+        region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
 
-    def _cpu_batch(self, pending: deque[_Part], room: int, is_long: bool) -> list[_Region]:
-        """Threads take parts until there are none left or their room is full."""
-        bounds = [room * k // self._num_workers for k in range(self._num_workers + 1)]
+    def _cpu_batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
+        """Threads take parts until there are none left or their capacity is full."""
+        bounds = [capacity * k // self._num_workers for k in range(self._num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
         lock = threading.Lock()
         host = self._counts.numpy()
@@ -367,8 +375,8 @@ class PairSearch:
                     part = pending.popleft()
                 begin = region.begin + region.filled
                 counts[:] = 0
-                command = commands.get(id(part.join)) or self._record(part.join)
-                commands[id(part.join)] = command
+                command = commands.get(id(part.tree_pair)) or self._record(part.tree_pair)
+                commands[id(part.tree_pair)] = command
                 self._launch(command, part, region.slot, begin, region.end - begin)
                 if self._flag.is_set:
                     return  # the kernel has left out what it likes
@@ -385,15 +393,15 @@ class PairSearch:
         self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
         return regions
 
-    def _cuda_batch(self, pending: deque[_Part], room: int) -> list[_Region]:
-        """Launch every part with an equal share of the room, and read all counts back at once."""
-        # where no part had room enough among others, one gets all of it
+    def _cuda_batch(self, pending: deque[_Part], capacity: int) -> list[_Region]:
+        """Launch every part with an equal share of the capacity, and read all counts back at once."""
+        # where no part had capacity enough among others, one gets all of it
         most = self._num_slots if self._made_progress else 1
         parts = [pending.popleft() for _ in range(min(len(pending), most))]
         self._counts.zero_()
-        bounds = [room * k // len(parts) for k in range(len(parts) + 1)]
+        bounds = [capacity * k // len(parts) for k in range(len(parts) + 1)]
         for k, part in enumerate(parts):
-            self._launch(self._record(part.join), part, k, bounds[k], bounds[k + 1] - bounds[k])
+            self._launch(self._record(part.tree_pair), part, k, bounds[k], bounds[k + 1] - bounds[k])
         host = self._counts.numpy()
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
         self._made_progress = False
@@ -402,6 +410,6 @@ class PairSearch:
                 self._keep(regions[k], part, bounds[k], host[k])
                 self._made_progress = True
             else:
-                # split it only where even all the room is not enough
-                pending.extendleft([part] if host[k, _FOUND] <= room else part.split())
+                # split it only where even all the capacity is not enough
+                pending.extendleft([part] if host[k, _FOUND] <= capacity else part.split())
         return regions

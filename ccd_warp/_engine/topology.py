@@ -1,4 +1,4 @@
-"""What a mesh keeps on a device: its primitives in sets, their order along the curve, and the rules of its filter."""
+"""What a mesh keeps on a device: its primitives in sets, their order along the curve, and the collision_filter of its filter."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,10 +16,10 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import rest_order
-from ccd_warp.kernels.collision_filter import Filter
+from ccd_warp.kernels.collision_filter import CollisionFilter
 
 WIDTH = int(kernels.WIDTH)
-RECORD = int(kernels.RECORD)
+VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
 _CLASS_BITS = int(kernels.CLASS_BITS)
@@ -29,8 +29,8 @@ _LARGEST_EXPONENT = 1000
 PRIMITIVES = {
     PairKind.VERTEX_FACE: ("vertex", "face"),
     PairKind.EDGE_EDGE: ("edge", "edge"),
-    PairKind.POINT_SEGMENT: ("loose_point", "loose_edge"),
-    PairKind.POINT_POINT: ("loose_point", "loose_point"),
+    PairKind.POINT_SEGMENT: ("codimensional_point", "codimensional_edge"),
+    PairKind.POINT_POINT: ("codimensional_point", "codimensional_point"),
 }
 CORNER_ARRAYS = {
     PairKind.VERTEX_FACE: ("vertex", "face"),
@@ -100,7 +100,7 @@ class Topology:
         return cache[key]
 
     def of_vertices(self, active: wp.array) -> list[wp.array]:
-        """What `fill_records` asks about each vertex, beside where it is."""
+        """What `fill_vertex_aabbs` asks about each vertex, beside where it is."""
         return [self.vertex_body, active, self.vertex_world, self.world_shift]
 
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
@@ -128,9 +128,11 @@ class Topology:
 
     def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
         mesh = self.mesh
-        array = {"loose_point": "vertex", "loose_edge": "edge"}.get(kind, kind)
+        array = {"codimensional_point": "vertex", "codimensional_edge": "edge"}.get(kind, kind)
         body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
-        among = {"loose_point": mesh.loose_points, "loose_edge": mesh.loose_edges}.get(kind)
+        among = {"codimensional_point": mesh.codimensional_points, "codimensional_edge": mesh.codimensional_edges}.get(
+            kind
+        )
         num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
         name = f"{'static' if is_static else 'moving'} {kind}"
         if among is None and (mesh.static == is_static).all():
@@ -142,24 +144,24 @@ class Topology:
         return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
 
     @lazy_property
-    def rules(self) -> Any:
+    def collision_filter(self) -> Any:
         """The filter of the mesh, as the search takes it."""
         mesh = self.mesh
-        rules = Filter()
+        collision_filter = CollisionFilter()
         none = wp.empty(0, dtype=wp.int32, device=self.device)
-        rules.vertex_body = self.vertex_body
-        rules.by_pair = int(mesh.body_pairs is not None)
-        rules.by_body = int(not mesh.self_collision.all() or rules.by_pair)
-        rules.self_collision = self._array(mesh.self_collision.astype(np.int32))
+        collision_filter.vertex_body = self.vertex_body
+        collision_filter.by_pair = int(mesh.body_pairs is not None)
+        collision_filter.by_body = int(not mesh.self_collision.all() or collision_filter.by_pair)
+        collision_filter.self_collision = self._array(mesh.self_collision.astype(np.int32))
         pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
-        rules.body_pairs = self._array(pairs, wp.uint8)
-        rules.by_world = int(mesh.num_worlds > 1)
-        rules.vertex_world = self.vertex_world
-        rules.by_ring = int(mesh.exclusion_rings > 1)
-        rules.ring_begin, rules.ring = none, none
-        if rules.by_ring:
-            rules.ring_begin, rules.ring = (self._array(array) for array in vertex_rings(mesh))
-        return rules
+        collision_filter.body_pairs = self._array(pairs, wp.uint8)
+        collision_filter.by_world = int(mesh.num_worlds > 1)
+        collision_filter.vertex_world = self.vertex_world
+        collision_filter.by_ring = int(mesh.exclusion_rings > 1)
+        collision_filter.ring_begin, collision_filter.ring = none, none
+        if collision_filter.by_ring:
+            collision_filter.ring_begin, collision_filter.ring = (self._array(array) for array in vertex_rings(mesh))
+        return collision_filter
 
     def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
         """Indices of the primitives and vertices of their blocks, in an order that suits the mesh as it was given.
@@ -178,19 +180,19 @@ class Topology:
         """The same for the mesh at other positions, made anew."""
         mesh = self.mesh
         rest: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
-        frame = choose_frame(mesh, vertices, vertices, 1)
-        records = wp.empty(mesh.num_vertices * RECORD, dtype=wp.float32, device=self.device)
+        quantization = choose_quantization(mesh, vertices, vertices, 1)
+        vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=self.device)
         every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
         active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
         execution.launch(
-            kernels.fill_records,
+            kernels.fill_vertex_aabbs,
             mesh.num_vertices,
-            inputs=[every, *self.of_vertices(active), rest, rest, 1.0, 0.0, frame, 1],
-            outputs=[records],
+            inputs=[every, *self.of_vertices(active), rest, rest, 1.0, 0.0, quantization, 1],
+            outputs=[vertex_aabbs],
         )
         order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
         centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
-        inputs = [primitives.corners, self.vertex_body, records]
+        inputs = [primitives.corners, self.vertex_body, vertex_aabbs]
         execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
         size = WIDTH << (primitives.num_blocks - 1).bit_length()
         while size > WIDTH:
@@ -215,13 +217,23 @@ class Topology:
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
         arrays += [array for order in self._orders.values() for array in order]
-        rules = self.rules
-        arrays += [rules.self_collision, rules.body_pairs, rules.ring_begin, rules.ring]
+        collision_filter = self.collision_filter
+        arrays += [
+            collision_filter.self_collision,
+            collision_filter.body_pairs,
+            collision_filter.ring_begin,
+            collision_filter.ring,
+        ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 
 
 def sorted_keys(
-    primitives: PrimitiveSet, records: wp.array, num_frames: int, frame: Any, buffers: Buffers, execution: Execution
+    primitives: PrimitiveSet,
+    vertex_aabbs: wp.array,
+    num_aabbs: int,
+    quantization: Any,
+    buffers: Buffers,
+    execution: Execution,
 ) -> wp.array:
     """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
     count = primitives.count
@@ -231,7 +243,7 @@ def sorted_keys(
     execution.launch(
         kernels.sort_keys,
         count,
-        inputs=[primitives.corners, records, num_frames, frame, morton_bits, primitives.index_bits],
+        inputs=[primitives.corners, vertex_aabbs, num_aabbs, quantization, morton_bits, primitives.index_bits],
         outputs=[keys],
     )
     sort_in_place(keys, count, execution)
@@ -239,7 +251,7 @@ def sorted_keys(
 
 
 def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
-    """Sort the first ``count`` non-negative int64 keys; on CUDA the array has room for twice as many.
+    """Sort the first ``count`` non-negative int64 keys; on CUDA the array has capacity for twice as many.
 
     On the CPU NumPy's SIMD sort takes a fraction of the time of the radix sort.
     """
@@ -251,16 +263,18 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         keys.numpy()[:count].sort()
 
 
-def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_frames: int) -> Any:
+def choose_quantization(
+    mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_aabbs: int
+) -> Any:
     """The map to float32 and the extent that counts as typical of a box, from samples of the step.
 
     The middle nine tenths of the vertices, thrice as wide, map to [-1/2, 1/2]: a vertex far away costs the others no
     resolution. The origin lies on a coarse lattice, so that it stays where it is while the scene does, and with it the
     trees of what rests.
     """
-    frame = kernels.Frame()
+    quantization = kernels.Quantization()
     if len(start) == 0:
-        return frame
+        return quantization
     with np.errstate(over="ignore", under="ignore"):
         sample = (np.arange(NUM_SAMPLES) * len(start)) // NUM_SAMPLES
         centre = np.sort(0.5 * start[sample] + 0.5 * end[sample], axis=0)
@@ -268,7 +282,7 @@ def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[n
         primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(len(start))[:, None])
         chosen = primitives[(np.arange(NUM_SAMPLES) * len(primitives)) // NUM_SAMPLES]
         boxes = (
-            [start[chosen], end[chosen]] if num_frames == 2 else [np.concatenate([start[chosen], end[chosen]], axis=1)]
+            [start[chosen], end[chosen]] if num_aabbs == 2 else [np.concatenate([start[chosen], end[chosen]], axis=1)]
         )
         sizes = [(0.5 * box.max(axis=1) - 0.5 * box.min(axis=1)).max(axis=1) for box in boxes]
         half_extent = float(np.median(np.max(sizes, axis=0)))
@@ -276,23 +290,23 @@ def choose_frame(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[n
         exponent = int(np.clip(np.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
         lattice = 2.0 ** (exponent - 2)
         origin = np.round(centre[NUM_SAMPLES // 2] / lattice) * lattice
-        frame.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
+        quantization.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
         exponent += lattice_bits(mesh.num_worlds)
-        frame.scale = 2.0**-exponent
-        frame.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
-    return frame
+        quantization.scale = 2.0**-exponent
+        quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
+    return quantization
 
 
-def choose_static_frame(mesh: CollisionMesh, start: NDArray[np.float64], frame: Any) -> Any:
+def choose_static_quantization(mesh: CollisionMesh, start: NDArray[np.float64], quantization: Any) -> Any:
     """The same map, with the extent that is typical of the primitives of static bodies alone."""
     among = mesh.edges[mesh.static[mesh.edge_body]]
-    static = kernels.Frame()
-    static.origin, static.scale, static.typical_extent = frame.origin, frame.scale, np.float32(0.0)
+    static = kernels.Quantization()
+    static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
     if len(among):
         with np.errstate(over="ignore", under="ignore"):
             points = start[among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]]
             half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
-            static.typical_extent = np.float32(2.0 * half_extent * frame.scale)
+            static.typical_extent = np.float32(2.0 * half_extent * quantization.scale)
     return static
 
 

@@ -37,7 +37,7 @@ class Workspace:
                 static=~every,
                 self_collision=every,
                 given_edges=np.zeros((0, 2), dtype=np.int32),
-                with_loose_points=every,
+                with_codimensional_points=every,
                 body_pairs=mesh.body_pairs,
                 exclusion_rings=1,
                 vertex_world=np.zeros(mesh.num_bodies, dtype=np.int32),

@@ -41,19 +41,19 @@ def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.inte
     return keys[(keys >> 32) != (keys & 0xFFFFFFFF)]
 
 
-def find_loose_points(
+def find_codimensional_points(
     faces: NDArray[np.int32],
     edges: NDArray[np.int32],
-    with_loose_points: NDArray[np.bool_],
+    with_codimensional_points: NDArray[np.bool_],
     vertex_body: NDArray[np.int32],
 ) -> NDArray[np.int32]:
     """Vertices in no face and no edge, of the bodies that ask for them."""
-    if not with_loose_points.any():
+    if not with_codimensional_points.any():
         return np.zeros(0, dtype=np.int32)
-    is_loose = with_loose_points[vertex_body]
-    is_loose[faces] = False
-    is_loose[edges] = False
-    return np.flatnonzero(is_loose).astype(np.int32)
+    is_codimensional = with_codimensional_points[vertex_body]
+    is_codimensional[faces] = False
+    is_codimensional[edges] = False
+    return np.flatnonzero(is_codimensional).astype(np.int32)
 
 
 def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:

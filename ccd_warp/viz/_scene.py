@@ -28,7 +28,7 @@ class StepScene:
         start: Positions at t = 0, float64, shape [V, 3].
         end: Positions at t = 1, float64, shape [V, 3].
         faces: Vertex indices, shape [F, 3].
-        segments: Vertex indices of loose edges, shape [S, 2].
+        segments: Vertex indices of codimensional edges, shape [S, 2].
         points: Indices of the vertices in no face and no edge, shape [P].
         vertex_body: Body of each vertex, shape [V].
         static: Bodies that do not move, bool, shape [B].
@@ -115,7 +115,7 @@ def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLi
         start=(start - centre) / unit,
         end=(end - centre) / unit,
         faces=mesh.faces,
-        segments=mesh.edges[mesh.loose_edges],
+        segments=mesh.edges[mesh.codimensional_edges],
         points=np.flatnonzero(is_point).astype(np.int32),
         vertex_body=mesh.vertex_body,
         static=mesh.static,
