@@ -73,19 +73,28 @@ class OpenPairs:
 
 
 class _OpenList:
-    """Device arrays that a launch writes open pairs of a kind to; they grow where there are more."""
+    """Device arrays that a launch writes open pairs of a kind to; they grow where there are more.
+
+    Attributes:
+        count: Number of pairs, int32, shape [1].
+        arrays: Count, keys and toi, as the kernel takes them.
+    """
 
     def __init__(self, buffers: Buffers, kind: PairKind) -> None:
         self._buffers = buffers
         self._name = f"{kind.name} open"
         self.count = buffers.get(f"{self._name} pair count", 1, wp.int32)
         self._size = 1 << 10
+        self.begin()
 
-    @property
-    def arrays(self) -> list[wp.array]:
-        """Count, keys and toi, as the kernel takes them."""
+    def begin(self) -> None:
+        """Empty the list, and let it be as long as is known to be needed.
+
+        Not on the threads that launch: of arrays that two of them make larger at once, one would be lost.
+        """
+        self.count.zero_()
         keys = self._buffers.get(f"{self._name} keys", self._size, wp.int64)
-        return [self.count, keys, self._buffers.get(f"{self._name} pair toi", len(keys), wp.float64)]
+        self.arrays = [self.count, keys, self._buffers.get(f"{self._name} pair toi", len(keys), wp.float64)]
 
     def has_held_all(self) -> bool:
         """Whether there was capacity for all; if not, there is now."""
@@ -359,7 +368,7 @@ class Step:
 
         while True:
             for each in lists.values():
-                each.count.zero_()
+                each.begin()
             self.launch_parts(kernel, parts, launch, is_long=open_pairs is None)
             if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
                 break
