@@ -46,7 +46,7 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
     toi = ccd.mesh_ccd(mesh, start, end, **options).toi
     for _ in range(4):
         new = ccd.CollisionMesh.from_arrays(
-            [(mesh.vertices, mesh.faces, mesh.edges[mesh.loose_edges])], vertex_world=mesh.vertex_world
+            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], vertex_world=mesh.vertex_world
         )
         assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
 
