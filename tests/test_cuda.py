@@ -20,7 +20,7 @@ from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import BOXES, CULL, make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order"]
+PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes"]
 
 
 def warp_modules():

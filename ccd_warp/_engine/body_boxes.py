@@ -1,50 +1,128 @@
-"""Bodies whose boxes meet: the same search, among one box a body."""
+"""Bodies that another may touch: a search among the swept boxes of whole bodies."""
+
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.search import PairSearch, tree_pairs_of
-from ccd_warp._engine.workspace import Workspace
+from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._status import PairKind
+from ccd_warp.kernels import body_boxes as kernels
 
-_MOST_PAIRS = 1 << 24  # at a time
+_MORTON_BITS = 10  # of each axis
+# Shifts and masks that move the bits of a number three places apart.
+_SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
+_LARGEST = np.finfo(np.float64).max
+# Pairs of bodies from which on a search may take long, should all boxes meet and no pair be allowed.
+_LONG_SEARCH = 1 << 24
 
 
 def bodies_near(
-    workspace: Workspace, host: tuple[NDArray[np.float64], NDArray[np.float64]], inflation: float, execution: Execution
+    topology: Topology, host: tuple[NDArray[np.float64], NDArray[np.float64]], inflation: float, execution: Execution
 ) -> NDArray[np.bool_]:
-    """Bodies that may collide with themselves or whose swept box meets that of another they may collide with.
+    """Which moving bodies may collide: with themselves, or with another whose swept box meets theirs.
 
-    A mesh of points, one a body, that move from the lower to the upper corner of the body's box: their swept boxes are
-    those of the bodies.
+    Args:
+        topology: The bodies.
+        host: Start and end positions, shape [V, 3].
+        inflation: Growth of every box on every side, a length.
+        execution: Where to search.
+
+    Returns:
+        Flags, shape [B].
+
+    Guarantee: two bodies, one of which moves, that the mesh lets collide and whose boxes, inflated, have a point in
+    common are never left out.
     """
-    mesh = workspace.topology.mesh
-    first = mesh.body_vertex_range[:-1].astype(np.int64)
-    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    lower, upper = np.zeros((2, mesh.num_bodies, 3))
-    if len(filled):
-        lower[filled] = np.minimum.reduceat(np.minimum(*host), first[filled], axis=0)
-        upper[filled] = np.maximum.reduceat(np.maximum(*host), first[filled], axis=0)
-    hull = workspace.body_hull()
-    vertices_t0: wp.array = wp.array(lower, dtype=wp.vec3d, device=execution.device, copy=False)
-    vertices_t1: wp.array = wp.array(upper, dtype=wp.vec3d, device=execution.device, copy=False)
-    hull.boxes.begin((lower, upper), vertices_t0, vertices_t1, 1.0, inflation, execution, num_aabbs=1)
-    search = PairSearch(
-        hull.boxes,
-        execution,
-        hull.buffers,
-        with_cull=False,
-        t_end=1.0,
-        separation=0.0,
-        largest_capacity=max(_MOST_PAIRS, execution.num_threads * mesh.num_bodies),
-    )
+    mesh = topology.mesh
     near = mesh.self_collision & ~mesh.static
-    for batch in search.batches(tree_pairs_of(hull.boxes, (PairKind.POINT_POINT,), skip_moving=False)):
-        for found in batch:
-            keys = found.keys[found.begin : found.begin + found.count].numpy()
-            a, b = keys >> 32, keys & 0xFFFFFFFF
-            one_moves = ~(mesh.static[a] & mesh.static[b])
-            near[a[one_moves]] = near[b[one_moves]] = True
-    return near
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    is_query = ~mesh.static[filled] & ~near[filled]
+    if not is_query.any():
+        return near
+    device = execution.device
+    with np.errstate(over="ignore", under="ignore"):
+        lower, upper = _swept_boxes(host, mesh.body_vertex_range[filled], inflation)
+        tree, order = _tree(lower, upper, filled, device)
+    queries = np.flatnonzero(is_query[order]).astype(np.int32)
+    found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
+    assert execution.flag
+    execution.launch(
+        kernels.mark_bodies_near,
+        len(queries),
+        inputs=[
+            wp.array(queries, dtype=wp.int32, device=device, copy=False),
+            tree,
+            topology.collision_filter.by_pair,
+            topology.collision_filter.body_pairs,
+            execution.flag.array,
+        ],
+        outputs=[found],
+        grain=256,
+        is_long=len(queries) * len(filled) > _LONG_SEARCH,
+    )
+    return near | (found.numpy() != 0)
+
+
+def _swept_boxes(
+    host: tuple[NDArray[np.float64], NDArray[np.float64]], first: NDArray[np.int32], inflation: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes around both frames of bodies that begin at these vertices, inflated and rounded outward."""
+    lower = np.minimum.reduceat(np.minimum(*host), first, axis=0)
+    upper = np.maximum.reduceat(np.maximum(*host), first, axis=0)
+    if inflation > 0.0:
+        lower = np.nextafter(lower - inflation, -np.inf)
+        upper = np.nextafter(upper + inflation, np.inf)
+    return lower, upper
+
+
+def _mapped(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners by a monotone map to [0, 1]."""
+    lower, upper = (0.25 * np.clip(corners, -_LARGEST, _LARGEST) for corners in (lower, upper))
+    least = lower.min(axis=0)
+    lower, upper = lower - least, upper - least
+    exponent = -np.frexp(upper.max())[1]
+    return np.ldexp(lower, exponent), np.ldexp(upper, exponent)
+
+
+def _along_curve(corners: NDArray[np.float64]) -> NDArray[np.intp]:
+    """An order of points in [0, 1] along the Morton curve; any order is right, and this one is fast."""
+    cell = (corners * (2**_MORTON_BITS - 1)).astype(np.int64)
+    for shift, mask in _SPREAD:
+        cell = (cell | cell << shift) & mask
+    return np.argsort(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2)
+
+
+def _levels(lower: NDArray[np.float32], upper: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Blocks of each level over boxes in their order, from level 0 on; shapes [blocks, 6, 16]."""
+    levels: list[NDArray[np.float32]] = []
+    while not levels or len(levels[-1]) > 1:
+        num_blocks = -(-len(lower) // WIDTH)
+        boxes = np.empty((num_blocks * WIDTH, 6), dtype=np.float32)
+        boxes[: len(lower), :3], boxes[: len(lower), 3:] = lower, upper
+        boxes[len(lower) :, :3], boxes[len(lower) :, 3:] = np.inf, -np.inf
+        levels.append(boxes.reshape(num_blocks, WIDTH, 6).transpose(0, 2, 1))
+        lower, upper = levels[-1][:, :3].min(axis=2), levels[-1][:, 3:].max(axis=2)
+    return levels
+
+
+def _tree(
+    lower: NDArray[np.float64], upper: NDArray[np.float64], body: NDArray[np.intp], device: Any
+) -> tuple[Any, NDArray[np.intp]]:
+    """The tree over the boxes of bodies, and its order."""
+    low, high = _mapped(lower, upper)
+    order = _along_curve(0.5 * low + 0.5 * high)
+    levels = _levels(low[order].astype(np.float32), high[order].astype(np.float32))
+    tree = kernels.BodyTree()
+    tree.num_levels = len(levels)
+    begin = 0
+    for k, level in enumerate(levels):
+        tree.block_begin[k] = begin
+        begin += len(level)
+    nodes = np.concatenate([level.reshape(-1) for level in levels])
+    tree.nodes = wp.array(nodes, dtype=wp.float32, device=device, copy=False)
+    tree.lower = wp.array(lower[order], dtype=wp.vec3d, device=device, copy=False)
+    tree.upper = wp.array(upper[order], dtype=wp.vec3d, device=device, copy=False)
+    tree.body = wp.array(body[order].astype(np.int32), dtype=wp.int32, device=device, copy=False)
+    return tree, order

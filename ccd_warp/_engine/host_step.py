@@ -197,7 +197,7 @@ class Step:
         active = None
         self.counts["active bodies"] = mesh.num_bodies
         if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
-            near = bodies_near(self.workspace, self.host, inflation, self.execution)
+            near = bodies_near(self.topology, self.host, inflation, self.execution)
             self.counts["active bodies"] = int((near | mesh.static).sum())
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))

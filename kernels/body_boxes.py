@@ -1,0 +1,98 @@
+"""Which bodies may meet another: a walk over a tree of one box a body that ends at the first partner.
+
+The tree is in blocks of sixteen, as `box_tree` describes them: level 0 holds the boxes of the bodies, and box k of a
+level is around block k of the level below. These boxes are float32, by a monotone map that keeps every overlap; what
+overlaps there is compared in float64, closed, so that boxes that touch in one point meet.
+"""
+
+import warp as wp
+
+from .box_tree import vec8i
+from .interrupts import is_stopped
+from .lanes import lowest_bit, overlap_mask
+from .pair_search import vec8u
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_WIDTH = wp.constant(16)
+_NONE = wp.constant(wp.uint32(0))
+
+
+@wp.struct
+class BodyTree:
+    """Boxes of bodies in the order of the tree, and around them."""
+
+    num_levels: int
+    block_begin: vec8i  # first block of each level
+    nodes: wp.array[wp.float32]  # a block: lower x, y, z, upper x, y, z of sixteen boxes; inf and -inf for none
+    lower: wp.array[wp.vec3d]  # of each body
+    upper: wp.array[wp.vec3d]
+    body: wp.array[wp.int32]
+
+
+@wp.func
+def meets_one_of(
+    query: int, mask: wp.uint32, first: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]
+) -> bool:
+    """Whether the box at place ``query`` meets that of a possible partner among the places first + bits of a mask."""
+    low = tree.lower[query]
+    high = tree.upper[query]
+    while mask != _NONE:
+        place = first + lowest_bit(mask)
+        mask = mask & (mask - wp.uint32(1))
+        if place != query and (by_pair == 0 or body_pairs[tree.body[query], tree.body[place]] != wp.uint8(0)):
+            a = wp.max(low, tree.lower[place])
+            b = wp.min(high, tree.upper[place])
+            if a[0] <= b[0] and a[1] <= b[1] and a[2] <= b[2]:
+                return True
+    return False
+
+
+@wp.func
+def meets_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]) -> bool:
+    """Whether the box at place ``query`` meets that of any possible partner."""
+    block = query / _WIDTH
+    lane = query % _WIDTH
+    # neighbours first, among which most bodies that have a partner find one
+    mask = overlap_mask(tree.nodes, block, tree.nodes, block, lane, 0)
+    if meets_one_of(query, mask, block * _WIDTH, tree, by_pair, body_pairs):
+        return True
+    top = tree.num_levels - 1
+    level = wp.int32(top)
+    pending = vec8u()
+    node = vec8i()
+    pending[top] = overlap_mask(tree.nodes, tree.block_begin[top], tree.nodes, block, lane, 0)
+    while level <= top:
+        if level == 0:
+            if meets_one_of(query, pending[0], node[0] * _WIDTH, tree, by_pair, body_pairs):
+                return True
+            level = 1
+        elif pending[level] == _NONE:
+            level += 1
+        else:
+            child = node[level] * _WIDTH + lowest_bit(pending[level])
+            pending[level] = pending[level] & (pending[level] - wp.uint32(1))
+            level -= 1
+            node[level] = child
+            pending[level] = overlap_mask(tree.nodes, tree.block_begin[level] + child, tree.nodes, block, lane, 0)
+    return False
+
+
+@wp.kernel
+def mark_bodies_near(
+    begin: int,
+    # in
+    queries: wp.array[wp.int32],  # places in the tree
+    tree: BodyTree,
+    by_pair: int,  # 1: the array that follows counts
+    body_pairs: wp.array2d[wp.uint8],
+    stop: wp.array[wp.int32],
+    # out
+    near: wp.array[wp.int32],  # per body
+):
+    """Mark the bodies whose box meets that of another that they may collide with."""
+    if is_stopped(stop):
+        return
+    query = queries[begin + wp.tid()]
+    if meets_another(query, tree, by_pair, body_pairs):
+        near[tree.body[query]] = 1
