@@ -5,8 +5,6 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parent.parent
 # Folders in the tree, and what they are called once installed.
 PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
