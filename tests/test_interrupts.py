@@ -193,6 +193,8 @@ def pairs(count, num_threads):
 
 def run(count, num_threads, num_faces, num_pairs, only=None):
     """Interrupt each call in turn; prints a line of JSON for each signal that came in time."""
+    # a shell that starts the tests in the background may have them ignore it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     steps = Steps(num_faces, num_threads)
     calls = steps.calls() | steps.long_calls() | pairs(num_pairs, num_threads)
     calls = {name: call for name, call in calls.items() if only in (None, name)}
