@@ -68,30 +68,33 @@ class Gathered:
 
 
 class ContactStore:
-    """Contacts of the batches so far, and the minima over them.
+    """Contacts of the batches of a step, and the minima over them; its arrays stay for the next step.
 
     Attributes:
         minima: What the narrow phase lowers.
         total: Contacts that were found.
     """
 
-    def __init__(self, topology: Topology, buffers: Buffers, execution: Execution, largest: int) -> None:
-        """``largest`` is the number of contacts that may be kept; beyond it they are only counted."""
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
         mesh = topology.mesh
         self.total = 0
-        self._topology, self._buffers, self._execution = topology, buffers, execution
-        self._largest = largest
-        self._counter = buffers.get("contact counter", 1, wp.int32)
+        self._topology, self._buffers = topology, buffers
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
-        every = wp.full(sum(sizes.values()), value=np.inf, dtype=wp.float64, device=execution.device)
-        ends = itertools.accumulate(sizes.values())
-        self._toi = {name: every[end - sizes[name] : end] for name, end in zip(sizes, ends, strict=True)}
+        self._bounds = [0, *itertools.accumulate(sizes.values())]
+        self._toi = wp.empty(self._bounds[-1], dtype=wp.float64, device=topology.device)
+        toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, itertools.pairwise(self._bounds))}
         # flags tell of too little capacity alone, and here the counts do
-        flags, world_flags = buffers.get("flags", 1, wp.int32), buffers.get("world flags", mesh.num_worlds, wp.int32)
-        self.minima = new_minima(topology, **self._toi, flags=flags, world_flags=world_flags)
+        flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
+        self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
+        self._counter: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
+        self._list: Any = None
+        self._capacity = 0
 
-    def _full(self, count: int, value: int) -> wp.array:
-        return wp.full(count, value=value, dtype=wp.int32, device=self._execution.device)
+    def begin(self, execution: Execution, largest: int) -> None:
+        """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
+        self.total = 0
+        self._execution, self._largest = execution, largest
+        self._toi.fill_(np.inf)
 
     @property
     def is_complete(self) -> bool:
@@ -100,47 +103,49 @@ class ContactStore:
 
     def begin_batch(self, num_pairs: int) -> Any:
         """The list that a batch of so many pairs appends to, with a place for each of them."""
-        wanted = min(self.total + num_pairs, self._largest)
-        kept = min(self.total, self._largest)
+        kept, wanted = min(self.total, self._capacity), min(self.total + num_pairs, self._largest)
+        if wanted > self._capacity or self._list is None:
+            arrays = {
+                name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)
+                for name, dtype in CONTACT_DTYPES.items()
+            }
+            self._list = new_contact_list({"count": self._counter, **arrays})
+            self._capacity = min(map(len, arrays.values()))
         self._counter.fill_(kept)
-        arrays = {
-            name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)[:wanted]
-            for name, dtype in CONTACT_DTYPES.items()
-        }
-        return new_contact_list({"count": self._counter, **arrays})
+        return self._list
 
     def end_batch(self) -> None:
-        """Keep what the batch has appended."""
-        self.total += int(self._counter.numpy()[0]) - min(self.total, self._largest)
+        """Count what the batch has appended."""
+        self.total += int(self._counter.numpy()[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
         """All contacts, by kind and pair, and whose they are."""
         mesh, topology = self._topology.mesh, self._topology
-        device, count = self._execution.device, self.total
+        device, count = topology.device, self.total
         arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        first_of = [self._full(n, _LAST if count else -1) for n in (mesh.num_vertices, mesh.num_bodies)]
+        first_of = [
+            wp.full(n, value=_LAST, dtype=wp.int32, device=device) for n in (mesh.num_vertices, mesh.num_bodies)
+        ]
         if count > 0:
-            found = new_contact_list({"count": self._counter, **self._kept()})
+            found = self._list
             ordered = new_contact_list({"count": self._counter, **arrays})
             self._execution.launch(kernels.order_contacts, count, inputs=[self._order(found), found], outputs=[ordered])
             corners = [topology.corners[name] for name in ("vertex", "edge", "face")]
             self._execution.launch(
                 kernels.first_contacts, count, inputs=[ordered, *corners, self.minima], outputs=first_of
             )
-        toi = {name: array.numpy() for name, array in self._toi.items()}
+        toi = self._toi.numpy().copy()
+        vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in itertools.pairwise(self._bounds))
         vertex_contact, body_contact = (np.where(f == _LAST, np.int32(-1), f) for f in (a.numpy() for a in first_of))
         return Gathered(
             Contacts(**{name: array.numpy() for name, array in arrays.items()}),
-            float(toi["scene"][0]),
-            toi["vertex"],
-            toi["body"],
-            toi["world"],
+            float(scene_toi[0]),
+            vertex_toi,
+            body_toi,
+            world_toi,
             vertex_contact,
             body_contact,
         )
-
-    def _kept(self) -> dict[str, wp.array]:
-        return {name: self._buffers.get(f"contact {name}", 0, dtype) for name, dtype in CONTACT_DTYPES.items()}
 
     def _order(self, found: Any) -> wp.array:
         """Places of the contacts by ascending kind and pair."""

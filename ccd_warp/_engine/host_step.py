@@ -353,7 +353,7 @@ class Step:
         cap = self.options.first_iterations
         if open_pairs is None:
             cap = self.options.share_of_work(sum(found.count for found in batch))
-        options = self.options.for_kernel(self.length_scale, cap, self.workspace.flag.array)
+        options = self.workspace.packed(self.options, self.length_scale, cap)
         # at the limit of the pair itself there is no other round
         is_first = int(open_pairs is not None and cap < self.options.max_iterations)
         parts = self.parts_of(batch, grain=256 if is_first else 16)
@@ -410,7 +410,8 @@ class Step:
         with self.timed("pairs"):
             search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + BYTES_PER_CONTACT)
             batches = search.batches(self.tree_pairs)
-            store = ContactStore(self.topology, self.buffers, self.execution, self.largest_contacts())
+            store = self.workspace.contacts
+            store.begin(self.execution, self.largest_contacts())
         open_pairs = OpenPairs()
         while True:
             with self.timed("pairs"):
@@ -439,12 +440,14 @@ class Step:
     def solve(self, batch: list[Found], store: ContactStore, open_pairs: "OpenPairs | None") -> None:
         """Run the narrow phase on a batch: the first round, or without ``open_pairs`` the second, of marked keys."""
         contacts = store.begin_batch(sum(found.count for found in batch))
-        num_open = np.zeros((len(PairKind), NUM_COUNTS), dtype=np.int64)
+        counts = self.buffers.rows("pair counts", len(PairKind), NUM_COUNTS, wp.int64)
+        counts.zero_()
         if open_pairs is None:
+            num_open = counts.numpy()
             for found in batch:
                 num_open[found.kind, OPEN] = found.count
-        counts: wp.array = wp.array(num_open, dtype=wp.int64, device=self.execution.device)
-        options = self.options.for_kernel(self.length_scale, stop=self.workspace.flag.array)
+            counts.assign(num_open)
+        options = self.workspace.packed(self.options, self.length_scale)
         is_second = int(open_pairs is None)
         outputs = [store.minima, contacts]
         parts = self.parts_of(batch, grain=16 if is_second else 256)
