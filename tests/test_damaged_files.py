@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from ccd_warp import _file_text, datasets
+from ccd_warp import datasets
 from ccd_warp._cli.command import main
+from ccd_warp._files import text
 from ccd_warp._files.frames import InputError, read_frames, read_static, write_mesh
 from ccd_warp._input.messages import printable
 
@@ -278,7 +279,7 @@ def test_nothing_shows_where_a_long_file_is_cut_into_blocks(tmp_path, monkeypatc
     data = WHOLE.get(name, OBJ.replace(b"f 10 2 11\n", b"v 1 2 3\nf -4 2 11\n"))
     whole = _read(tmp_path, name, data)
     for rows in (1, 3, 5):
-        monkeypatch.setattr(_file_text, "_BLOCK", rows)
+        monkeypatch.setattr(text, "_BLOCK", rows)
         assert _same(_read(tmp_path, name, data), whole)
 
 

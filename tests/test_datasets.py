@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as stn
 from published import DATA, requires_data
 
 import ccd_warp as ccd
-from ccd_warp import _dataset_csv, datasets
+from ccd_warp import datasets
+from ccd_warp.datasets import _csv
 
 ROW = "1,2,-3,4,0,1"
 QUERY = [ROW] * 8
@@ -65,7 +66,7 @@ def _refused(path, line, message, **options):
 def blocks(request, monkeypatch):
     """Both ways to cut a file: what is between blocks must not show."""
     if request.param == "a line a block":
-        monkeypatch.setattr(_dataset_csv, "_BLOCK", 1)
+        monkeypatch.setattr(_csv, "_BLOCK", 1)
 
 
 # ---- Queries out and in ----------------------------------------------------------------------------------------------
@@ -73,7 +74,7 @@ def blocks(request, monkeypatch):
 
 @pytest.mark.parametrize("truth", [None, np.arange(5) % 2 == 0])
 def test_queries_come_back(tmp_path, blocks, monkeypatch, truth):
-    monkeypatch.setattr(_dataset_csv, "_QUERIES", 2)
+    monkeypatch.setattr(_csv, "_QUERIES", 2)
     start, end = _points(5), _points(5, seed=1)
     path = tmp_path / "227ee.csv"
     datasets.write_queries(path, start, end, truth)
@@ -125,10 +126,10 @@ def test_a_rational_is_exact_or_refused(n, k, factor):
     fraction = Fraction(n * factor, factor << k)
     fields = [str(n * factor).encode()], [str(factor << k).encode()]
     if Fraction(float(fraction)) == fraction:
-        assert Fraction(float(_dataset_csv._floats("x", 1, fields[0] * 3, fields[1] * 3)[2])) == fraction
+        assert Fraction(float(_csv._floats("x", 1, fields[0] * 3, fields[1] * 3)[2])) == fraction
     else:
         with pytest.raises(ValueError, match="is not a float64"):
-            _dataset_csv._floats("x", 1, fields[0] * 3, fields[1] * 3)
+            _csv._floats("x", 1, fields[0] * 3, fields[1] * 3)
 
 
 @pytest.mark.parametrize(
@@ -410,9 +411,9 @@ def test_bad_queries_are_not_written(tmp_path, start, end, truth, message):
 def test_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     path = _write(tmp_path, QUERY)
     before = path.read_bytes()
-    monkeypatch.setattr(_dataset_csv, "_QUERIES", 1)
+    monkeypatch.setattr(_csv, "_QUERIES", 1)
     with pytest.raises(OverflowError):  # at the second query, the first being written
-        _dataset_csv.write_csv(path, _bad(np.inf), _bad(0), None)
+        _csv.write_csv(path, _bad(np.inf), _bad(0), None)
     assert path.read_bytes() == before and os.listdir(tmp_path) == [path.name]
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(OSError, match=r"folder\.csv"):
