@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
+from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.mesh_checks import (
     arrays_of_trimesh,
     as_positions,
     find_codimensional_points,
-    unique_edges,
     validated_body_pairs,
     validated_flags,
     validated_indices,

@@ -369,7 +369,7 @@ def test_import_is_light():
     code = "import sys; sys.modules['warp'] = None; sys.path.insert(0, sys.argv[1])"
     code += "; import types; package = types.ModuleType('ccd_warp'); package.__path__ = [sys.argv[2]]"
     code += "; sys.modules['ccd_warp'] = package; import ccd_warp.datasets; print('trimesh' in sys.modules)"
-    folder = os.path.dirname(datasets.__file__)
+    folder = os.path.dirname(os.path.dirname(datasets.__file__))
     command = [sys.executable, "-c", code, os.path.dirname(folder), folder]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
 

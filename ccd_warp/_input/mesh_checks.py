@@ -12,35 +12,6 @@ from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_fin
 from ccd_warp._input.foreign import on_host
 
 
-def unique_edges(
-    faces: NDArray[np.integer], given_edges: NDArray[np.integer]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face; indices within int32.
-
-    One sort of 64-bit keys, and NumPy sorts those with SIMD.
-    """
-    a, b, c = (faces[:, k] for k in range(3))
-    keys = _unique_edge_keys([(a, b), (b, c), (c, a)])
-    loose = np.zeros(0, dtype=np.int64)
-    if len(given_edges):
-        loose = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
-        loose = np.setdiff1d(loose, keys, assume_unique=True)
-        keys = np.sort(np.concatenate([keys, loose]))
-    edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
-    return edges, np.searchsorted(keys, loose).astype(np.int32)
-
-
-def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.integer]]]) -> NDArray[np.int64]:
-    """Ascending keys (max << 32) | min of the edges among pairs of vertices; (a, a) is none."""
-    wide = [(p.astype(np.int64), q.astype(np.int64)) for p, q in pairs]
-    keys = np.concatenate([(np.maximum(p, q) << 32) | np.minimum(p, q) for p, q in wide])
-    keys.sort()
-    first = np.ones(len(keys), dtype=bool)
-    first[1:] = keys[1:] != keys[:-1]
-    keys = keys[first]
-    return keys[(keys >> 32) != (keys & 0xFFFFFFFF)]
-
-
 def find_codimensional_points(
     faces: NDArray[np.int32],
     edges: NDArray[np.int32],

@@ -8,7 +8,7 @@ import numpy as np
 
 from ccd_warp._input.arguments import check_path, shown
 from ccd_warp._input.arrays import as_array
-from ccd_warp._input.mesh_checks import unique_edges
+from ccd_warp._input.edges import unique_edges
 from ccd_warp.datasets._paths import replacing
 
 
