@@ -138,6 +138,7 @@ class DeviceStep:
         """Allocate everything; ``vertices`` are where the trees are laid out, rows of ``at_rest`` static bodies."""
         self.topology = topology
         self._mesh = mesh = topology.mesh
+        self._has_static = bool(mesh.static.any())
         _ = topology.corners, topology.collision_filter  # made now, not when a graph is captured
         self._options = options
         self._flag = StopFlag(topology.device)
@@ -153,7 +154,7 @@ class DeviceStep:
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._trees: dict[str, Tree] = {}
         self._start = self._end = self._empty(0, wp.vec3d)
-        if mesh.static.any():
+        if self._has_static:
             self._place(at_rest)
         self._tree_pairs = tree_pairs_of(self, possible_kinds(mesh, options), moves_alone(mesh))
         self._keys = {
@@ -187,7 +188,7 @@ class DeviceStep:
 
     def at_rest(self) -> NDArray[np.float64]:
         """Positions whose static rows are where these bodies rest by now; this waits for the device."""
-        return self._start.numpy().copy() if self._mesh.static.any() else self._vertices
+        return self._start.numpy().copy() if self._has_static else self._vertices
 
     def _new_result(self, max_contacts: int) -> LaunchResult:
         """Arrays that say, before the first launch, that nothing may move."""
@@ -251,7 +252,7 @@ class DeviceStep:
         """Check the arguments of a launch, which are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
         mesh, device = self._mesh, self.topology.device
         rows = {mesh.num_vertices: "one a vertex"}
-        if mesh.static.any():
+        if self._has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
         start = as_positions(vertices_t0, "vertices_t0", device, rows)
         end = as_positions(vertices_t1, name_t1, device, rows)
@@ -264,7 +265,7 @@ class DeviceStep:
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
         if form not in self._recordings and device.is_capturing and device.is_cuda:
             raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
-        return PreparedLaunch(form, start, end, safety, form.t0_by_vertex and bool(mesh.static.any()))
+        return PreparedLaunch(form, start, end, safety, form.t0_by_vertex and self._has_static)
 
     def launch(self, prepared: "PreparedLaunch") -> None:
         """Launch a step. If this raises, the step is half-made and is not to be used again."""
@@ -327,7 +328,7 @@ class DeviceStep:
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
-        is_kept = form.real is not wp.float64 or form.is_displacement or bool(mesh.static.any())
+        is_kept = form.real is not wp.float64 or form.is_displacement or self._has_static
         if is_kept:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
@@ -363,7 +364,7 @@ class DeviceStep:
             inputs=[kept_flags],
             outputs=[minima, self._counts, self.result.contacts.count, self._flag.array],
         )
-        if form.t0_by_vertex and mesh.static.any():
+        if form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // _CHUNK),
