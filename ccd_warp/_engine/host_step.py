@@ -77,6 +77,7 @@ class _OpenList:
 
     Attributes:
         count: Number of pairs, int32, shape [1].
+        num_found: The same, on the host, after :meth:`has_held_all`.
         arrays: Count, keys and toi, as the kernel takes them.
     """
 
@@ -85,6 +86,7 @@ class _OpenList:
         self._name = f"{kind.name} open"
         self.count = buffers.get(f"{self._name} pair count", 1, wp.int32)
         self._size = 1 << 10
+        self.num_found = 0
         self.begin()
 
     def begin(self) -> None:
@@ -98,14 +100,13 @@ class _OpenList:
 
     def has_held_all(self) -> bool:
         """Whether there was capacity for all; if not, there is now."""
-        count = int(self.count.numpy()[0])
-        is_held = count <= len(self.arrays[1])
-        self._size = max(self._size, count)
-        return is_held
+        self.num_found = int(self.count.numpy()[0])
+        self._size = max(self._size, self.num_found)
+        return self.num_found <= len(self.arrays[1])
 
     def found(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Copies of the keys and the toi."""
-        count = int(self.count.numpy()[0])
+        """Copies of the keys and the toi, once they are known to have been held."""
+        count = self.num_found
         _, keys, toi = self.arrays
         return keys.numpy()[:count].copy(), toi.numpy()[:count].copy()
 
@@ -367,14 +368,15 @@ class Step:
             wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
 
         while True:
-            for each in lists.values():
-                each.begin()
             self.launch_parts(kernel, parts, launch, is_long=open_pairs is None)
             if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
                 break
+            for each in lists.values():
+                each.begin()
         if open_pairs is not None:
             for kind, each in lists.items():
-                open_pairs.add(kind, *each.found())
+                if each.num_found:
+                    open_pairs.add(kind, *each.found())
         return float(bits.numpy()[:1].view(np.float64)[0])
 
     def least_open_toi(self, bound: float, open_pairs: "OpenPairs") -> float:
