@@ -37,7 +37,7 @@ from ccd_warp._options import (
     resolve_device,
 )
 from ccd_warp._progress import Progress
-from ccd_warp._results import LaunchResult, MeshResult
+from ccd_warp._results import Counts, LaunchResult, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._step import Step
 from ccd_warp._workspace import Workspace
@@ -60,8 +60,11 @@ class CollisionPipeline:
 
     Attributes:
         mesh: The bodies.
-        counts: What the last call did, by stage.
-        timings: Seconds of each stage of the last call.
+        counts: What the last call that returned NumPy arrays or a number did, all 0 before the first; of a line search
+            its last step, and of contacts only where :meth:`mesh_ccd` looked for them. :meth:`launch` and
+            :meth:`launch_line_search` leave it as it is: their counts are ``num_pairs`` and ``contacts.count`` of the
+            result, on the device.
+        timings: Seconds of each stage of that call, and their ``total``; empty before the first.
     """
 
     def __init__(
@@ -110,7 +113,7 @@ class CollisionPipeline:
 
     def _hold(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
-        self.counts: dict[str, int] = {}
+        self.counts = Counts()
         self.timings: dict[str, float] = {}
         self._options = options
         self._topology = workspace.topology
@@ -165,7 +168,7 @@ class CollisionPipeline:
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
-            self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
+            self.counts = step.counts
             self._workspace = workspace
         return result
 
