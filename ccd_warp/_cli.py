@@ -6,18 +6,26 @@ import os
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
-# NumPy, Warp and trimesh are imported where they are used, so that --help answers at once.
+import numpy as np
+import warp as wp
+
+# The demo, the benchmark and pictures are imported where they are used: they load trimesh and the extras.
+import ccd_warp as ccd
 from ccd_warp import __version__
+from ccd_warp._cli_progress import ProgressLine
+from ccd_warp._file_archive import MAX_BYTES
+from ccd_warp._files import Body, InputError, make_body, read_frames, read_static, write_mesh
 from ccd_warp._messages import printable
-
-if TYPE_CHECKING:
-    from ccd_warp._cli_progress import ProgressLine
-    from ccd_warp._files import Body
+from ccd_warp._options import resolve_device
+from ccd_warp._output import check_output_path, write_result
+from ccd_warp._report import format_report, format_toi
+from ccd_warp._threads import is_any_aside
 
 _OPTIONS = (
     "tolerance",
@@ -185,10 +193,6 @@ def _given_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from ccd_warp._file_archive import MAX_BYTES
-    from ccd_warp._files import read_frames, read_static
-    from ccd_warp._output import check_output_path, write_result
-
     _start_quietly(arguments.device)
     if arguments.output is not None:
         check_output_path(arguments.output)
@@ -224,9 +228,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from ccd_warp._demo import bullet_scene, cloth_scene, static_test
-    from ccd_warp._files import write_mesh
-    from ccd_warp._output import write_result
-    from ccd_warp._report import format_toi
 
     _start_quietly(arguments.device)
     folder, pictures = arguments.output_dir, arguments.pictures
@@ -272,8 +273,6 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _make_folder(folder: Path, option: str) -> None:
-    from ccd_warp._files import InputError
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -282,7 +281,6 @@ def _make_folder(folder: Path, option: str) -> None:
 
 def _check_picture(path: Path, option: str) -> None:
     """Refuse a picture that cannot be drawn or written, before the work is done."""
-    from ccd_warp._files import InputError
     from ccd_warp._viz_file import check_picture_path
     from ccd_warp._viz_window import drawing_without_display
 
@@ -294,11 +292,8 @@ def _check_picture(path: Path, option: str) -> None:
         raise InputError(f"{option}: {error}") from error
 
 
-def _draw(path: Path, bodies: "list[Body]", mesh, result, options: dict[str, Any]) -> Path:
-    import numpy as np
-
+def _draw(path: Path, bodies: list[Body], mesh, result, options: dict[str, Any]) -> Path:
     from ccd_warp import viz
-    from ccd_warp._files import InputError
 
     vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
@@ -316,11 +311,7 @@ def _bench(arguments: argparse.Namespace) -> int:
     return run(arguments)
 
 
-def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[str, float], options: dict) -> None:
-    import warp as wp
-
-    from ccd_warp._report import format_report
-
+def _print_report(title: str, bodies: list[Body], mesh, result, timings: dict[str, float], options: dict) -> None:
     device = wp.get_device(options.get("device"))
     where = device.name if device.is_cuda else "CPU"
     title = f"ccd-warp {__version__}  {title}  ({options.get('precision', 'float64')}, {where})"
@@ -328,13 +319,9 @@ def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[
 
 
 def _solve(
-    bodies: "list[Body]", options: dict[str, Any], *, self_collision: bool, is_quiet: bool
+    bodies: list[Body], options: dict[str, Any], *, self_collision: bool, is_quiet: bool
 ) -> tuple[Any, Any, dict[str, float]]:
     """Put the bodies into one mesh and run ``mesh_ccd``; the seconds of every stage come with the result."""
-    import numpy as np
-
-    import ccd_warp as ccd
-    from ccd_warp._cli_progress import ProgressLine
 
     begin = time.perf_counter()
     mesh = ccd.CollisionMesh.from_arrays(
@@ -358,9 +345,8 @@ def _solve(
 
 
 @contextmanager
-def _warnings_on_stderr(line: "ProgressLine", *, is_quiet: bool):
+def _warnings_on_stderr(line: ProgressLine, *, is_quiet: bool):
     """Print what the library warns of as one line each."""
-    import warnings
 
     def show(message: Any, *_: Any, **__: Any) -> None:
         if not is_quiet:
@@ -375,7 +361,6 @@ def _warnings_on_stderr(line: "ProgressLine", *, is_quiet: bool):
 
 def _load_kernels(options: dict[str, Any], *, quiet: bool) -> float:
     """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
-    from ccd_warp._files import make_body
 
     begin = time.perf_counter()
     triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -421,12 +406,10 @@ def _start_quietly(device: str | None) -> None:
     Raises:
         ValueError: If there is no such device.
     """
-    import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
     with _closed_stderr():
         wp.init()
-        from ccd_warp._options import resolve_device
 
         resolve_device(device)
     logger = logging.getLogger("trimesh")
@@ -454,7 +437,6 @@ def _closed_stderr():
 def run_program() -> NoReturn:
     """The command ``ccd-warp``: :func:`main`, and the end of the process."""
     status = main()
-    from ccd_warp._threads import is_any_aside
 
     if is_any_aside():  # a compiler at work would hold up the end, or end with a fault
         sys.stdout.flush()

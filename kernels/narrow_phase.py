@@ -51,7 +51,7 @@ from .subdivide import (
 )
 from .volume import make_volume
 
-# Methods; ccd_warp.METHODS mirrors these.
+# How the narrow phase works on a pair: the values of the option `method`.
 CLIPPING = wp.constant(0)
 BISECTION = wp.constant(1)
 
