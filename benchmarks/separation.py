@@ -31,8 +31,8 @@ def measure(num_faces: int, separations: tuple[float, ...] = SEPARATIONS) -> lis
     rows = []
     for separation, pipeline in pipelines.items():
         result = pipeline.mesh_ccd(*frames)
-        kinds = ("vertex-face", "edge-edge")
-        both = {stage: sum(result.counts[f"{kind} {stage}"] for kind in kinds) for stage in STAGES}
+        counts = (result.counts.num_candidates, result.counts.num_after_cull, result.counts.num_contacts)
+        both = {stage: sum(of_kind.values()) for stage, of_kind in zip(STAGES, counts, strict=True)}
         rows.append({"separation": separation, "edge_length": edge_length, **both, "toi": result.toi})
         rows[-1]["seconds"] = seconds[separation]
     return rows

@@ -35,7 +35,7 @@ from ccd_warp._input.interop import check_writable
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import LaunchResult, MeshResult
+from ccd_warp._results import Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
 
 DEFAULT_NUM_ROUNDS = 5
@@ -55,8 +55,11 @@ class CollisionPipeline:
 
     Attributes:
         mesh: The bodies.
-        counts: What the last call did, by stage.
-        timings: Seconds of each stage of the last call.
+        counts: What the last call that returned NumPy arrays or a number did, all 0 before the first; of a line search
+            its last step, and of contacts only where :meth:`mesh_ccd` looked for them. :meth:`launch` and
+            :meth:`launch_line_search` leave it as it is: their counts are ``num_pairs`` and ``contacts.count`` of the
+            result, on the device.
+        timings: Seconds of each stage of that call, and their ``total``; empty before the first.
     """
 
     def __init__(
@@ -87,7 +90,7 @@ class CollisionPipeline:
 
     def _hold(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
-        self.counts: dict[str, int] = {}
+        self.counts = Counts()
         self.timings: dict[str, float] = {}
         self._options = options
         self._topology = workspace.topology
@@ -142,7 +145,7 @@ class CollisionPipeline:
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
-            self.counts = {"boxes": step.boxes.num_boxes, "sets sorted anew": step.boxes.num_sorted, **step.counts}
+            self.counts = step.counts
             self._workspace = workspace
         return result
 

@@ -7,6 +7,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._status import PairKind
+
 
 @dataclass(frozen=True)
 class Contacts:
@@ -42,6 +44,52 @@ class Contacts:
 
 
 @dataclass(frozen=True)
+class Counts:
+    """Sizes of the scene, and what a call looked at and found.
+
+    A mapping has an entry for each :class:`ccd_warp.PairKind` that was asked for; point-segment and point-point only of
+    a mesh with loose points.
+
+    Attributes:
+        num_bodies: Bodies of the mesh.
+        num_vertices: Vertices.
+        num_edges: Unique edges.
+        num_faces: Faces.
+        num_loose_edges: Edges that belong to no face.
+        num_loose_points: Vertices that collide as points.
+        num_active_bodies: Bodies that are static or may collide with themselves or with a body whose swept box meets
+            theirs.
+        num_boxes: Boxes made; those of static bodies by the call that makes them.
+        num_sorted_sets: Sets of primitives that had to be put in another order.
+        num_searches: Launches of the search.
+        num_candidates: Pairs whose boxes meet and that the mesh lets collide; of a call that searches several times,
+            those of the last search.
+        num_after_cull: Pairs of these that the cull left to the narrow phase.
+        num_contacts: Pairs that touch.
+        num_contacts_at_start: Contacts with the status ``INITIAL_CONTACT``.
+        num_contacts_at_limit: Contacts with the status ``ITERATION_LIMIT`` or ``RESOLUTION_LIMIT``.
+        num_batches: Times that the memory for pairs was filled.
+    """
+
+    num_bodies: int = 0
+    num_vertices: int = 0
+    num_edges: int = 0
+    num_faces: int = 0
+    num_loose_edges: int = 0
+    num_loose_points: int = 0
+    num_active_bodies: int = 0
+    num_boxes: int = 0
+    num_sorted_sets: int = 0
+    num_searches: dict[PairKind, int] = field(default_factory=dict)
+    num_candidates: dict[PairKind, int] = field(default_factory=dict)
+    num_after_cull: dict[PairKind, int] = field(default_factory=dict)
+    num_contacts: dict[PairKind, int] = field(default_factory=dict)
+    num_contacts_at_start: int = 0
+    num_contacts_at_limit: int = 0
+    num_batches: int = 0
+
+
+@dataclass(frozen=True)
 class MeshResult:
     """Result of a step of meshes.
 
@@ -50,8 +98,7 @@ class MeshResult:
         vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
         body_toi: The same for each body, float64, shape [B].
         contacts: Every pair with a finite toi.
-        counts: Sizes of the scene and of each stage's output; codimensional primitives and their pair kinds only where the mesh
-            has them.
+        counts: Sizes of the scene and of each stage's output.
         timings: Seconds of each stage, and their ``total``.
         vertex_contact: Index of the contact that the toi of a vertex is of, the first where several share it, -1 where
             there is none, int32, shape [V].
@@ -63,7 +110,7 @@ class MeshResult:
     vertex_toi: NDArray[np.float64]
     body_toi: NDArray[np.float64]
     contacts: Contacts
-    counts: dict[str, int]
+    counts: Counts
     timings: dict[str, float]
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]

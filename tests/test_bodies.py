@@ -95,4 +95,4 @@ def test_bodies_without_vertices_are_near_nothing():
     assert not near(mesh, triangle, triangle).any()
     pipeline = ccd.CollisionPipeline(mesh)
     assert pipeline.mesh_ccd(triangle, triangle).toi == np.inf
-    assert pipeline.counts["active bodies"] == 0
+    assert pipeline.counts.num_active_bodies == 0

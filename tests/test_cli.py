@@ -65,9 +65,11 @@ def test_report_names_bodies_toi_counts_and_stages(scene, capfd):
     assert result.toi >= EXACT_TOI - 1e-5  # the tolerance, 1e-6 of a motion six units long, over the speed of five
     for word in ("start.ply", "floor.ply", "moving", "static", "first contact", "read files", "load kernels", "total"):
         assert word in captured.out
-    for name, count in result.counts.items():
-        assert name.replace("_", " ") in captured.out
-        assert f"{count:,}" in captured.out
+    lines = [line.split() for line in captured.out.splitlines()]
+    assert ["active", "bodies", "2"] in lines and ["vertices", f"{result.counts.num_vertices:,}"] in lines
+    assert ["edge-edge", "candidates", f"{result.counts.num_candidates[ccd.PairKind.EDGE_EDGE]:,}"] in lines
+    assert ["vertex-face", "contacts", f"{result.counts.num_contacts[ccd.PairKind.VERTEX_FACE]:,}"] in lines
+    assert "loose" not in captured.out
     for name in result.timings:
         assert name.replace("_", " ") in captured.out
 
@@ -124,7 +126,10 @@ def test_json_is_strict_and_holds_the_result_bit_for_bit(scene):
     assert [body["static"] for body in data["bodies"]] == [False, True]
     assert sorted(contact["toi"] for contact in data["contacts"]) == sorted(result.contacts.toi.tolist())
     assert {contact["kind"] for contact in data["contacts"]} <= {"vertex_face", "edge_edge"}
-    assert data["counts"] == {name: int(count) for name, count in result.counts.items()}
+    counts = data["counts"]
+    assert counts["num_faces"] == result.counts.num_faces
+    assert counts["num_after_cull"]["edge_edge"] == result.counts.num_after_cull[ccd.PairKind.EDGE_EDGE]
+    assert counts.keys() == vars(result.counts).keys()
 
 
 def test_csv_comes_as_contacts_and_vertices(scene, capfd):

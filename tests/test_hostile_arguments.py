@@ -325,8 +325,19 @@ def test_every_public_argument_is_among_those_tried(calls):
     functions = [getattr(ccd, name) for name in ccd.__all__] + [getattr(datasets, name) for name in datasets.__all__]
     functions += [viz.render_step, viz.show_step, viz.contact_points, datasets.Queries.id, datasets.Queries.joined]
     functions += [member for owner in (ccd.CollisionMesh, ccd.CollisionPipeline) for member in _methods(owner)]
-    outputs = {ccd.Candidates, ccd.Contacts, ccd.DeviceContacts, ccd.LaunchResult, ccd.LineSearchResult, ccd.MeshResult}
-    outputs |= {ccd.MeshOptions, ccd.PairOptions, ccd.LineSearchOptions, ccd.CandidateOptions}
+    outputs = {
+        ccd.CandidateOptions,
+        ccd.Candidates,
+        ccd.Contacts,
+        ccd.Counts,
+        ccd.DeviceContacts,
+        ccd.LaunchResult,
+        ccd.LineSearchOptions,
+        ccd.LineSearchResult,
+        ccd.MeshOptions,
+        ccd.MeshResult,
+        ccd.PairOptions,
+    }
     outputs |= {ccd.PairResult, ccd.CCDStatus, ccd.LaunchFlag, ccd.PairKind, datasets.SimulationStep, ccd.CollisionMesh}
     tried = {}
     for function, arguments in calls.values():

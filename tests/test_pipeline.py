@@ -194,7 +194,7 @@ def test_two_static_bodies_are_never_tested():
     end = mesh.vertices.copy()
     result = ccd.mesh_ccd(mesh, mesh.vertices, end)
     # two walls in one place: no pair of them is a candidate
-    assert result.counts["vertex-face candidates"] == 0
+    assert result.counts.num_candidates[ccd.PairKind.VERTEX_FACE] == 0
     assert np.isinf(result.toi)
 
 
@@ -209,7 +209,7 @@ def test_self_collision_switch():
     assert ccd.mesh_ccd(on, cloth.vertices, end).toi == pytest.approx(0.5, abs=1e-6)
     result = ccd.mesh_ccd(off, cloth.vertices, end)
     assert np.isinf(result.toi)
-    assert result.counts["vertex-face candidates"] == result.counts["edge-edge candidates"] == 0
+    assert not any(result.counts.num_candidates.values())
 
 
 def test_resting_scene_and_scene_that_touches_at_the_start():
@@ -220,7 +220,7 @@ def test_resting_scene_and_scene_that_touches_at_the_start():
     touching[mesh.vertex_body == 0, 0] += 5.0 - start[mesh.vertex_body == 0, 0].max()
     result = ccd.mesh_ccd(mesh, touching, touching)
     assert result.toi == 0.0
-    assert result.counts["contacts at the start"] > 0
+    assert result.counts.num_contacts_at_start > 0
     assert ccd.collision_free_step(mesh, touching, touching) == 0.0
 
 
@@ -265,11 +265,36 @@ def test_empty_body_beside_others():
 def test_counts_and_timings_name_every_stage():
     mesh, start, end = bullet_and_wall()
     result = ccd.mesh_ccd(mesh, start, end)
-    assert result.counts["bodies"] == 2
-    assert result.counts["vertices"] == mesh.num_vertices
-    assert result.counts["vertex-face contacts"] + result.counts["edge-edge contacts"] == len(result.contacts)
+    assert (result.counts.num_bodies, result.counts.num_vertices) == (2, mesh.num_vertices)
+    assert sum(result.counts.num_contacts.values()) == len(result.contacts)
     assert set(result.timings) == {"input", "boxes", "pairs", "narrow phase", "gather", "total"}
     assert all(seconds >= 0 for seconds in result.timings.values())
+
+
+def test_counts_of_a_pipeline_are_of_its_last_call_on_the_host():
+    mesh, start, end = bullet_and_wall()
+    pipeline = ccd.CollisionPipeline(mesh)
+    assert pipeline.counts == ccd.Counts()
+    result = pipeline.mesh_ccd(start, end)
+    assert pipeline.counts == result.counts and sum(pipeline.counts.num_contacts.values()) > 0
+    pipeline.launch(start, end)
+    assert pipeline.counts == result.counts
+    pipeline.find_candidates(start, end)
+    assert pipeline.counts.num_bodies == 2 and pipeline.counts.num_contacts == {}
+    assert all(pipeline.counts.num_candidates.values())
+    assert pipeline.collision_free_step(start, start + 0.0) >= 0.0
+    assert pipeline.counts.num_contacts == {}
+
+
+def test_a_step_that_cannot_begin_is_counted_too():
+    """The search ends with the first pair that touches at the start."""
+    mesh, start, _ = bullet_and_wall()
+    moves = mesh.vertex_body == 0
+    touching = start.copy()
+    touching[moves, 0] += start[~moves, 0].min() - start[moves, 0].max()
+    pipeline = ccd.CollisionPipeline(mesh)
+    assert pipeline.collision_free_step(touching, touching + moves[:, None] * [1.0, 0, 0]) == 0.0
+    assert sum(pipeline.counts.num_candidates.values()) > 0 and pipeline.counts.num_batches > 0
 
 
 # --- cables and particles ---
@@ -300,7 +325,7 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
     assert contacts.primitives[meeting].tolist() == [[6, 7]]
     assert contacts.toi[meeting] == pytest.approx((1.5 - 0.0625) / 1.5, abs=accuracy)
     np.testing.assert_allclose(contacts.normal[meeting], [[1, 0, 0]], atol=1e-12)
-    assert result.counts["point-point contacts"] == 1 and result.counts["codimensional points"] == 5
+    assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_loose_points == 5
     assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, **options)
     assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=accuracy)
 
@@ -316,7 +341,7 @@ def test_two_cables_cross(precision):
     assert [[0, 2]] == result.contacts.primitives[first].tolist()
     assert result.contacts.kind[first].tolist() == [ccd.PairKind.EDGE_EDGE]
     np.testing.assert_allclose(np.abs(result.contacts.normal[first]), [[1, 0, 0]], atol=1e-12)
-    assert "codimensional points" not in result.counts and result.counts["codimensional edges"] == 4
+    assert (result.counts.num_loose_points, result.counts.num_loose_edges) == (0, 4)
 
 
 def test_particle_passes_a_cable_at_less_than_the_separation(precision):
@@ -389,7 +414,7 @@ def test_sheet_cables_and_particles_match_brute_force(seed, precision):
             expected = [pair for pair, hit in zip(every[kind], hits, strict=True) if hit]
             found = list(map(tuple, contacts.primitives[contacts.kind == kind].tolist()))
             assert set(expected) <= set(found)
-            assert len(found) == result.counts[f"{name} contacts"] <= result.counts[f"{name} candidates"]
+            assert len(found) == result.counts.num_contacts[kind] <= result.counts.num_candidates[kind]
             assert len(expected) > 0
     assert (result.vertex_toi == vertex_toi).all()
 
@@ -401,8 +426,8 @@ def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
     end[3] = end[4]  # the unused vertices meet
     result = ccd.mesh_ccd(mesh, mesh.vertices, end)
     assert np.isinf(result.toi)
-    assert not [name for name in result.counts if "point" in name or "loose" in name]
-    asked = ccd.CollisionMesh.from_arrays([cloth], codimensional_points=True)
+    assert result.counts.num_searches.keys() == {ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE}
+    asked = ccd.CollisionMesh.from_arrays([cloth], loose_points=True)
     assert ccd.mesh_ccd(asked, mesh.vertices, end).toi == pytest.approx(1.0, abs=1e-6)
 
 

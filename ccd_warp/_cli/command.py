@@ -6,18 +6,27 @@ import os
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
-# NumPy, Warp and trimesh are imported where they are used, so that --help answers at once.
+import numpy as np
+import warp as wp
+
+# The demo, the benchmark and pictures are imported where they are used: they load trimesh and the extras.
+from ccd_warp._cli.output import check_output_path, write_result
+from ccd_warp._cli.progress import ProgressLine
+from ccd_warp._cli.report import format_report, format_toi
+from ccd_warp._files.archive import MAX_BYTES
+from ccd_warp._files.frames import Body, InputError, make_body, read_frames, read_static, write_mesh
 from ccd_warp._input.messages import printable
+from ccd_warp._input.options import Options, resolve_device
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._runtime.threads import is_any_aside
 from ccd_warp._version import __version__
-
-if TYPE_CHECKING:
-    from ccd_warp._cli.progress import ProgressLine
-    from ccd_warp._files.frames import Body
 
 
 class _BadUsageError(ValueError):
@@ -172,10 +181,6 @@ def _given_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from ccd_warp._cli.output import check_output_path, write_result
-    from ccd_warp._files.archive import MAX_BYTES
-    from ccd_warp._files.frames import read_frames, read_static
-
     _start_quietly(arguments.device)
     if arguments.output is not None:
         check_output_path(arguments.output)
@@ -211,9 +216,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from ccd_warp._cli.demo import bullet_scene, cloth_scene, static_test
-    from ccd_warp._cli.output import write_result
-    from ccd_warp._cli.report import format_toi
-    from ccd_warp._files.frames import write_mesh
 
     _start_quietly(arguments.device)
     folder, pictures = arguments.output_dir, arguments.pictures
@@ -259,8 +261,6 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _make_folder(folder: Path, option: str) -> None:
-    from ccd_warp._files.frames import InputError
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -269,7 +269,6 @@ def _make_folder(folder: Path, option: str) -> None:
 
 def _check_picture(path: Path, option: str) -> None:
     """Refuse a picture that cannot be drawn or written, before the work is done."""
-    from ccd_warp._files.frames import InputError
     from ccd_warp.viz._file import check_picture_path
     from ccd_warp.viz._window import drawing_without_display
 
@@ -281,11 +280,8 @@ def _check_picture(path: Path, option: str) -> None:
         raise InputError(f"{option}: {error}") from error
 
 
-def _draw(path: Path, bodies: "list[Body]", mesh, result, options: dict[str, Any]) -> Path:
-    import numpy as np
-
+def _draw(path: Path, bodies: list[Body], mesh, result, options: dict[str, Any]) -> Path:
     from ccd_warp import viz
-    from ccd_warp._files.frames import InputError
 
     vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
@@ -303,11 +299,7 @@ def _bench(arguments: argparse.Namespace) -> int:
     return run(arguments)
 
 
-def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[str, float], options: dict) -> None:
-    import warp as wp
-
-    from ccd_warp._cli.report import format_report
-
+def _print_report(title: str, bodies: list[Body], mesh, result, timings: dict[str, float], options: dict) -> None:
     device = wp.get_device(options.get("device"))
     where = device.name if device.is_cuda else "CPU"
     title = f"ccd-warp {__version__}  {title}  ({options.get('precision', 'float64')}, {where})"
@@ -315,15 +307,9 @@ def _print_report(title: str, bodies: "list[Body]", mesh, result, timings: dict[
 
 
 def _solve(
-    bodies: "list[Body]", options: dict[str, Any], *, self_collision: bool, is_quiet: bool
+    bodies: list[Body], options: dict[str, Any], *, self_collision: bool, is_quiet: bool
 ) -> tuple[Any, Any, dict[str, float]]:
     """Put the bodies into one mesh and run ``mesh_ccd``; the seconds of every stage come with the result."""
-    import numpy as np
-
-    from ccd_warp._cli.progress import ProgressLine
-    from ccd_warp._input.options import Options
-    from ccd_warp._mesh import CollisionMesh
-    from ccd_warp._pipeline import CollisionPipeline
 
     begin = time.perf_counter()
     mesh = CollisionMesh.from_arrays(
@@ -348,9 +334,8 @@ def _solve(
 
 
 @contextmanager
-def _warnings_on_stderr(line: "ProgressLine", *, is_quiet: bool):
+def _warnings_on_stderr(line: ProgressLine, *, is_quiet: bool):
     """Print what the library warns of as one line each."""
-    import warnings
 
     def show(message: Any, *_: Any, **__: Any) -> None:
         if not is_quiet:
@@ -365,7 +350,6 @@ def _warnings_on_stderr(line: "ProgressLine", *, is_quiet: bool):
 
 def _load_kernels(options: dict[str, Any], *, quiet: bool) -> float:
     """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
-    from ccd_warp._files.frames import make_body
 
     begin = time.perf_counter()
     triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -411,12 +395,10 @@ def _start_quietly(device: str | None) -> None:
     Raises:
         ValueError: If there is no such device.
     """
-    import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
     with _closed_stderr():
         wp.init()
-        from ccd_warp._input.options import resolve_device
 
         resolve_device(device)
     logger = logging.getLogger("trimesh")
@@ -444,7 +426,6 @@ def _closed_stderr():
 def run_program() -> NoReturn:
     """The command ``ccd-warp``: :func:`main`, and the end of the process."""
     status = main()
-    from ccd_warp._runtime.threads import is_any_aside
 
     if is_any_aside():  # a compiler at work would hold up the end, or end with a fault
         sys.stdout.flush()

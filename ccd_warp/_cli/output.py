@@ -2,13 +2,18 @@
 
 import csv
 import json
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._files.frames import Body, InputError
+
+if TYPE_CHECKING:
+    from ccd_warp._results import Counts
+    from ccd_warp._status import PairKind
 
 RESULT_SUFFIXES = (".npz", ".json", ".csv")
 
@@ -102,6 +107,15 @@ def _contact_rows(mesh, contacts) -> list[dict[str, Any]]:
     return [dict(zip(_CONTACT_FIELDS, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
+def plain_counts(counts: "Counts") -> dict[str, int | dict[str, int]]:
+    """Counts as JSON holds them, kinds of pairs by name."""
+
+    def plain(value: int | dict["PairKind", int]) -> int | dict[str, int]:
+        return {kind.name.lower(): n for kind, n in value.items()} if isinstance(value, dict) else value
+
+    return {field.name: plain(getattr(counts, field.name)) for field in fields(counts)}
+
+
 def _write_json(path: Path, bodies: list[Body], mesh, result) -> None:
     def finite_or_none(value):
         return float(value) if np.isfinite(value) else None
@@ -120,7 +134,7 @@ def _write_json(path: Path, bodies: list[Body], mesh, result) -> None:
             }
             for k, body in enumerate(bodies)
         ],
-        "counts": {name: int(count) for name, count in result.counts.items()},
+        "counts": plain_counts(result.counts),
         "timings": {name: float(seconds) for name, seconds in result.timings.items()},
         "vertex_toi": [finite_or_none(toi) for toi in np.asarray(result.vertex_toi)],
         "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in _contact_rows(mesh, result.contacts)],

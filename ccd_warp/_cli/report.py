@@ -2,12 +2,17 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._files.frames import Body
 from ccd_warp._input.messages import printable
+
+if TYPE_CHECKING:
+    from ccd_warp._results import Counts
 
 
 def format_toi(toi: float) -> str:
@@ -71,7 +76,7 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
         )
     lines.append("")
     lines += format_table(
-        ("count", ""), [(_spaced(name), f"{int(count):,}") for name, count in result.counts.items()], align="<>"
+        ("count", ""), [(name, f"{count:,}") for name, count in count_rows(result.counts)], align="<>"
     )
     lines.append("")
     total = sum(timings.values())
@@ -84,6 +89,18 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
         align="<>>",
     )
     return "\n".join(lines)
+
+
+def count_rows(counts: "Counts") -> list[tuple[str, int]]:
+    """Counts by what a reader calls them; loose primitives only where there are any."""
+    rows: list[tuple[str, int]] = []
+    for field in fields(counts):
+        value, name = getattr(counts, field.name), _spaced(field.name.removeprefix("num_"))
+        if isinstance(value, dict):
+            rows += [(f"{kind.name.lower().replace('_', '-')} {name}", count) for kind, count in value.items()]
+        elif value or not name.startswith("loose"):
+            rows.append((name, value))
+    return rows
 
 
 def describe_contact(bodies: Sequence[Body], mesh, result) -> str:

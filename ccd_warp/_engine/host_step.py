@@ -6,7 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from ccd_warp._engine.topology import CORNER_ARRAYS
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import MeshResult
+from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
@@ -142,7 +142,11 @@ class Step:
         self.boxes = workspace.boxes
         self.progress = Progress(show)
         self.execution = Execution(workspace.topology.device, options.threads, workspace.flag, self.progress.tick)
-        self.counts: Counter[str] = Counter()
+        self.counts = Counts()
+        self._num_active_bodies = self.mesh.num_bodies
+        self._num_searches: Counter[PairKind] = Counter()
+        self._num_candidates: Counter[PairKind] = Counter()
+        self._num_batches = 0
         self.is_warned = False
         with self.timed("input"):
             device = self.execution.device
@@ -196,10 +200,9 @@ class Step:
         """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
         mesh = self.mesh
         active = None
-        self.counts["active bodies"] = mesh.num_bodies
         if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
             near = bodies_near(self.topology, self.host, inflation, self.execution)
-            self.counts["active bodies"] = int((near | mesh.static).sum())
+            self._num_active_bodies = int((near | mesh.static).sum())
             active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
             active.assign(near.astype(np.int32))
         self.boxes.begin(
@@ -263,6 +266,7 @@ class Step:
             with self.timed("copy"):
                 take(ranges)
         self.count_pairs(search)
+        self.finish_counts()
 
     def pair_inputs(self, found: Found, first: int) -> list:
         """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
@@ -333,11 +337,14 @@ class Step:
                 with self.timed("narrow phase"):
                     least = self.least_toi(batch, least, open_pairs)
                 if least <= 0.0:
-                    return 0.0
-            with self.timed("narrow phase"):
-                least = self.least_open_toi(least, open_pairs)
-            best = least
+                    break
             self.count_pairs(search)
+            if least <= 0.0:
+                best = 0.0
+                break
+            with self.timed("narrow phase"):
+                best = self.least_open_toi(least, open_pairs)
+        self.finish_counts()
         return best
 
     def least_toi(self, batch: list[Found], bound: float, open_pairs: "OpenPairs | None") -> float:
@@ -398,10 +405,38 @@ class Step:
 
     def count_pairs(self, search: PairSearch) -> None:
         """Add what a search did to the counts."""
-        for kind in sorted(search.num_launches):
-            self.counts[f"{kind_name(kind)} searches"] += search.num_launches[kind]
-            self.counts[f"{kind_name(kind)} candidates"] = search.candidates[kind]
-        self.counts["batches of pairs"] += search.num_batches
+        self._num_searches += search.num_launches
+        self._num_candidates = search.candidates
+        self._num_batches += search.num_batches
+
+    def finish_counts(self, survivors: Counter[PairKind] | None = None, contacts: Contacts | None = None) -> None:
+        """Say what the call did, with what survived the cull and touches if it looked for contacts."""
+        mesh = self.mesh
+        kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
+        counts = Counts(
+            num_bodies=mesh.num_bodies,
+            num_vertices=mesh.num_vertices,
+            num_edges=mesh.num_edges,
+            num_faces=mesh.num_faces,
+            num_loose_edges=len(mesh.loose_edges),
+            num_loose_points=len(mesh.loose_points),
+            num_active_bodies=self._num_active_bodies,
+            num_boxes=self.boxes.num_boxes,
+            num_sorted_sets=self.boxes.num_sorted,
+            num_searches={kind: self._num_searches[kind] for kind in kinds},
+            num_candidates={kind: self._num_candidates[kind] for kind in kinds},
+            num_batches=self._num_batches,
+        )
+        if survivors is not None and contacts is not None:
+            status = contacts.status
+            counts = replace(
+                counts,
+                num_after_cull={kind: survivors[kind] for kind in kinds},
+                num_contacts={kind: int(np.count_nonzero(contacts.kind == kind)) for kind in kinds},
+                num_contacts_at_start=int(np.count_nonzero(status == CCDStatus.INITIAL_CONTACT)),
+                num_contacts_at_limit=int(np.count_nonzero(status >= CCDStatus.ITERATION_LIMIT)),
+            )
+        self.counts = counts
 
     def contacts(self) -> MeshResult:
         """The toi of every pair that the cull leaves open, and what follows from them."""
@@ -428,7 +463,6 @@ class Step:
                     self.solve(batch, store, open_pairs)
         with self.timed("narrow phase"):
             self.solve_open(store, open_pairs)
-        self.count_pairs(search)
         if not store.is_complete:
             least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
             raise ValueError(
@@ -511,31 +545,15 @@ class Step:
     def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
         mesh = self.mesh
         contacts = gathered.contacts
-        kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
-        counts = {
-            "bodies": mesh.num_bodies,
-            "vertices": mesh.num_vertices,
-            "edges": mesh.num_edges,
-            "faces": mesh.num_faces,
-            **_codimensional_counts(mesh),
-            "active bodies": self.counts["active bodies"],
-            "boxes": self.boxes.num_boxes,
-            "sets sorted anew": self.boxes.num_sorted,
-            **{f"{kind_name(kind)} searches": search.num_launches[kind] for kind in kinds},
-            **{f"{kind_name(kind)} candidates": search.candidates[kind] for kind in kinds},
-            **{f"{kind_name(kind)} after the cull": survivors[kind] for kind in kinds},
-            **{f"{kind_name(kind)} contacts": int(np.count_nonzero(contacts.kind == kind)) for kind in kinds},
-            "contacts at the start": int(np.count_nonzero(contacts.status == CCDStatus.INITIAL_CONTACT)),
-            "contacts at a limit": int(np.count_nonzero(contacts.status >= CCDStatus.ITERATION_LIMIT)),
-            "batches of pairs": search.num_batches,
-        }
+        self.count_pairs(search)
+        self.finish_counts(survivors, contacts)
         self.finish_timings()
         return MeshResult(
             gathered.toi,
             gathered.vertex_toi,
             gathered.body_toi,
             contacts,
-            counts,
+            self.counts,
             self.timings,
             gathered.vertex_contact,
             gathered.body_contact,
@@ -551,8 +569,6 @@ def _level_of_caller() -> int:
     return level
 
 
-def kind_name(kind: PairKind) -> str:
-    return kind.name.lower().replace("_", "-")
 
 
 def _kinds(mesh: CollisionMesh) -> list[PairKind]:
@@ -561,15 +577,6 @@ def _kinds(mesh: CollisionMesh) -> list[PairKind]:
     if len(mesh.codimensional_points):
         kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
     return kinds
-
-
-def _codimensional_counts(mesh: CollisionMesh) -> dict[str, int]:
-    """Numbers of codimensional primitives, where a mesh has any."""
-    counts = {
-        "codimensional edges": len(mesh.codimensional_edges),
-        "codimensional points": len(mesh.codimensional_points),
-    }
-    return {name: count for name, count in counts.items() if count}
 
 
 def longest_side(vertices_t0: wp.array, vertices_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
