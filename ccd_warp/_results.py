@@ -48,15 +48,15 @@ class Counts:
     """Sizes of the scene, and what a call looked at and found.
 
     A mapping has an entry for each :class:`ccd_warp.PairKind` that was asked for; point-segment and point-point only of
-    a mesh with loose points.
+    a mesh with codimensional points.
 
     Attributes:
         num_bodies: Bodies of the mesh.
         num_vertices: Vertices.
         num_edges: Unique edges.
         num_faces: Faces.
-        num_loose_edges: Edges that belong to no face.
-        num_loose_points: Vertices that collide as points.
+        num_codimensional_edges: Edges that belong to no face.
+        num_codimensional_points: Vertices that collide as points.
         num_active_bodies: Bodies that are static or may collide with themselves or with a body whose swept box meets
             theirs.
         num_boxes: Boxes made; those of static bodies by the call that makes them.
@@ -75,8 +75,8 @@ class Counts:
     num_vertices: int = 0
     num_edges: int = 0
     num_faces: int = 0
-    num_loose_edges: int = 0
-    num_loose_points: int = 0
+    num_codimensional_edges: int = 0
+    num_codimensional_points: int = 0
     num_active_bodies: int = 0
     num_boxes: int = 0
     num_sorted_sets: int = 0

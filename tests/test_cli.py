@@ -69,7 +69,7 @@ def test_report_names_bodies_toi_counts_and_stages(scene, capfd):
     assert ["active", "bodies", "2"] in lines and ["vertices", f"{result.counts.num_vertices:,}"] in lines
     assert ["edge-edge", "candidates", f"{result.counts.num_candidates[ccd.PairKind.EDGE_EDGE]:,}"] in lines
     assert ["vertex-face", "contacts", f"{result.counts.num_contacts[ccd.PairKind.VERTEX_FACE]:,}"] in lines
-    assert "loose" not in captured.out
+    assert "codimensional" not in captured.out
     for name in result.timings:
         assert name.replace("_", " ") in captured.out
 

@@ -77,7 +77,7 @@ def test_triangle_mesh_has_no_loose_primitives():
     for bodies in ([TRIANGLE, TETRAHEDRON], [(*TRIANGLE, [])], [(*TETRAHEDRON, [[1, 2]])]):
         mesh = CollisionMesh.from_arrays(bodies)
         assert mesh.codimensional_edges.tolist() == mesh.codimensional_points.tolist() == []
-        assert "loose" not in repr(mesh)
+        assert "codimensional" not in repr(mesh)
 
 
 def test_unused_vertices_are_loose_points_only_where_asked():

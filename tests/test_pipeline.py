@@ -325,7 +325,7 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
     assert contacts.primitives[meeting].tolist() == [[6, 7]]
     assert contacts.toi[meeting] == pytest.approx((1.5 - 0.0625) / 1.5, abs=accuracy)
     np.testing.assert_allclose(contacts.normal[meeting], [[1, 0, 0]], atol=1e-12)
-    assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_loose_points == 5
+    assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_codimensional_points == 5
     assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, **options)
     assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=accuracy)
 
@@ -341,7 +341,7 @@ def test_two_cables_cross(precision):
     assert [[0, 2]] == result.contacts.primitives[first].tolist()
     assert result.contacts.kind[first].tolist() == [ccd.PairKind.EDGE_EDGE]
     np.testing.assert_allclose(np.abs(result.contacts.normal[first]), [[1, 0, 0]], atol=1e-12)
-    assert (result.counts.num_loose_points, result.counts.num_loose_edges) == (0, 4)
+    assert (result.counts.num_codimensional_points, result.counts.num_codimensional_edges) == (0, 4)
 
 
 def test_particle_passes_a_cable_at_less_than_the_separation(precision):
@@ -427,7 +427,7 @@ def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
     result = ccd.mesh_ccd(mesh, mesh.vertices, end)
     assert np.isinf(result.toi)
     assert result.counts.num_searches.keys() == {ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE}
-    asked = ccd.CollisionMesh.from_arrays([cloth], loose_points=True)
+    asked = ccd.CollisionMesh.from_arrays([cloth], codimensional_points=True)
     assert ccd.mesh_ccd(asked, mesh.vertices, end).toi == pytest.approx(1.0, abs=1e-6)
 
 

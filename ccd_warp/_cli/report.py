@@ -92,13 +92,13 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
 
 
 def count_rows(counts: "Counts") -> list[tuple[str, int]]:
-    """Counts by what a reader calls them; loose primitives only where there are any."""
+    """Counts by what a reader calls them; codimensional primitives only where there are any."""
     rows: list[tuple[str, int]] = []
     for field in fields(counts):
         value, name = getattr(counts, field.name), _spaced(field.name.removeprefix("num_"))
         if isinstance(value, dict):
             rows += [(f"{kind.name.lower().replace('_', '-')} {name}", count) for kind, count in value.items()]
-        elif value or not name.startswith("loose"):
+        elif value or not name.startswith("codimensional"):
             rows.append((name, value))
     return rows
 

@@ -418,8 +418,8 @@ class Step:
             num_vertices=mesh.num_vertices,
             num_edges=mesh.num_edges,
             num_faces=mesh.num_faces,
-            num_loose_edges=len(mesh.loose_edges),
-            num_loose_points=len(mesh.loose_points),
+            num_codimensional_edges=len(mesh.codimensional_edges),
+            num_codimensional_points=len(mesh.codimensional_points),
             num_active_bodies=self._num_active_bodies,
             num_boxes=self.boxes.num_boxes,
             num_sorted_sets=self.boxes.num_sorted,
@@ -567,8 +567,6 @@ def _level_of_caller() -> int:
     while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
         frame, level = frame.f_back, level + 1
     return level
-
-
 
 
 def _kinds(mesh: CollisionMesh) -> list[PairKind]:
