@@ -82,7 +82,10 @@ class ContactStore:
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._bounds = [0, *itertools.accumulate(sizes.values())]
         self._toi = wp.empty(self._bounds[-1], dtype=wp.float64, device=topology.device)
-        toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, itertools.pairwise(self._bounds), strict=True)}
+        toi = {
+            name: self._toi[begin:end]
+            for name, (begin, end) in zip(sizes, itertools.pairwise(self._bounds), strict=True)
+        }
         # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)

@@ -543,7 +543,6 @@ class Step:
         )
 
     def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
-        mesh = self.mesh
         contacts = gathered.contacts
         self.count_pairs(search)
         self.finish_counts(survivors, contacts)
