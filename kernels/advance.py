@@ -1,12 +1,13 @@
-"""Advance time on one patch, by certified clips, until contact, freedom, or slow progress.
+"""Advance time on one patch, by certified clips, until it is in contact, certainly free, or progress is slow.
 
-Two clips alternate, each a lower bound of the earliest contact by itself:
+Two clips alternate. Each by itself is a lower bound of the time of the earliest contact:
 
-- the volume (`volume`), which sees a simple contact from afar, however fast the pair turns;
-- the direction of the closest pair at the time reached (`inclusion`), which sees that the patch lies beside the origin
-  even while the volume vanishes.
+- the volume (`volume`) approaches a simple contact in large steps, however fast the pair rotates;
+- the direction of the closest pair at the time reached (`inclusion`) separates the patch from the origin even while the
+  volume vanishes.
 
-Together they are Newton's iteration on the gap, from below: near a simple contact quadratic, and every iterate certain.
+Together they are Newton's iteration on the gap, from below: it converges quadratically near a simple contact, and every
+iterate is a certain lower bound.
 """
 
 from types import SimpleNamespace
@@ -28,7 +29,7 @@ SLOW = wp.constant(2)  # a gap beyond tolerance, but single directions clip litt
 LIMIT = wp.constant(3)  # iteration limit
 _UNDECIDED = wp.constant(-1)
 
-# An advance stalls at a clip that gains nothing, or after so many small steps since the last stall.
+# An advance stalls at a clip that gains nothing, or after this many small steps since the last stall.
 _PATIENCE = wp.constant(3)
 
 
@@ -67,7 +68,7 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def point_of(c: Corners, wb: real, wc: real, from_w11: bool) -> vec3:
-        """The point that the weights name: a real point of the patch, for any weights that lie on it."""
+        """The point with the given weights: a true point of the patch whenever the weights lie on it."""
         origin = c.w00
         if from_w11:
             origin = c.w11
@@ -75,9 +76,9 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def find_contact(c: Corners, patch: Patch, size: vec3, reached: Reached) -> Reached:
-        """Look for a real point of the patch in [-size, size]: the closest one at hand, or else any.
+        """Search for a true point of the patch in [-size, size]: the closest point if it is inside, else any.
 
-        Sets the point and its weights where it finds one, and the outcome.
+        Where it finds one, it sets the point, its weights and the outcome.
         """
         point = point_of(c, reached.wb, reached.wc, reached.from_w11)
         found = is_within(point, size)
@@ -94,9 +95,9 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def find_contact_at_stall(c: Corners, patch: Patch, size: vec3, t: real, reached: Reached) -> Reached:
-        """Look for a contact at the time before the last clip, t, and then at the time reached.
+        """Search for a contact at the time before the last clip, t, and then at the time reached.
 
-        The later time stands only if the gap there is within tolerance as well.
+        The later time is reported only if the gap there is within tolerance as well.
         """
         here = find_contact(c, patch, size, reached)
         if here.outcome != CONTACT:
@@ -111,7 +112,7 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iterations: int) -> Reached:
-        """Earliest time of the patch that is not certainly free.
+        """Earliest time at which the patch is not certainly free.
 
         Invariant: the patch is free of contact on [t_start, t).
         """
@@ -123,7 +124,7 @@ def make_advance(real) -> SimpleNamespace:
         slow = int(0)  # small steps since the last stall
         gap = real(1.0e30)
         margin = problem.error + problem.separation
-        # a separation that rounding hides is a margin like any other; a larger one needs the facets of its box
+        # a separation of the size of the rounding error is one more margin; a larger one needs the facets of its box
         use_facets = problem.is_flat or not is_within(problem.separation, real(256.0) * problem.error)
         while reached.outcome == _UNDECIDED:
             if reached.iterations >= max_iterations:
@@ -174,7 +175,7 @@ def make_advance(real) -> SimpleNamespace:
                 reached = find_contact_at_stall(c, patch, contact_size, t, reached)
                 if reached.outcome == _UNDECIDED and use_facets:
                     reached.outcome = SLOW
-                use_facets = True  # they may get ahead where the closest pair's direction does not
+                use_facets = True  # they may make progress where the direction of the closest pair does not
                 slow = 0
         if reached.outcome == LIMIT or reached.outcome == SLOW:
             reached.point = point_of(corners_at(patch, reached.t), reached.wb, reached.wc, reached.from_w11)

@@ -1,4 +1,4 @@
-"""What a search on a patch answers: a time, how it was reached, and a point of the patch."""
+"""The answer of a search on a patch: a time, how it was reached, and a point of the patch."""
 
 from types import SimpleNamespace
 
@@ -7,7 +7,7 @@ import warp as wp
 from .once import once
 from .patch import POINT_SEGMENT, VERTEX_FACE
 
-# Patches or boxes that wait at the same time, at most.
+# Largest number of patches or boxes on the stack at the same time.
 STACK_DEPTH = 64
 
 # Status of a pair; ccd_warp.CCDStatus mirrors these.
@@ -29,7 +29,7 @@ def make_answer(real) -> SimpleNamespace:
         """Earliest contact of a pair."""
 
         toi: real  # 2: none
-        width: real  # of the reported box in time: 0 but for boxes of the bisection
+        width: real  # of the reported box in time: 0 except for boxes of the bisection
         status: int
         iterations: int
         parameters: wp.vec2d

@@ -1,4 +1,4 @@
-"""Atomics that hold between threads on the CPU, too, where Warp's own do not."""
+"""Operations that are atomic between threads on the CPU as well, where Warp's own are not."""
 
 import warp as wp
 
@@ -17,7 +17,7 @@ import warp as wp
 """  # noqa: E501
 )
 def atomic_min_int64(values: wp.array[wp.int64], index: int, value: wp.int64):
-    """values[index] = min(values[index], value); a look before spares most of the writes."""
+    """values[index] = min(values[index], value); a plain read before it saves most of the atomic writes."""
     ...
 
 
@@ -66,7 +66,7 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
 """
 )
 def claim(values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
-    """values[row, column] before one is added to it: a place of its own for each thread."""
+    """Add one to values[row, column] and return the value before: a distinct index for each thread."""
     ...
 
 
@@ -81,5 +81,5 @@ def claim(values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
 """
 )
 def claim_int(values: wp.array[wp.int32], index: int) -> int:
-    """values[index] before one is added to it."""
+    """Add one to values[index] and return the value before."""
     ...

@@ -1,14 +1,14 @@
-"""Plain inclusion bisection, the literature's method: the reference that the default method is measured against.
+"""Plain inclusion bisection, the method of the literature, against which the default method is measured.
 
 A box [t0, t1] × [u0, u1] × [v0, v1] is discarded if the hull of its eight corners misses the separation box on one of
-the three axes; it is accepted if the hull is within the tolerance on every axis; else its widest parameter is halved,
-and the earlier (lower) half comes first.
+the three axes. It is accepted if the hull is no wider than the tolerance on every axis. Otherwise its widest parameter
+is halved, and the earlier (lower) half is searched first.
 
 Differs from Wang et al. 2021, section 4:
 
 1. Boxes wait on a stack of fixed depth, not in a queue; boxes that start at or after the best toi are dropped.
 2. The rounding bound is per axis, and it covers a minimum separation.
-3. The triangle is a patch whose side u = 1 has shrunk to a point, so no box leaves the domain.
+3. The triangle is a patch whose side u = 1 has shrunk to a point, so every box lies in the domain.
 4. The widest parameter is the one that moves a corner most, in units of the tolerance.
 """
 
@@ -70,7 +70,7 @@ def make_bisection(real) -> SimpleNamespace:
     ) -> Answer:
         """Earliest contact of a patch on [0, t_max].
 
-        Invariant: every contact lies in a box of the stack, or not before ``answer.toi``.
+        Invariant: every contact lies in a box of the stack, or at or after ``answer.toi``.
         """
         answer = Answer()
         answer.toi = real(2.0)

@@ -1,30 +1,32 @@
-"""A tree of boxes without pointers: boxes along a space-filling curve, sixteen to a block, sixteen blocks to a node.
+"""A tree of boxes without pointers: boxes sorted along a space-filling curve, sixteen to a block at every level.
 
-**Frames.** A box is kept for each frame: one, the box swept over the whole step, where boxes are what is asked for; or
-two, the boxes at both ends of the step, where contacts are. A point of a primitive moves on a line, so between the ends
-it lies in the box interpolated between theirs, and two primitives whose boxes are on the same sides of each other along
-one axis at both ends are so all the while. Things that move together have large swept boxes, and do not meet by this
-test.
+**Swept AABB or endpoint AABBs.** A search for overlapping boxes keeps one axis-aligned bounding box (AABB) for each
+primitive: the AABB swept over the whole step. A search for contacts keeps two: the AABBs at both ends of the step. A
+point of a primitive moves on a line, so between the ends it lies in the box interpolated between the endpoint AABBs. If
+the AABBs of two primitives are separated along one axis, in the same order at both ends, the primitives are therefore
+separated along it throughout the step. Primitives that move together may have large swept AABBs that overlap although
+this test separates them.
 
 Boxes are sorted by a key (size class, Morton code of the centre), so neighbours in the list are neighbours in space.
-Sixteen boxes that follow each other are a **block**, kept as six rows of sixteen float32 numbers a frame. Level 0 is
-the boxes themselves; box n of level k + 1 is the union of block n of level k, up to a level of a single block, level 1
-or above. Nothing else is stored: which boxes lie under which follows from their places. The order decides on speed
-alone.
+Sixteen consecutive boxes are a **block**, stored as six rows of sixteen float32 numbers for each AABB. Level 0 consists
+of the boxes themselves; box n of level k + 1 is the union of block n of level k, up to a level of a single block, which
+is level 1 or above. Nothing else is stored: the place of a box determines its children. The order affects speed only.
 
-**float32 without rounding outward.** A coordinate x becomes f(x) = float32((x/2 - origin/2) · 2 scale), with a scale
-that is a power of two. The difference, the product and both roundings are monotone, so a <= b implies f(a) <= f(b), for
-any finite input: boxes that overlap in float64 overlap in the image, and nothing is missed. And f(a) < f(b) implies
-a < b: a pair whose images overlap strictly on every side overlaps for certain. Only where two images are equal does the
-exact float64 test of the two boxes decide. And since f(min(a, b)) = min(f(a), f(b)), the image of a primitive's box is
-the union of the images of its vertices' boxes, which are made once a step: the **vertex_aabbs**.
+**float32 without rounding outward.** A coordinate x is quantized to f(x) = float32((x/2 - origin/2) · 2 scale), with a
+scale that is a power of two. The difference, the product and both roundings are monotone, so a <= b implies
+f(a) <= f(b) for any finite input: boxes that overlap in float64 overlap in quantized coordinates, and no pair is
+missed. Conversely f(a) < f(b) implies a < b: two boxes that overlap strictly on every side in quantized coordinates
+certainly overlap. Only where two quantized coordinates are equal is the exact float64 test of the two boxes needed.
+Since f(min(a, b)) = min(f(a), f(b)), the quantized box of a primitive is the union of the quantized boxes of its
+vertices. These are computed once a step: the **vertex AABBs**.
 
-**Worlds.** Scenes that know nothing of each other may lie in one place. Each is moved, in the image, to a cell of its
-own of a lattice: one more rounded sum that is monotone within a world, so nothing is missed there, and the filter of
-the mesh leaves out what still meets across.
+**Worlds.** Several independent scenes, called worlds, may occupy the same region of space. Each is shifted, in
+quantized coordinates, to its own cell of a lattice. The shift is one more rounded sum that is monotone within a world,
+so no pair of a world is missed, and the collision filter excludes the pairs of different worlds that still overlap.
 
-**Sizes.** One giant box would make every ancestor giant. Boxes are classed by extent in factors of eight above the
-typical one, and the class is the most significant part of the key, so that the large ones keep to themselves.
+**Sizes.** One giant box would make all its ancestors giant. Boxes are therefore classified by extent, in factors of
+eight above the typical extent, and the class is the most significant part of the key, so that large boxes share blocks
+with each other.
 
 References: Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (Morton order);
 Wald et al. 2008, "Getting rid of packets" (one ray against a wide node).
@@ -37,10 +39,10 @@ from .lanes import united_vertex_aabbs, vec8f, write_leaves, write_union
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-WIDTH = wp.constant(16)  # boxes of a block
+WIDTH = wp.constant(16)  # boxes in a block
 BLOCK_FLOATS = wp.constant(96)
 BLOCK_CORNERS = wp.constant(48)
-VERTEX_AABB_FLOATS = wp.constant(8)  # floats of a record
+VERTEX_AABB_FLOATS = wp.constant(8)  # floats of a vertex AABB
 CLASS_BITS = 3
 
 _HALF = wp.constant(wp.float64(0.5))
@@ -57,12 +59,12 @@ class BoxTree:
 
     num_boxes: int
     num_levels: int
-    num_aabbs: int
+    num_aabbs: int  # of a primitive: 1, the swept AABB; 2, the endpoint AABBs
     block_begin: vec8i  # first block of each level
-    # a block, a frame: lower x, y, z, upper x, y, z of sixteen boxes; inf and -inf where there is none
+    # for each block and AABB: lower x, y, z, upper x, y, z of sixteen boxes; inf and -inf where there is none
     nodes: wp.array[wp.float32]
     primitive: wp.array[wp.int32]
-    corners: wp.array[wp.int32]  # a block: three vertices of sixteen primitives
+    corners: wp.array[wp.int32]  # for each block: three vertices of sixteen primitives
 
 
 @wp.func
@@ -74,16 +76,16 @@ def box_corners(tree: BoxTree, place: int) -> wp.vec3i:
 
 @wp.struct
 class Quantization:
-    """The map f, and what the keys are made from."""
+    """The map f to quantized coordinates, and the typical extent that the keys need."""
 
     origin: wp.vec3d
     scale: wp.float64  # a power of two: most of the scene maps to [-1/2, 1/2]
-    typical_extent: wp.float32  # of a primitive, in the image
+    typical_extent: wp.float32  # of a primitive, in quantized coordinates
 
 
 @wp.func
 def quantized(x: wp.vec3d, quantization: Quantization) -> wp.vec3f:
-    """f: monotone in every component; halves, so that the difference of two finite numbers is finite."""
+    """f: monotone in every component; with halves, so that the difference of two finite numbers is finite."""
     y = (_HALF * x - _HALF * quantization.origin) * (quantization.scale + quantization.scale)
     return wp.vec3f(wp.float32(y[0]), wp.float32(y[1]), wp.float32(y[2]))
 
@@ -101,7 +103,7 @@ def vertex_aabb(
     num_aabbs: int,
     n: int,
 ) -> vec8f:
-    """The record of a vertex for frame n; empty where a coordinate is no number."""
+    """AABB n of a vertex (swept, or at end n of the step) in quantized coordinates; empty if a coordinate is NaN."""
     box = point_box(vertices_t0)
     if num_aabbs == 1:
         box = united(box, end_box(vertices_t0, vertices_t1, t_end))
@@ -122,7 +124,7 @@ def vertex_aabb(
 
 @wp.func
 def write_vertex_aabb(vertex_aabbs: wp.array[wp.float32], place: int, aabb: vec8f):
-    """Put a record in its place."""
+    """Write a vertex AABB to its place."""
     for k in range(VERTEX_AABB_FLOATS):
         vertex_aabbs[place * VERTEX_AABB_FLOATS + k] = aabb[k]
 
@@ -145,7 +147,10 @@ def fill_vertex_aabbs(
     # out
     vertex_aabbs: wp.array[wp.float32],
 ):
-    """The image of each vertex's box, (lower, 0, -upper, 0) a frame: a union is a minimum. Empty if inactive."""
+    """Write the AABBs of each vertex in quantized coordinates; those of an inactive body are empty.
+
+    An AABB is stored as (lower, 0, -upper, 0), so that a union is a minimum.
+    """
     v = vertices[begin + wp.tid()]
     for n in range(num_aabbs):
         aabb = vec8f(_INFINITY)
@@ -166,14 +171,14 @@ def fill_vertex_aabbs(
 
 
 @wp.func
-def node_place(tree: BoxTree, level: int, n: int, end: int) -> int:
-    """Where the numbers of box n of a level begin."""
-    return ((tree.block_begin[level] + n / WIDTH) * tree.num_aabbs + end) * BLOCK_FLOATS + n % WIDTH
+def node_place(tree: BoxTree, level: int, n: int, aabb: int) -> int:
+    """Place of the first number of an AABB of box n of a level; the others follow at distances of WIDTH."""
+    return ((tree.block_begin[level] + n / WIDTH) * tree.num_aabbs + aabb) * BLOCK_FLOATS + n % WIDTH
 
 
 @wp.func
 def write_nothing(tree: BoxTree, level: int, n: int):
-    """Leave box n of a level empty: it overlaps none but an infinite one."""
+    """Make box n of a level empty: it overlaps no box but an infinite one."""
     for f in range(tree.num_aabbs):
         at = node_place(tree, level, n, f)
         for k in range(3):
@@ -183,7 +188,7 @@ def write_nothing(tree: BoxTree, level: int, n: int):
 
 @wp.func
 def unite(tree: BoxTree, level: int, n: int, count: int):
-    """Write box n of the ``count`` boxes of a level; after the last of them nothing, up to the end of its block."""
+    """Write box n of the ``count`` boxes of a level; after the last one, fill its block with empty boxes."""
     for f in range(tree.num_aabbs):
         block = (tree.block_begin[level - 1] + n) * tree.num_aabbs + f
         write_union(tree.nodes, block, node_place(tree, level, n, f))
@@ -215,7 +220,7 @@ def sort_keys(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Key of each primitive: size class, Morton code, index. Rounded anyhow: the order is free."""
+    """Key of each primitive: size class, Morton code, index. Rounding does not matter: any order is correct."""
     i = begin + wp.tid()
     c = corners[i] * num_aabbs
     r = united_vertex_aabbs(vertex_aabbs, c[0], c[1], c[2])
@@ -253,7 +258,7 @@ def apply_order(
     primitive: wp.array[wp.int32],
     block_corners: wp.array[wp.int32],
 ):
-    """Lay a block of primitives out in the order of their keys, or of their plain indices."""
+    """Write a block of primitives in the order of their keys, or of their plain indices."""
     b = begin + wp.tid()
     for lane in range(WIDTH):
         place = b * WIDTH + lane
@@ -268,14 +273,14 @@ def apply_order(
 
 @wp.func
 def fill_block(vertex_aabbs: wp.array[wp.float32], num_corners: int, tree: BoxTree, b: int):
-    """Fill block b of level 0 from the vertex_aabbs of its vertices, and its union on level 1."""
+    """Fill block b of level 0 from the AABBs of its vertices, and write its union to level 1."""
     write_leaves(vertex_aabbs, tree.num_aabbs, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
     unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
 
 
 @wp.func
 def unite_from(tree: BoxTree, first_level: int, count: int):
-    """All levels from one of so many boxes on."""
+    """Fill all levels from ``first_level``, which has ``count`` boxes, to the top."""
     n = wp.int32(count)
     for level in range(first_level, tree.num_levels):
         for k in range(n):
@@ -292,7 +297,7 @@ def fill_blocks(
     # out
     tree: BoxTree,
 ):
-    """`fill_block` for every block."""
+    """Apply `fill_block` to every block."""
     fill_block(vertex_aabbs, num_corners, tree, begin + wp.tid())
 
 
@@ -305,7 +310,7 @@ def unite_blocks(
     # out
     tree: BoxTree,
 ):
-    """Box n of a level from block n of the level below."""
+    """Compute box n of a level from block n of the level below."""
     unite(tree, level, begin + wp.tid(), count)
 
 
@@ -318,5 +323,5 @@ def unite_levels(
     # out
     tree: BoxTree,
 ):
-    """All levels from one on in a single thread: there is little left of them, and a launch costs more."""
+    """Fill all levels from one on in a single thread: they are small, and a launch for each would cost more."""
     unite_from(tree, first_level, count)

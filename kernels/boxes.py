@@ -53,7 +53,7 @@ def united(a: Box, b: Box) -> Box:
 
 @wp.func
 def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
-    """A box around where a point that moves from a to b is at ``t_end`` (rounding, step 12)."""
+    """A box around the position at ``t_end`` of a point that moves from a to b (rounding, step 12)."""
     if not t_end < _ONE:
         return point_box(b)
     end = (_ONE - t_end) * a + t_end * b
@@ -66,16 +66,16 @@ def end_box(a: wp.vec3d, b: wp.vec3d, t_end: wp.float64) -> Box:
 
 @wp.func
 def inflated_below(x: wp.float64, inflation: wp.float64) -> wp.float64:
-    """A lower bound less ``inflation``: the difference rounds to nearest, so its neighbour bounds the exact one.
+    """A lower bound minus ``inflation``: the difference rounds to nearest, so its neighbour bounds the exact value.
 
-    Where it overflows the largest number will do: nothing lies beyond.
+    Where it overflows, minus the largest finite number suffices: no coordinate lies below it.
     """
     return wp.max(next_below(x - inflation), -LARGEST)
 
 
 @wp.func
 def inflated(box: Box, inflation: wp.float64) -> Box:
-    """The box with ``inflation`` more on every side, rounded outward."""
+    """The box enlarged by ``inflation`` on every side, rounded outward."""
     if inflation > wp.float64(0.0):
         for k in range(3):
             box.lower[k] = inflated_below(box.lower[k], inflation)
@@ -94,7 +94,7 @@ def chunk_bounds(
     lower: wp.array[wp.vec3d],
     upper: wp.array[wp.vec3d],
 ):
-    """Box around both frames of a chunk of vertices: a reduction without atomics."""
+    """Box around a chunk of vertices at both ends of the step: a reduction without atomics."""
     c = begin + wp.tid()
     low = vertices_t0[c * chunk]
     high = low

@@ -1,13 +1,13 @@
 """Closest point of a convex patch to the origin: the direction that clips time best, and the parameters reported.
 
-Nothing here carries a guarantee: a direction only has to be good, never exact, because `inclusion` tests it at every
-corner. What matters is that the difference vector keeps its direction when the gap is many orders of magnitude smaller
-than the patch; therefore it is made orthogonal to its feature a second time, after the cancellation.
+Nothing here carries a guarantee: a direction need only be good, never exact, because `inclusion` tests it at every
+corner. The difference vector must keep its direction when the gap is many orders of magnitude smaller than the patch;
+therefore it is made orthogonal to its feature a second time, after the cancellation.
 
-`closest_on_patch` finds that vector, once a step of an advance. Its weights are quotients of products of four lengths:
-they lose twice the digits that a sliver has in its aspect. `closest_weights` finds the weights that are reported, once
-a pair, and gives up the direction for them: the point that they name is as close as the closest point to within some
-roundings of the size of the patch, whatever its shape.
+`closest_on_patch` computes that vector, once in each step of an advance. Its weights are quotients of products of four
+lengths, so on a sliver they lose twice as many digits as the aspect ratio has. `closest_weights` computes the weights
+that are reported, once for each pair, and no direction: their point is as close to the origin as the closest point, to
+within a few roundings of the size of the patch, whatever its shape.
 """
 
 from types import SimpleNamespace
@@ -52,7 +52,7 @@ def make_closest_point(real) -> SimpleNamespace:
         if d6 >= real(0.0) and d5 <= d6:
             return c, real(0.0), real(1.0)
         vc = d1 * d4 - d3 * d2
-        # d1 - d3 is the square of the side: where it has no length, the other sides are the triangle
+        # d1 - d3 is the squared length of the side: if it is 0, the triangle consists of its other sides
         if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0) and d1 > d3:
             q, w = closest_on_edge(a, ab)
             return q, w, real(0.0)
@@ -67,16 +67,16 @@ def make_closest_point(real) -> SimpleNamespace:
         if va <= real(0.0) or n_squared <= real(0.0) or total <= real(0.0):
             q, w = closest_on_edge(b, c - b)
             return q, real(1.0) - w, w
-        # a sliver's normal leans: make it orthogonal to a side again
+        # the computed normal of a sliver is inaccurate: make it orthogonal to a side again
         q = (wp.dot(n, a) / n_squared) * n
         q = q - (wp.dot(q, ab) / wp.dot(ab, ab)) * ab
         return q, wp.max(vb, real(0.0)) / total, wp.max(vc, real(0.0)) / total
 
     @wp.func
     def closest_on_patch(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):
-        """Closest point of a flat convex patch: q, weights of its two neighbours, and whether they count from w11.
+        """Closest point q of a flat convex patch, its weights of w01 and w10, and whether w11 has the rest (else w00).
 
-        The patch is split along w01-w10; only a closest point on that diagonal sends the search to the other half.
+        The patch is split along w01-w10; the other half is searched only if the closest point is on that diagonal.
         """
         q, wb, wc = closest_on_triangle(w00, w01, w10)
         from_w11 = False
@@ -93,9 +93,10 @@ def make_closest_point(real) -> SimpleNamespace:
     def closest_weights(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):
         """Weights of the closest point of a triangle or parallelogram of any shape, as `closest_on_patch` gives them.
 
-        The shorter side is split along and across the longer one (Gram and Schmidt), so a rounding moves the foot of
-        the perpendicular along a sliver by a rounding only. Where the foot lies outside, the closest point is on one of
-        the edges that separate it from the patch; a patch without area has its edges alone.
+        The shorter side is resolved into its parts along and across the longer one (Gram-Schmidt), so a rounding error
+        moves the foot of the perpendicular along a sliver by no more than a rounding error. If the foot lies outside,
+        the closest point is on one of the edges that separate it from the patch; a patch without area consists of its
+        edges only.
         """
         q = w01 - w00
         r = w10 - w00
@@ -120,7 +121,7 @@ def make_closest_point(real) -> SimpleNamespace:
                 v = v - lean * u
                 if is_swapped:
                     u, v = v, u
-        # beyond v = 1 lies the edge w01-w11 of a parallelogram, in its place w01-w10 of a triangle
+        # the edge at v = 1 of a parallelogram is w01-w11; a triangle has w01-w10 in its place
         third = w11
         beyond = v - real(1.0)
         if is_triangle:

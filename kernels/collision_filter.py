@@ -1,4 +1,4 @@
-"""The collision filter of a mesh: which pairs of primitives it leaves out."""
+"""The collision filter of a mesh: which pairs of primitives are excluded from the search."""
 
 import warp as wp
 
@@ -7,23 +7,23 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class CollisionFilter:
-    """Which pairs the mesh excludes, beside those that share a vertex."""
+    """The pairs that the mesh excludes, in addition to those that share a vertex."""
 
-    by_body: int  # 1: the two arrays that follow count
+    by_body: int  # 1: the next two arrays apply
     vertex_body: wp.array[wp.int32]
     self_collision: wp.array[wp.int32]  # per body
-    by_pair: int  # 1: the array that follows counts
+    by_pair: int  # 1: the next array applies
     body_pairs: wp.array2d[wp.uint8]
-    by_world: int  # 1: the array that follows counts
+    by_world: int  # 1: the next array applies
     vertex_world: wp.array[wp.int32]
-    by_ring: int  # 1: the arrays that follow count
-    ring_begin: wp.array[wp.int32]  # per vertex, one more at the end
-    ring: wp.array[wp.int32]  # the vertices near it, ascending
+    by_ring: int  # 1: the next two arrays apply
+    ring_begin: wp.array[wp.int32]  # per vertex, and one more at the end
+    ring: wp.array[wp.int32]  # the vertices in the rings around each vertex, ascending
 
 
 @wp.func
 def is_near(v: int, c: wp.vec3i, rings: CollisionFilter) -> bool:
-    """Whether a vertex of a primitive is in the rings around v: a search by halves."""
+    """Whether a vertex of a primitive is in the rings around v, by binary search."""
     for k in range(3):
         low = rings.ring_begin[v]
         high = rings.ring_begin[v + 1]

@@ -1,9 +1,9 @@
-"""The contact test: does a flat patch reach into a box around the origin?
+"""The contact test: does a flat patch intersect a box around the origin?
 
-A contact is claimed only where a real point of the patch is found within separation and tolerance, so rounding cannot
-claim one where the gap is larger. The patch is clipped against the six sides of the box (Sutherland and Hodgman 1974):
-what is left, if anything, are points of the patch, each off by no more than the rounding of its interpolation. Unlike a
-closest point, this stays accurate for slivers.
+A contact is reported only if a true point of the patch is found within separation and tolerance, so rounding cannot
+produce one where the gap is larger. The patch is clipped against the six sides of the box (Sutherland and Hodgman
+1974): the vertices of the remaining polygon, if any, are points of the patch, each off by no more than the rounding of
+its interpolation. Unlike a closest point, this test stays accurate for slivers.
 """
 
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ import warp as wp
 from .once import once
 from .patch import make_patch
 
-# Four corners, and at most one more a side.
+# Four corners, and at most one more for each side of the box.
 _MAX_VERTICES = 10
 
 
@@ -21,7 +21,7 @@ _MAX_VERTICES = 10
 def make_contact_test(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
-    vertex = wp.types.vector(length=5, dtype=real)  # position, and the weights of w01 and w10 that name it
+    vertex = wp.types.vector(length=5, dtype=real)  # position, and its weights of w01 and w10
     polygon = wp.types.matrix(shape=(_MAX_VERTICES, 5), dtype=real)
     Corners = make_patch(real).Corners
 

@@ -1,4 +1,4 @@
-"""Contacts: their normals, their order, and which is the first of a vertex and of a body."""
+"""Contacts: their normals, their order, and the first contact of each vertex and each body."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Sine below which two sides count as parallel and their cross product as no direction.
+# Sine below which two sides count as parallel, so that their cross product is not used as a direction.
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
@@ -17,7 +17,7 @@ _ONE = wp.constant(wp.float64(1.0))
 
 @wp.struct
 class ContactList:
-    """Contacts of all kinds in any order, as far as there is capacity, and how many there are."""
+    """Contacts of all kinds in any order, as many as the capacity allows, and the number of contacts found."""
 
     count: wp.array[wp.int32]
     kind: wp.array[wp.int32]
@@ -38,9 +38,9 @@ def to_unit_size(a: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
-    """Unit normal of two sides against the relative velocity of the first primitive; 0 where there is none.
+    """Unit normal of two sides, directed against the relative velocity of the first primitive; 0 if there is none.
 
-    Parallel or vanishing sides leave a choice: then it is the part of the velocity across the longer side.
+    Parallel or vanishing sides do not determine a normal: then the part of the velocity across the longer side is used.
     """
     a = to_unit_size(q)
     b = to_unit_size(r)
@@ -61,7 +61,7 @@ def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def across(w: wp.vec3d, side: wp.vec3d) -> wp.vec3d:
-    """The part of w across a side, 0 where rounding is all that is left of it; all of w if the side has no length."""
+    """The part of w orthogonal to a side, 0 if it consists of rounding only; all of w if the side has no length."""
     s = to_unit_size(side)
     n = to_unit_size(w)
     if wp.dot(s, s) > _ZERO:
@@ -73,9 +73,10 @@ def across(w: wp.vec3d, side: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def point_normal(side: wp.vec3d, velocity: wp.vec3d, gap: wp.vec3d) -> wp.vec3d:
-    """Unit normal of a point at a segment, or at a point if the side is 0: against the relative velocity.
+    """Unit normal of a point at a segment, or at a point if the side is 0, directed against the relative velocity.
 
-    Where that has no part across the side it is along the gap (a minimum separation leaves one); 0 where both vanish.
+    If the velocity has no part across the side, the normal is along the gap, which a minimum separation leaves. It is 0
+    if both vanish.
     """
     n = -across(velocity, side)
     if wp.dot(n, n) == _ZERO:
@@ -95,7 +96,7 @@ def lift(
     # out
     lifted: wp.array2d[wp.vec3d],
 ):
-    """Points of the plane as points of space at z = 0."""
+    """Embed points of the plane in space at z = 0."""
     i, j = wp.tid()
     p = points[i, j]
     lifted[i, j] = wp.vec3d(p[0], p[1], _ZERO)
@@ -130,7 +131,7 @@ def normal_at(
         vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (vertices_t1[second[2]] - vertices_t0[second[2]])
     if kind == EDGE_EDGE or kind == VERTEX_FACE:
         return contact_normal(q, r, va - vb)
-    # absent corners repeat the last one, so q is the segment, or 0 for a point
+    # missing vertices repeat the last one, so q is the segment, or 0 for a point
     return point_normal(q, va - vb, a0 - b0 - uv[0] * q)
 
 
@@ -142,10 +143,10 @@ def contact_keys(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Keys that ascend with the kind, then the pair: two bits, and 31 for each index."""
+    """Keys that order contacts by kind, then by pair: two bits, and 31 for each index."""
     n = begin + wp.tid()
     pair = contacts.primitives[n]
-    kind = wp.int64(contacts.kind[n] - 2)  # signed numbers are sorted
+    kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
     keys[n] = (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
 
 
@@ -158,7 +159,7 @@ def order_contacts(
     # out
     ordered: ContactList,
 ):
-    """Write the contacts in their order."""
+    """Copy the contacts in the given order."""
     n = begin + wp.tid()
     k = order[n]
     ordered.kind[n] = contacts.kind[k]
@@ -180,7 +181,7 @@ def first_of_primitive(
     vertex_contact: wp.array[wp.int32],
     body_contact: wp.array[wp.int32],
 ):
-    """Note a contact as that of the vertices and of the body of a primitive, where their toi is its own."""
+    """Record a contact for each vertex of a primitive, and for its body, whose earliest toi is that of the contact."""
     for k in range(3):
         if m.vertex[c[k]] == bits:
             atomic_min_int32(vertex_contact, c[k], n)
@@ -202,7 +203,7 @@ def first_contacts(
     vertex_contact: wp.array[wp.int32],
     body_contact: wp.array[wp.int32],
 ):
-    """The contact that each toi belongs to: the lowest index where several share it."""
+    """The contact that each toi belongs to: the one of lowest index if several have this toi."""
     n = begin + wp.tid()
     kind = contacts.kind[n]
     pair = contacts.primitives[n]

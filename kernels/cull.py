@@ -1,13 +1,13 @@
-"""The cull: inclusion tests over the whole step, on which most candidates of a broad phase end.
+"""The cull: inclusion tests over the whole step, which discard most candidates of a broad phase.
 
-The first is the volume's hull (`volume`) in float64 on the corners as they are, without normalisation: about 90 flops,
-no division, no branch. The bound is that of `rounding`, step 9, with sums of magnitudes where `volume` takes maxima.
-Underflow is covered by an absolute term that grows with P, so axes may differ in scale as they like; where a product of
-three lengths comes near overflow, or is so small that the absolute term hides it (lengths far below 2^-250), the test
-proves nothing and the pair goes on to the solver, which normalises.
+The first test is the hull of the volume (`volume`) in float64, on the corners without normalisation: about 90 flops, no
+division, no branch. The bound is that of `rounding`, step 9, with sums of magnitudes where `volume` takes maxima.
+Underflow is covered by an absolute term that grows with P, so the scales of the axes may differ arbitrarily. Where a
+product of three lengths comes near overflow, or is so small that the absolute term exceeds it (lengths far below
+2^-250), the test proves nothing and the pair is passed on to the solver, which normalises.
 
-Neighbours in one plane have no volume, and for them there is a second: the directions in that plane across each side,
-which are all that can separate two convex figures in a plane. Its bound is that of `rounding`, step 11.
+A pair in one plane has no volume. For it there is a second test, along the directions in that plane across each side:
+no other directions are needed to separate two convex figures in a plane. Its bound is that of `rounding`, step 11.
 """
 
 import warp as wp
@@ -28,7 +28,7 @@ _ONE = wp.constant(wp.float64(1.0))
 
 @wp.func
 def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> bool:
-    """Whether the volume keeps its sign on [0, t_end], farther from 0 than any contact could bring it."""
+    """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
     n0 = wp.cross(c0.q, c0.r)
     n1 = wp.cross(c1.q, c1.r)
     nm = wp.cross(c0.q, c1.r) + wp.cross(c1.q, c0.r)  # twice the middle coefficient of Q×R
@@ -41,7 +41,7 @@ def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: w
     r = wp.abs(c0.r) + wp.abs(c1.r)
     n = wp.vec3d(q[1] * r[2] + q[2] * r[1], q[2] * r[0] + q[0] * r[2], q[0] * r[1] + q[1] * r[0])
     size = wp.dot(p, n)
-    # |n_k| of the normal at any time is at most n_k, so this is above the sum of separation and rounding
+    # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding from above
     bound = _BOUND * size + separation * (n[0] + n[1] + n[2]) * _SEPARATION_UP
     # an underflow in Q×R is multiplied by P and by the separation
     bound += _GUARD * (_ONE + p[0] + p[1] + p[2] + separation)

@@ -1,7 +1,7 @@
-"""A step whose input and results stay on the device: what comes before the search and what the others write to.
+"""A step whose input and results stay on the device: the kernels that read its input and reset its results.
 
-Nothing here knows sizes that the device finds out: results have a place for every vertex, body and world, lists have a
-capacity, and what does not fit lowers a toi to 0 and sets a flag.
+The sizes of these kernels do not depend on what the device finds: results have a place for every vertex, body and
+world, and lists have a fixed capacity. A pair beyond the capacity lowers its toi to 0 and sets a flag.
 """
 
 from types import SimpleNamespace
@@ -15,13 +15,13 @@ from .once import once
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# What moves by one fraction in a line search.
+# The parts of a mesh that move by one common fraction in a line search.
 PER_SCENE = wp.constant(0)
 PER_WORLD = wp.constant(1)
 PER_BODY = wp.constant(2)
 PER_VERTEX = wp.constant(3)
 
-# Vertices and blocks of static bodies that one item looks after.
+# Vertices and blocks of static bodies that one item processes.
 CHUNK = wp.constant(64)
 
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
@@ -39,7 +39,7 @@ def reset(
     num_contacts: wp.array[wp.int32],
     stop: wp.array[wp.int32],
 ):
-    """Nothing touches yet; flags go but those of looks before that concern this one."""
+    """Set the toi of bodies, worlds and scene to infinity, counts to 0; clear all flags but those in ``kept_flags``."""
     i = begin + wp.tid()
     if i < m.body.shape[0]:
         m.body[i] = _INFINITY_BITS
@@ -48,10 +48,10 @@ def reset(
         m.world_flags[i] = m.world_flags[i] & kept_flags
     if i == 0:
         m.scene[0] = _INFINITY_BITS
-        if m.world.shape[0] > 1:  # else the flags of the world are those of the scene
+        if m.world.shape[0] > 1:  # otherwise the scene and its only world share their flags
             m.flags[0] = m.flags[0] & kept_flags
         num_contacts[0] = 0
-        stop[0] = 0  # a launch before may have been ended by it
+        stop[0] = 0  # it may have ended an earlier launch
         for k in range(counts.shape[0]):
             counts[k, FOUND] = wp.int64(0)
             counts[k, OPEN] = wp.int64(0)
@@ -63,9 +63,9 @@ def reset_vertices(
     # out
     m: Minima,
 ):
-    """Nothing touches yet, but all does in a world with a coordinate that is not finite: what it would meet is unknown.
+    """Set the toi of each vertex to infinity, or to 0 in a world with a coordinate that is not finite.
 
-    After all input is read.
+    The contacts of such a coordinate are unknown, so its whole world counts as touching. Runs after all input is read.
     """
     v = begin + wp.tid()
     bits = _INFINITY_BITS
@@ -85,7 +85,7 @@ def set_active(
     # out
     body_active: wp.array[wp.int32],
 ):
-    """The same for every body."""
+    """Write one value for every body."""
     body_active[begin + wp.tid()] = value
 
 
@@ -99,9 +99,10 @@ def keep_touched(
     # out
     body_active: wp.array[wp.int32],
 ):
-    """The bodies of worlds in which something is about to be shortened; the rest is free as it is.
+    """Activate the bodies of the worlds in which a contact was found, where the motion is about to be shortened.
 
-    ``by_scene`` where what touches in one world is shortened in others, too: then all bodies, if anything touches.
+    The other worlds are known to be free of contact and are not searched again. With ``by_scene``, a contact shortens
+    the motion in all worlds: then any contact activates all bodies.
     """
     v = vertices[begin + wp.tid()]
     bits = m.world[world_of(m, v)]
@@ -113,7 +114,7 @@ def keep_touched(
 
 @wp.func
 def is_finite(x: wp.vec3d) -> bool:
-    """Whether all coordinates are numbers."""
+    """Whether all coordinates are finite."""
     return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
 
 
@@ -132,7 +133,7 @@ def refresh_vertex_aabbs(
     # out
     vertex_aabbs: wp.array[wp.float32],
 ):
-    """`fill_vertex_aabbs` for a chunk of vertices that rest, if one of them is not where it was."""
+    """`fill_vertex_aabbs` for a chunk of static vertices, if any static vertex has changed its position."""
     if is_moved[0] != 0:
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
@@ -154,7 +155,7 @@ def refresh_blocks(
     # out
     tree: BoxTree,
 ):
-    """`fill_blocks` for a chunk of blocks of a tree at rest, if something in it moved."""
+    """`fill_blocks` for a chunk of blocks of a static tree, if any static vertex has changed its position."""
     if is_moved[0] != 0:
         count = (tree.num_boxes + WIDTH - 1) / WIDTH
         first = (begin + wp.tid()) * CHUNK
@@ -171,7 +172,7 @@ def refresh_levels(
     # out
     tree: BoxTree,
 ):
-    """`unite_levels`, likewise; a single item."""
+    """`unite_levels` under the same condition; a single item."""
     if is_moved[0] != 0:
         unite_from(tree, 2, count)
 
@@ -182,7 +183,7 @@ def settle(
     # out
     is_moved: wp.array[wp.int32],
 ):
-    """The boxes of static bodies are where their positions are; a single item, after all that makes them."""
+    """Mark the boxes of static bodies as up to date; a single item, launched after all kernels that update them."""
     is_moved[begin + wp.tid()] = 0
 
 
@@ -200,16 +201,16 @@ def make_input(real) -> SimpleNamespace:
         vertices: wp.array[wp.int32],
         vertices_t0: wp.array[vec3],
         vertices_t1: wp.array[vec3],
-        t0_by_vertex: int,  # 0: rows are those of the moving vertices alone
+        t0_by_vertex: int,  # 0: the rows are the moving vertices only
         t1_by_vertex: int,
         is_displacement: int,
-        is_kept: int,  # 0: the input itself is what the step reads
+        is_kept: int,  # 0: the step reads the input array itself
         # out
         start: wp.array[wp.vec3d],
         end: wp.array[wp.vec3d],
         m: Minima,
     ):
-        """Positions of a moving vertex in float64, which hold those of either precision."""
+        """Read the positions of a moving vertex into float64, which represents either precision exactly."""
         k = begin + wp.tid()
         v = vertices[k]
         a = wp.vec3d(vertices_t0[wp.where(t0_by_vertex != 0, v, k)])
@@ -234,9 +235,9 @@ def make_input(real) -> SimpleNamespace:
         is_moved: wp.array[wp.int32],
         m: Minima,
     ):
-        """Positions of a chunk of vertices that rest, and whether one is not where it was the last time.
+        """Read the positions of a chunk of static vertices, and set ``is_moved`` if one of them has changed.
 
-        What is no number is left where it was: it may not be read again.
+        A vertex with a coordinate that is not finite keeps its last position, since later launches may not read it.
         """
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
@@ -245,7 +246,7 @@ def make_input(real) -> SimpleNamespace:
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
             elif not (a == start[v]):
-                is_moved[0] = 1  # until all boxes are where the positions are: `settle`
+                is_moved[0] = 1  # until `settle`, when all boxes are up to date
                 start[v] = a
                 end[v] = a
 
@@ -263,7 +264,10 @@ def make_input(real) -> SimpleNamespace:
         # in and out
         vertices_t1: wp.array[vec3],
     ):
-        """Move a vertex no farther than a share of the toi of what it moves with; exactly nowhere for a share of 0."""
+        """Shorten the motion of a vertex to the share ``safety`` of the toi of the part that it moves with.
+
+        A share of 0 moves it back to exactly its start.
+        """
         k = begin + wp.tid()
         v = vertices[k]
         bits = m.scene[0]
@@ -280,8 +284,8 @@ def make_input(real) -> SimpleNamespace:
             if f > wp.float64(0.0):
                 y = vertices_t1[row]
                 for i in range(3):
-                    if y[i] != x[i]:  # what rests is not to move by a rounding
-                        # no difference of two far positions is formed, which could overflow
+                    if y[i] != x[i]:  # a stationary coordinate must not move by a rounding
+                        # a difference of two distant positions, which could overflow, is avoided
                         x[i] = real((wp.float64(1.0) - f) * wp.float64(x[i]) + f * wp.float64(y[i]))
             vertices_t1[row] = x
 

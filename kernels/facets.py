@@ -1,10 +1,11 @@
-"""The moving facets of a patch grown by a box: a complete set of separating directions.
+"""The moving facets of a patch enlarged by a box: a complete set of separating directions.
 
-The patch, grown by the separation box, is a convex polytope whose facet normals are among the axes, the sides crossed
-with the axes, and the patch's own normal. It holds the origin iff none of them separates, so at every time before a
-contact one of them does. The axes stand still, the sides crossed with the axes are linear in t, the normal is quadratic
-(that one is the `volume`). Clipping with a facet as it moves, not as it stands at one time, converges quadratically
-however fast the pair turns, in a common plane too, where the volume vanishes.
+The Minkowski sum of the patch and the separation box is a convex polytope whose facet normals are among the axes, the
+cross products of the sides with the axes, and the normal of the patch. It contains the origin iff none of them
+separates, so at every time before a contact one of them does. The axes are constant, the cross products of the sides
+with the axes are linear in t, and the normal is quadratic in t (it is treated by `volume`). Clipping with a moving
+facet, rather than with its normal at one time, converges quadratically however fast the pair rotates, even if the pair
+lies in one plane, where the volume vanishes.
 """
 
 from types import SimpleNamespace
@@ -41,7 +42,7 @@ def make_facets(real) -> SimpleNamespace:
 
         side: int  # -1: an axis; 0, 1, 2: a side crossed with an axis
         axis: int
-        slack: real  # distance from the grown patch along the direction, over the direction's size
+        slack: real  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
         floor_excess: real  # largest slack beyond separation and rounding
 
     @wp.func
@@ -66,7 +67,7 @@ def make_facets(real) -> SimpleNamespace:
 
     @wp.func
     def direction(c: Corners, side: int, axis: int) -> vec3:
-        """Normal of a facet that stands still or moves linearly."""
+        """Normal of a facet whose direction is constant or linear in time."""
         e = vec3()
         e[axis] = real(1.0)
         if side >= 0:
@@ -75,7 +76,7 @@ def make_facets(real) -> SimpleNamespace:
 
     @wp.func
     def consider(facet: Facet, side: int, axis: int, d: vec3, c: Corners, problem: Problem) -> Facet:
-        """Keep the facet with the larger slack, and the largest excesses."""
+        """Keep the facet with the larger slack, and the largest excess."""
         p = wp.dot(d, c.w00)
         q = wp.dot(d, c.w01)
         r = wp.dot(d, c.w10)
@@ -86,7 +87,7 @@ def make_facets(real) -> SimpleNamespace:
         if size > tiny_direction:
             gap = gap - wp.dot(m, problem.separation)
             facet.floor_excess = wp.max(facet.floor_excess, gap - floor_errors * wp.dot(m, problem.error))
-            # of two that separate alike the first one stays: axes stand still, and a side may vanish
+            # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
             slack = gap / size
             if slack > facet.slack + one_percent * wp.abs(facet.slack):
                 facet.slack = slack
@@ -102,12 +103,12 @@ def make_facets(real) -> SimpleNamespace:
         facet.floor_excess = -real(1.0e30)
         for side in range(-1, 3):
             for axis in range(3):
-                if side < 2 or is_face:  # opposite sides of a parallelogram have one direction
+                if side < 2 or is_face:  # opposite sides of a parallelogram are parallel
                     facet = consider(facet, side, axis, direction(c, side, axis), c, problem)
         n = wp.cross(side_of(c, 0), side_of(c, 1))
         kept = facet
         facet = consider(facet, 3, 0, n, c, problem)
-        # the normal counts for the excess; its clip is the volume's
+        # the normal is used for the excess only: clipping along it is left to the volume
         kept.floor_excess = facet.floor_excess
         return kept
 
@@ -125,7 +126,7 @@ def make_facets(real) -> SimpleNamespace:
 
     @wp.func
     def start_gap_share(c: Corners, is_face: bool, problem: Problem) -> real:
-        """Lower bound of the gap (L∞) of a patch at rest, as a share of the separation; complete, so close to it."""
+        """Tight lower bound of the gap (L∞) at one time, as a share of the separation, from all directions."""
         share = separation_share(c, wp.cross(side_of(c, 0), side_of(c, 1)), problem)
         for axis in range(3):
             for side in range(-1, 3):
@@ -196,7 +197,10 @@ def make_facets(real) -> SimpleNamespace:
     def advance_facets(
         patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
     ) -> real:
-        """Clip with the widest facet; where it stands in its own way (its side vanishes, say), with every one."""
+        """Clip with the widest facet, and with every facet if ``thorough`` or if the widest one gains nothing.
+
+        It may gain nothing because its side vanishes.
+        """
         t = clip_facet(patch, problem, facet.side, facet.axis, t_start, t_max)
         if (thorough or t <= t_start) and facet.slack > real(0.0):
             for axis in range(3):

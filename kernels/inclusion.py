@@ -1,8 +1,9 @@
-"""The inclusion test: which times of a patch are certainly free of contact.
+"""The inclusion test: at which times a patch is certainly free of contact.
 
-A patch is the convex hull of four corners that move linearly. For any vector d the least d·W over the patch is taken at
-a corner, so the test is exact up to the rounding bound of `rounding`, for every d. Solved for t instead of evaluated on
-a box it is a clip: it gives the whole interval of time in which d separates the patch from the origin.
+A patch is the convex hull of four corners that move linearly. For any vector d the minimum of d·W over the patch is
+attained at a corner, so the test is exact up to the rounding bound of `rounding`, for every d. Solved for t instead of
+evaluated on a box, the test becomes a clip: it gives the whole time interval in which d separates the patch from the
+origin.
 """
 
 from types import SimpleNamespace
@@ -26,7 +27,7 @@ def make_inclusion(real) -> SimpleNamespace:
 
     @wp.func
     def offset(d: vec3, margin: vec3) -> real:
-        """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); margin holds E + separation."""
+        """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); the margin is E + separation."""
         return (wp.abs(d[0]) * margin[0] + wp.abs(d[1]) * margin[1] + wp.abs(d[2]) * margin[2]) * round_up
 
     @wp.func
@@ -47,7 +48,7 @@ def make_inclusion(real) -> SimpleNamespace:
 
     @wp.func
     def clip(d: vec3, margin: vec3, t: real, patch: Patch) -> real:
-        """Time s such that d separates the patch from the separation box on [t, s): at least t; 2 if to the end."""
+        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end."""
         if wp.max(wp.max(wp.abs(d[0]), wp.abs(d[1])), wp.abs(d[2])) < tiny_direction:
             return t
         off = offset(d, margin)

@@ -1,7 +1,7 @@
-"""The flag by which the host ends kernels that may run long: Python cannot interrupt them.
+"""The flag by which the host ends kernels that may run for a long time: Python cannot interrupt them.
 
-A kernel that finds the flag set leaves the rest of its work undone, and what it wrote is worth nothing: the host drops
-it. On CUDA the flag is not read.
+A kernel that finds the flag set leaves the rest of its work undone, and the host discards its results. On CUDA the flag
+is not read.
 """
 
 import warp as wp
@@ -17,5 +17,5 @@ import warp as wp
 """
 )
 def is_stopped(stop: wp.array[wp.int32]) -> bool:
-    """Whether the host wants the kernel to end; never where it gave an empty array."""
+    """Whether the host wants the kernel to end; always false for an empty array."""
     ...

@@ -1,11 +1,11 @@
-"""Tests of sixteen lanes at once, in C++: the one place where the code depends on the machine.
+"""Operations on sixteen lanes at once, in C++: with `pair_lanes`, the only code that depends on the processor.
 
-Most functions have a plain version, which CUDA takes and which says what is meant; one in Clang's portable vector
-extension, lowered to whatever the processor has; and the overlap tests one for AVX-512, because Clang by itself uses
-half of those registers (15 % of a search). `tests/test_lanes.py` compiles every version that the processor can run and
-compares it with NumPy.
+Most functions have two versions: a scalar one, which CUDA uses and which serves as the definition, and one in Clang's
+portable vector extension, which Clang lowers to the instructions of the processor. The overlap tests have a third for
+AVX-512, because Clang by itself uses only half of those registers, which costs 15 % of a search. `tests/test_lanes.py`
+compiles every version that the processor can run and compares it with NumPy.
 
-A block is laid out as in `box_tree`: six rows of sixteen numbers a frame, three rows of sixteen vertices.
+A block is laid out as in `box_tree`: six rows of sixteen numbers for each AABB, three rows of sixteen vertices.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ _LANES = """
         return (unsigned)mask;
     };
 """
-# Less or equal (2), greater or equal (13), less (1), greater (14): comparisons of Intel's manual, quiet on NaN or not.
+# Comparison codes of Intel's manual, whether signalling on NaN or not: <= (2), >= (13), < (1), > (14).
 _COMPARE = """
     typedef float Lanes __attribute__((vector_size(64)));
     typedef float Row __attribute__((vector_size(64), aligned(4)));
@@ -148,7 +148,9 @@ UNITED_VERTEX_AABBS = {
     "scalar": """
     wp::vec_t<8, wp::float32> r;
     for (int k = 0; k < 8; ++k) {
-        const float a = vertex_aabbs.data[8LL * v0 + k], b = vertex_aabbs.data[8LL * v1 + k], c = vertex_aabbs.data[8LL * v2 + k];
+        const float a = vertex_aabbs.data[8LL * v0 + k];
+        const float b = vertex_aabbs.data[8LL * v1 + k];
+        const float c = vertex_aabbs.data[8LL * v2 + k];
         const float ab = a < b ? a : b;
         r[k] = ab < c ? ab : c;
     }
@@ -241,7 +243,7 @@ vec8f = wp.types.vector(length=8, dtype=wp.float32)
 
 
 def chosen(versions: dict[str, str]) -> str:
-    """The source of a function that picks its version when it is compiled."""
+    """The source of a function that selects one of its versions when it is compiled."""
     source = f"#if {_SCALAR}\n{versions['scalar']}"
     if "avx512" in versions:
         source += f"#elif {_AVX512}\n{versions['avx512']}"
@@ -257,7 +259,10 @@ def overlap_mask(
     query_lane: int,
     with_open: int,
 ) -> wp.uint32:
-    """Which of the sixteen boxes of a block share a point with a box; with ``with_open``, above, which share more."""
+    """Mask of the sixteen boxes of a block that overlap a query box, as closed boxes.
+
+    With ``with_open`` the upper sixteen bits are the mask of those that overlap as open boxes.
+    """
     ...
 
 
@@ -270,9 +275,9 @@ def moving_overlap_mask(
     query_lane: int,
     with_open: int,
 ) -> wp.uint32:
-    """The same for two frames: which of the sixteen boxes are not on one side of a box at both ends.
+    """`overlap_mask` for endpoint AABBs: boxes that no axis separates from the query in the same order at both ends.
 
-    ``with_open`` has no meaning here; it makes the two functions exchangeable.
+    ``with_open`` is ignored; it gives the two functions the same signature.
     """
     ...
 
@@ -287,7 +292,7 @@ def shared_vertex_mask(
     query_lane: int,
     num_query_corners: int,
 ) -> wp.uint32:
-    """Which of the sixteen primitives of a block have a vertex in common with a primitive."""
+    """Mask of the sixteen primitives of a block that share a vertex with a query primitive."""
     ...
 
 
@@ -301,13 +306,13 @@ def shared_vertex_mask(
 """
 )
 def lowest_bit(mask: wp.uint32) -> int:
-    """Place of the lowest bit that is set; the mask is not 0."""
+    """Index of the lowest bit that is set; the mask must not be 0."""
     ...
 
 
 @wp.func_native(chosen(UNITED_VERTEX_AABBS))
 def united_vertex_aabbs(vertex_aabbs: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
-    """The union of three vertex_aabbs."""
+    """The union of three vertex AABBs."""
     ...
 
 
@@ -321,11 +326,14 @@ def write_leaves(
     block: int,
     count: int,
 ):
-    """Fill a block of level 0 with the unions of the vertex_aabbs of its first ``count`` primitives, else with nothing."""
+    """Fill a block of level 0 with the boxes of its first ``count`` primitives, and the rest of it with empty boxes.
+
+    The box of a primitive is the union of the AABBs of its vertices.
+    """
     ...
 
 
 @wp.func_native(chosen(UNION))
 def write_union(nodes: wp.array[wp.float32], block: int, at: int):
-    """Write the union of a block and frame to a place of another."""
+    """Write the union of the sixteen boxes of a block to a place of another block."""
     ...

@@ -1,4 +1,4 @@
-"""The earliest toi of every vertex, body, world and of the scene, lowered by whoever finds a contact, and flags."""
+"""The earliest toi of every vertex, body and world and of the scene, lowered by each contact found, and flags."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ PAIRS_OVERFLOW = wp.constant(1)
 CONTACTS_OVERFLOW = wp.constant(2)
 INVALID_INPUT = wp.constant(4)
 
-# Places in the counts of a kind of pair: those found, and those that the first round of the narrow phase leaves open.
+# Columns of the counts of a pair kind: pairs found, and pairs that the first round of the narrow phase leaves open.
 FOUND = wp.constant(0)
 OPEN = wp.constant(1)
 
@@ -18,7 +18,7 @@ _ZERO_BITS = wp.constant(wp.int64(0))
 
 @wp.struct
 class Minima:
-    """The earliest toi of everything, as bits: of numbers that are not negative they compare as the numbers do."""
+    """The earliest toi of every part, as bits: the bits of non-negative numbers compare as the numbers do."""
 
     vertex_body: wp.array[wp.int32]
     vertex_world: wp.array[wp.int32]  # empty where there is one world
@@ -48,7 +48,7 @@ def lower_primitive(m: Minima, c: wp.vec3i, bits: wp.int64):
 
 @wp.func
 def lower_pair(m: Minima, a: wp.vec3i, b: wp.vec3i, bits: wp.int64):
-    """Lower the toi of all that a pair belongs to."""
+    """Lower the toi of the vertices, bodies and world of a pair, and of the scene."""
     lower_primitive(m, a, bits)
     lower_primitive(m, b, bits)
     atomic_min_int64(m.world, world_of(m, a[0]), bits)
@@ -64,6 +64,6 @@ def flag_world(m: Minima, v: int, flag: int):
 
 @wp.func
 def mark_overflow(m: Minima, a: wp.vec3i, b: wp.vec3i):
-    """A pair that there is no capacity for: its toi is 0, which is never late."""
+    """Handle a pair beyond the capacity: its toi becomes 0, which is never late, and the overflow flag is set."""
     lower_pair(m, a, b, _ZERO_BITS)
     flag_world(m, a[0], PAIRS_OVERFLOW)

@@ -1,7 +1,7 @@
-"""Narrow phase: earliest time of impact of one pair a thread, for every pair kind and both precisions.
+"""Narrow phase: earliest time of impact of one pair for each thread, for every pair kind and both precisions.
 
 A thread forms the corners of its pair's patch (differences first, in float64), normalises each axis by a power of two,
-and advances the whole patch; only a pair whose advance is slow goes on to the stack.
+and advances the whole patch; only a pair whose advance is slow is subdivided.
 """
 
 from types import SimpleNamespace
@@ -64,7 +64,7 @@ vec3d = wp.vec3d
 
 @once
 def make_narrow_phase(real) -> SimpleNamespace:
-    """Kernels for one floating-point type of the iteration; positions are float64 always."""
+    """Kernels for one floating-point type of the iteration; positions are always float64."""
     vec3 = wp.types.vector(length=3, dtype=real)
     types = make_patch(real)
     Patch = types.Patch
@@ -102,7 +102,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
 
     @wp.struct
     class Outcome:
-        """What is reported of a pair."""
+        """The reported result of a pair."""
 
         toi: wp.float64
         status: int
@@ -132,7 +132,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         smaller = wp.float64(1.0 / 1024.0)
         pre = vec3d(one, one, one)
         if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
-            # an overflow, or no numbers at all: try again with the axes that overflowed at 1/1024 of their size
+            # an overflow, or NaN in the input: try again with the axes that overflowed at 1/1024 of their size
             for k in range(3):
                 if not sums[k] <= LARGEST:
                     pre[k] = smaller
@@ -141,7 +141,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
             sums = total(c0) + total(c1)
         n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
         if n.is_valid:
-            # lengths are kept at 1/1024, too, where the points or their box come near overflow
+            # lengths are scaled by 1/1024 as well where the points or their box come near overflow
             shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
             scale = options.length_scale * shrink
             if scale <= wp.float64(0.0):
@@ -156,11 +156,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
             s = vec3d()
             is_cut = bool(False)
             for k in range(3):
-                # an axis shorter than the tolerance needs no magnification beyond it
+                # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
                 unit = pre[k] / shrink
                 s[k] = inverse_power_of_two(wp.max(m[k], delta_length * unit))
                 n.unit[k] = one / s[k] / pre[k]
-                # corners are below 4 in these units: far more separation or tolerance means no more
+                # corners are below 4 in these units, so a separation or tolerance above _FAR has the effect of _FAR
                 length = wp.min(separation_length * unit * s[k], _FAR)
                 is_cut = is_cut or length == _FAR
                 n.problem.separation[k] = real(length) * round_up
@@ -189,7 +189,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """Upper bound of the gap (L∞) beyond the separation at a point of the patch, as a length."""
         gap = wp.float64(0.0)
         for k in range(3):
-            # the separation was rounded up, the point carries the error of a corner and of its interpolation
+            # the separation was rounded up, and the point carries the errors of a corner and of its interpolation
             beyond = wp.abs(point[k]) + real(3.0) * n.problem.error[k] - round_down * n.problem.separation[k]
             if beyond > real(0.0):
                 gap = wp.max(gap, wp.float64(beyond) * n.unit[k])
@@ -197,7 +197,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
 
     @wp.func
     def to_lengths(n: Normalised) -> vec3:
-        """Factors that make corners lengths again, up to one common to all axes."""
+        """Factors that convert corners to lengths, up to a factor common to all axes."""
         largest = wp.max(wp.max(n.unit[0], n.unit[1]), n.unit[2])
         if largest <= LARGEST:
             return vec3(n.unit / largest)
@@ -249,7 +249,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 if not is_open and answer.toi == real(0.0):
                     outcome.status = STATUS_INITIAL_CONTACT
                 if is_open or n.problem.has_separation:
-                    # the toi is the earliest time still open, on whatever sub-patch; or the point is one within the
+                    # the toi is the earliest time still open, on any sub-patch; or the point is one within the
                     # separation, which need not be the closest
                     c = corners_at(n.patch, answer.toi)
                     s = to_lengths(n)
@@ -269,7 +269,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         return outcome
 
     def own_module(name: str):
-        """A Warp module a kernel, so that a scene compiles only the one that it launches."""
+        """A Warp module for each kernel, so that a scene compiles only those that it launches."""
         module = wp.get_module(f"ccd_warp.{name}.{real.__name__}")
         wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
         return module
@@ -290,7 +290,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width: wp.array[wp.float64],
         iterations: wp.array[wp.int32],
     ):
-        """Pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
+        """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
         i = begin + wp.tid()
         if is_stopped(options.stop):
             return
@@ -310,7 +310,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         stride: int,
         kind: int,
         first_pair: int,
-        num_pairs: int,  # below 0: as many as the device has found, from the first on
+        num_pairs: int,  # below 0: as many as the device has found
         counts: wp.array2d[wp.int64],
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
@@ -318,16 +318,16 @@ def make_narrow_phase(real) -> SimpleNamespace:
         vertices_t0: wp.array[vec3d],
         vertices_t1: wp.array[vec3d],
         options: Options,
-        only_moving: int,  # 1: a pair that rests may touch
-        is_second: int,  # 1: the round of those that the first has marked as open
-        gaps_moved: wp.float64,  # above 0: what stands for a toi near 0 is the time to move by so much of the gap
+        only_moving: int,  # 1: a stationary pair is not solved, so it may touch
+        is_second: int,  # 1: the second round, of the pairs that the first has marked as open
+        gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
         # out
         minima: Minima,
         contacts: ContactList,
     ):
-        """Solve every ``stride``-th of the pairs; lower minima, list contacts.
+        """Solve every ``stride``-th of the pairs, lower the minima, and list the contacts.
 
-        The first round marks what it leaves open by the complement of its key.
+        The first round marks each pair that it leaves open by the complement of its key.
         """
         count = wp.int64(first_pair + num_pairs)
         if num_pairs < 0:
@@ -394,7 +394,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
         vertices_t0: wp.array[vec3d],
         vertices_t1: wp.array[vec3d],
         options: Options,
-        is_first: int,  # 1: pairs that reach the limit are listed, and do not count yet
+        is_first: int,  # 1: pairs that reach the limit are listed, and do not lower the least toi yet
         # out
         least_bits: wp.array[wp.int64],
         open_count: wp.array[wp.int32],
@@ -403,8 +403,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
     ):
         """Lower the least toi to that of a pair, unless the first step of its advance shows that it is no less.
 
-        The step is the one that the solution of the pair begins with, so the least toi is that of all pairs, whatever
-        their order. As integers the bits of two numbers that are not negative compare as the numbers do.
+        The solution of the pair begins with the same step, so the least toi does not depend on the order of the pairs.
+        As integers, the bits of two non-negative numbers compare as the numbers do.
         """
         if is_stopped(options.stop):
             return

@@ -1,7 +1,7 @@
-"""Makes functions, kernels and structs once for each set of arguments, by one thread at a time.
+"""Build functions, kernels and structs once for each set of arguments, by one thread at a time.
 
-Warp's registry of modules is not made for threads: two that define the same kernel at once leave one of them with a
-kernel that no module knows. What was made is kept only when it is complete: a builder that was interrupted runs again.
+Warp's registry of modules is not thread-safe: if two threads define the same kernel at once, one of them gets a kernel
+that is registered in no module. A result is kept only when it is complete: a builder that was interrupted runs again.
 """
 
 import os
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any
 
-# Held while kernels are defined or compiled. A fork waits for it, so that no child inherits a half-made registry.
+# Locked while kernels are defined or compiled. A fork waits for it, so that no child inherits an incomplete registry.
 building = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=building.acquire, after_in_parent=building.release, after_in_child=building.release)

@@ -1,7 +1,7 @@
-"""What a search for overlapping boxes does with up to sixteen pairs of one query at once, in C++.
+"""Operations of a search for overlapping boxes on up to sixteen pairs of one query at once, in C++.
 
-A pair at a time, most of the time went into branches that nothing predicts: which sides are tied, and whether there is
-capacity for a key. Blocks are laid out as in `box_tree`.
+One pair at a time, most of the time was spent on branches that the processor cannot predict: which sides are tied, and
+whether there is capacity for a key. Blocks are laid out as in `box_tree`.
 """
 
 import warp as wp
@@ -10,7 +10,7 @@ from .lanes import chosen
 
 _INFLATED = """
     union Number { double x; long long bits; };
-    // a lower bound less the inflation, rounded down, as `inflated_below` in `boxes`
+    // a lower bound minus the inflation, rounded down, as `inflated_below` in `boxes`
     const auto inflated_below = [=](double x) {
         const double largest = 1.7976931348623157e308;
         Number n;
@@ -33,7 +33,7 @@ _INFLATED = """
 SEPARATED = {
     "scalar": _INFLATED
     + """
-    // lower corner and minus upper corner of the swept box
+    // lower corner and negated upper corner of the swept AABB
     const auto make_box = [=](const int* c, int n, double* box) {
         for (int k = 0; k < 3; ++k) {
             box[k] = start[3LL * c[0] + k];
@@ -114,7 +114,10 @@ def separated_mask(
     num_query_corners: int,
     tied: wp.uint32,
 ) -> wp.uint32:
-    """Which of the ``tied`` boxes of a block do not meet a query's in float64: exactly the boxes of `fill_vertex_aabbs`."""
+    """Mask of the ``tied`` boxes of a block that do not overlap the query's in float64.
+
+    The boxes are exactly the unions of those that `fill_vertex_aabbs` quantizes for ``t_end`` = 1.
+    """
     ...
 
 
@@ -158,8 +161,8 @@ def append_keys(
     first_key: int,
     keys: wp.array[wp.int64],
 ) -> int:
-    """Write the keys of a query and the boxes of a block that a mask names, as far as there is capacity; their number.
+    """Write the keys of a query and the boxes of a block in a mask, up to the capacity; returns the number in the mask.
 
-    The first index is the query's with order 0, the target's with 1, and the lower of the two with 2.
+    The first index of a key is the query's with order 0, the target's with 1, and the lower of the two with 2.
     """
     ...

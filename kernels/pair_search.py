@@ -1,14 +1,15 @@
-"""The search for pairs of overlapping boxes in two trees, with the filter of the mesh and the cull in its inner loop.
+"""The search for pairs of overlapping boxes in two trees, with the collision filter and the cull in its inner loop.
 
-An item takes sixteen query boxes (on CUDA one), walks the tree of the targets with their union, and at each leaf block
-tests the queries that reach it, sixteen boxes at a time. Within one set, queries look only ahead, at the blocks and
-lanes after their own, so that each pair is found once.
+An item takes sixteen query boxes (one on CUDA), traverses the tree of the targets with their union, and at each leaf
+block tests the queries that overlap it, sixteen boxes at a time. Within one set, a query is tested only against the
+blocks and lanes after its own, so that each pair is found once.
 
-A pair whose boxes overlap, and which the mesh does not exclude, is a **candidate**. Before the cull it is enough that
-the images of the boxes at both ends of the step do not keep to one side of each other. What the cull does not settle is
-written as a key (first << 32) | second. An item counts what it finds and writes what there is capacity for: a count beyond
-the capacity tells the caller to search the items again in smaller parts, so nothing is lost. Where no caller looks
-(a shared capacity), the toi of a pair beyond the capacity is lowered to 0.
+A pair whose boxes overlap, and which the collision filter does not exclude, is a **candidate**. In a search with the
+cull, boxes count as overlapping unless an axis separates the quantized endpoint AABBs in the same order at both ends of
+the step. Each candidate that the cull does not discard is written as a key (first << 32) | second. An item counts every
+pair that it finds and writes as many as the capacity allows. A count beyond the capacity tells the caller to search the
+items again in smaller parts, so no pair is lost. Where no caller checks the count (a shared capacity), the toi of a
+pair beyond the capacity is lowered to 0.
 """
 
 from types import SimpleNamespace
@@ -33,7 +34,7 @@ vec8u = wp.types.vector(length=8, dtype=wp.uint32)
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
 
-# Places in the counts of a search; a row of them fills a cache line, so that threads do not share one.
+# Columns of the counts of a search; a row of them fills a cache line, so that threads do not share one.
 CANDIDATES = wp.constant(0)
 FOUND = wp.constant(1)
 NUM_COUNTS = 8
@@ -41,10 +42,10 @@ NUM_COUNTS = 8
 
 @wp.struct
 class TreePair:
-    """What is searched for."""
+    """The pair kind and the parameters of a search between a query tree and a target tree."""
 
     kind: int
-    within: int  # 1: query and target are one set
+    within: int  # 1: query and target are the same set
     symmetric: int  # 1: both primitives are of one kind, and the lower index comes first
     swapped: int  # 1: the query is the second primitive of a pair
     num_query_corners: int
@@ -52,31 +53,31 @@ class TreePair:
     t_end: wp.float64
     inflation: wp.float64
     separation: wp.float64
-    stop: wp.array[wp.int32]  # set where the host wants the search to end
+    stop: wp.array[wp.int32]  # set when the host wants the search to end
 
 
 @wp.struct
 class SearchRange:
-    """Which items a launch searches, and where what it finds goes."""
+    """The items that a launch searches, and where it writes the pairs."""
 
     first: int  # item
     stride: int
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
     row: int  # of the counts
     first_key: int
-    capacity: int  # keys that there are places for
-    is_shared: int  # 1: launches share the row and its places, and nobody looks whether they were enough
+    capacity: int  # in keys
+    is_shared: int  # 1: launches share the row and its capacity, and no caller checks the count
 
 
 @wp.func
 def lanes_after(lane: int) -> wp.uint32:
-    """The lanes behind one."""
+    """Mask of the lanes after a lane."""
     return (_LANES << wp.uint32(lane + 1)) & _LANES
 
 
 @wp.func
 def lanes_before(count: int) -> wp.uint32:
-    """The first so many lanes, at most all."""
+    """Mask of the first ``count`` lanes, at most all."""
     if count >= WIDTH:
         return _LANES
     return (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
@@ -84,7 +85,7 @@ def lanes_before(count: int) -> wp.uint32:
 
 @wp.func
 def ahead(mask: wp.uint32, within: int, query_block: int, level: int, block: int) -> wp.uint32:
-    """Without the boxes of an inner block that end before the query's own: those find the query themselves."""
+    """The mask without the boxes of an inner block that end before the query's block: as queries they find this one."""
     if within == 0:
         return mask
     first = query_block
@@ -98,18 +99,18 @@ def ahead(mask: wp.uint32, within: int, query_block: int, level: int, block: int
     return mask
 
 
-# Where a search ends.
-BOXES = "boxes"  # with every pair whose boxes meet
-CULL = "cull"  # with those that the cull leaves open
+# The stage at which a search ends.
+BOXES = "boxes"  # it reports every pair whose boxes overlap
+CULL = "cull"  # it reports the pairs that the cull leaves open
 
 
 @once
 def make_pair_search(end: str) -> SimpleNamespace:
-    """The search, by where it ends."""
+    """The search that ends at a given stage."""
     with_cull = end != BOXES
     module = wp.get_module(f"ccd_warp.pair_search.{end}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
-    # the trees of a search for contacts have two frames
+    # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if with_cull else overlap_mask
 
     @wp.func
@@ -123,17 +124,17 @@ def make_pair_search(end: str) -> SimpleNamespace:
         query_block: int,
         query_lane: int,
         block: int,
-        images: wp.uint32,  # those that meet the query's in the image
-        tied: wp.uint32,  # those of which only the exact boxes can tell
+        overlapping: wp.uint32,  # boxes that overlap the query's in quantized coordinates
+        tied: wp.uint32,  # boxes for which the exact float64 test decides
         part: SearchRange,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
     ) -> int:
-        """Filter the boxes of a block that meet a query's, and keep all that is left; returns how many."""
+        """Filter the boxes of a block that overlap a query's, and keep all that remain; returns their number."""
         q = query_block * WIDTH + query_lane
         if q >= query.num_boxes:
-            return 0  # an empty place meets only a box that is infinite in the image
-        mask = images & lanes_before(target.num_boxes - block * WIDTH)
+            return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
+        mask = overlapping & lanes_before(target.num_boxes - block * WIDTH)
         if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
             a = box_corners(query, q)
             left = wp.uint32(mask)
@@ -192,9 +193,9 @@ def make_pair_search(end: str) -> SimpleNamespace:
         keys: wp.array[wp.int64],
         minima: Minima,
     ) -> int:
-        """Filter and cull a pair whose images overlap, and keep it where it stays open; returns 1 for a candidate."""
+        """Filter and cull a pair whose quantized boxes overlap, keep it if it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
-            return 0  # an empty place meets only a box that is infinite in the image
+            return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
         a = box_corners(query, q)
         b = box_corners(target, p)
         if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
@@ -242,7 +243,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
         keys: wp.array[wp.int64],
         minima: Minima,
     ):
-        """Find the partners of the query boxes of an item: those of a block (level 1), or a single one (level 0)."""
+        """Find the pairs of the query boxes of an item: the boxes of a block (level 1), or a single box (level 0)."""
         # the item is box `item` of its level
         item = part.first + (begin + wp.tid()) * part.stride
         item_level = part.level
@@ -272,9 +273,9 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 pending[level] = pending[level] & (pending[level] - wp.uint32(1))
                 child = node[level] * WIDTH + lane
                 if child >= target.block_begin[level] - target.block_begin[level - 1]:
-                    continue  # an empty place, which only a box that is infinite in the image meets
+                    continue  # an empty place overlaps only a box that is infinite in quantized coordinates
                 if level > 1:
-                    if is_stopped(tree_pair.stop):  # not at every leaf, which costs 3 % of a search
+                    if is_stopped(tree_pair.stop):  # tested at every leaf, it would cost 3 % of a search
                         return
                     level -= 1
                     block = target.block_begin[level] + child

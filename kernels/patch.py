@@ -1,6 +1,6 @@
-"""The moving patch: the one shape that every pair kind is reduced to.
+"""The moving patch: the one shape to which every pair kind is reduced.
 
-A pair touches at time t iff its patch, the convex hull of four corners that move linearly, holds the origin:
+A pair touches at time t iff its patch, the convex hull of four corners that move linearly, contains the origin:
 F(t,u,v) = 0, with F bilinear in (u, v) and linear in t.
 
 | pair          | w00     | w01     | w10     | w11     | q       | r       |
@@ -46,17 +46,17 @@ def make_patch(real) -> SimpleNamespace:
 
     @wp.struct
     class Patch:
-        """A patch over the whole step; sides only where the volume needs them (the root)."""
+        """A patch over the whole step; its sides are set only where the volume needs them (the root patch)."""
 
         t0: Corners
         t1: Corners
-        is_face: bool  # its sides along u meet
-        is_triangle: bool  # they meet at u = 1, so w11 = w10
+        is_face: bool  # its sides along u intersect
+        is_triangle: bool  # they intersect at u = 1, so w11 = w10
         narrowing: real  # length of the side u = 1 over that of the parallel side u = 0
 
     @wp.struct
     class Problem:
-        """What stays the same while a pair is subdivided; lengths in normalised units, per axis."""
+        """The quantities that are constant while a pair is subdivided; lengths in normalised units, per axis."""
 
         volume: vec4  # Bernstein coefficients of P·(Q×R)
         volume_bound: real  # magnitude below which the volume proves nothing

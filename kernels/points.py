@@ -1,4 +1,4 @@
-"""The points of a pair, and the corners of its patch: the differences that everything else starts from, in float64."""
+"""The points of a pair, and the corners of its patch: differences in float64, from which the solver starts."""
 
 import warp as wp
 
@@ -30,7 +30,7 @@ def scaled(p: Points, s: vec3d) -> Points:
 
 @wp.func
 def side(a: Points, b: Points, k: int) -> wp.float64:
-    """Side k of the box around both frames."""
+    """Length of side k of the box around the points at both ends of the step."""
     low = wp.min(wp.min(wp.min(a.p0[k], a.p1[k]), wp.min(a.p2[k], a.p3[k])), wp.min(b.p0[k], b.p1[k]))
     low = wp.min(low, wp.min(b.p2[k], b.p3[k]))
     high = wp.max(wp.max(wp.max(a.p0[k], a.p1[k]), wp.max(a.p2[k], a.p3[k])), wp.max(b.p0[k], b.p1[k]))
@@ -40,13 +40,13 @@ def side(a: Points, b: Points, k: int) -> wp.float64:
 
 @wp.func
 def longest_side(a: Points, b: Points) -> wp.float64:
-    """Longest side of the box around both frames."""
+    """Longest side of the box around the points at both ends of the step."""
     return wp.max(wp.max(side(a, b, 0), side(a, b, 1)), side(a, b, 2))
 
 
 @wp.func
 def pair_key(first: int, second: int) -> wp.int64:
-    """A pair of primitives as one number; ascending keys are pairs in lexicographic order."""
+    """A pair of primitives as one number; ascending keys order the pairs lexicographically."""
     return (wp.int64(first) << wp.int64(32)) | wp.int64(second)
 
 
@@ -80,7 +80,7 @@ def is_stationary(a: Points, b: Points) -> bool:
 
 @wp.func
 def relative_motion(a: Points, b: Points) -> wp.float64:
-    """Longest way (L∞) between two times of a point of a pair, seen from another one."""
+    """Largest relative displacement (L∞) of any two points of a pair between two times."""
     low = vec3d()
     high = vec3d()
     for k in range(3):
@@ -96,7 +96,7 @@ def relative_motion(a: Points, b: Points) -> wp.float64:
 
 @wp.func
 def row_points(x: wp.array2d[vec3d], i: int) -> Points:
-    """Points of a row; absent ones repeat the last, so that they widen no box."""
+    """Points of a row; missing points repeat the last one, so that they enlarge no box."""
     p = Points()
     p.p0 = x[i, 0]
     p.p1 = x[i, 1]
@@ -143,5 +143,5 @@ def magnitude(c: Corners) -> vec3d:
 
 @wp.func
 def total(c: Corners) -> vec3d:
-    """Sum of the magnitudes: unlike a maximum it keeps NaN."""
+    """Sum of the magnitudes: unlike a maximum it propagates NaN."""
     return wp.abs(c.w00) + wp.abs(c.w01) + wp.abs(c.w10) + wp.abs(c.w11) + wp.abs(c.q) + wp.abs(c.r)

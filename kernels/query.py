@@ -1,4 +1,4 @@
-"""The options of a query, as the kernels take them."""
+"""The options of a query in the form that the kernels take."""
 
 from types import SimpleNamespace
 
@@ -21,15 +21,15 @@ def make_query(real) -> SimpleNamespace:
 
         tolerance: wp.float64
         minimum_separation: wp.float64
-        start_gap_fraction: wp.float64  # 0: the minimum separation holds for every pair
-        length_scale: wp.float64  # 0 stands for the pair's own
+        start_gap_fraction: wp.float64  # 0: the minimum separation applies to every pair
+        length_scale: wp.float64  # 0: the length scale of each pair itself
         t_max: wp.float64
         t_end: real  # t_max rounded up
-        first_iterations: int  # of a pair in the first round of a step
+        first_iterations: int  # limit for a pair in the first round of a step
         max_iterations: int
         max_work: wp.int64  # iterations of all pairs of a kind that the first round leaves open
         method: int
-        stop: wp.array[wp.int32]  # set where the host wants the kernel to end
+        stop: wp.array[wp.int32]  # set when the host wants the kernel to end
 
     @wp.func
     def share_of_work(options: Options, num_open: wp.int64) -> int:

@@ -1,7 +1,8 @@
-"""The order of a mesh's primitives at rest: split in halves across the longest side, again and again.
+"""The order of a mesh's primitives in the rest configuration: repeated halving across the longest side.
 
-A level launches one item a segment. Segments are sixteen times a power of two long, so the last splits leave the blocks
-of the tree. On surfaces it visits a third fewer blocks than the Morton curve, for half a microsecond a primitive, once.
+Each level of the recursion is one launch with one item for each segment. The length of a segment is sixteen times a
+power of two, so the last splits yield the blocks of the tree. On surfaces a search visits a third fewer blocks in this
+order than in that of the Morton curve. The order is computed once, in half a microsecond for each primitive.
 
 References: Hoare 1961, "Algorithm 65: Find" (selection); Wald 2007, "On fast construction of SAH-based bounding volume
 hierarchies" (splits by the extent of the centroids).
@@ -13,9 +14,9 @@ from .lanes import united_vertex_aabbs
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Rounds of one selection; a segment that needs more is left as it is, which costs speed alone.
+# Rounds of one selection; a segment that needs more is left as it is, which affects speed only.
 _MAX_ROUNDS = wp.constant(200)
-# Length of a segment from which on bodies are kept apart.
+# Length of a segment up to which it is split between bodies first.
 _ONE_BODY = wp.constant(512)
 
 
@@ -30,7 +31,7 @@ def fill_centres(
     centres: wp.array[wp.vec4f],
     order: wp.array[wp.int64],
 ):
-    """Centre of each primitive's box in the image and its body, and the order to start from."""
+    """Twice the centre of each primitive's box in quantized coordinates, its body, and the initial order."""
     i = begin + wp.tid()
     c = corners[i]
     r = united_vertex_aabbs(vertex_aabbs, c[0], c[1], c[2])
@@ -40,7 +41,7 @@ def fill_centres(
 
 @wp.func
 def coordinate(centres: wp.array[wp.vec4f], order: wp.array[wp.int64], place: int, axis: int) -> wp.float32:
-    """What a place is compared by."""
+    """The coordinate by which the primitive at a place of the order is compared."""
     return centres[wp.int32(order[place])][axis]
 
 
@@ -53,9 +54,10 @@ def split_segments(
     # in and out
     order: wp.array[wp.int64],
 ):
-    """Split a segment in halves across its longest side: none of the first is beyond any of the second.
+    """Partition a segment at its middle along its longest side, so that no primitive of the first half exceeds one of
+    the second.
 
-    A short one of several bodies is split between bodies: they will not stay together.
+    A short segment with several bodies is split between the bodies, which may move apart.
     """
     first = (begin + wp.tid()) * size
     last = wp.min(first + size, order.shape[0]) - 1
@@ -75,7 +77,7 @@ def split_segments(
         rounds = int(0)
         while first < last and rounds < _MAX_ROUNDS:
             rounds += 1
-            # the middle of three, of which two may be at the ends of a sorted segment
+            # the median of the first, the middle and the last coordinate is a good pivot for a sorted segment, too
             a = coordinate(centres, order, first, axis)
             b = coordinate(centres, order, first + (last - first) / 2, axis)
             c = coordinate(centres, order, last, axis)
@@ -88,9 +90,9 @@ def split_segments(
                 while pivot < coordinate(centres, order, j, axis):
                     j -= 1
                 if i <= j:
-                    held = order[i]
+                    exchanged = order[i]
                     order[i] = order[j]
-                    order[j] = held
+                    order[j] = exchanged
                     i += 1
                     j -= 1
             if middle <= j:

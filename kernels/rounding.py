@@ -1,4 +1,4 @@
-"""The rounding analysis of the narrow phase: every constant of every bound, derived here and nowhere else.
+"""The rounding analysis of the narrow phase: every constant of every bound is derived here and nowhere else.
 
 Notation. u = 2^-53 (float64) or 2^-24 (float32) is the unit roundoff of the arithmetic, fl(·) a rounded operation,
 fl(x∘y) = (x∘y)(1+δ), |δ| ≤ u, plus an absolute error of half the smallest subnormal where a product underflows. An fma
@@ -8,17 +8,18 @@ below are in the normalised units of step 2.
 
 1. **Differences.** x and y are the float64 numbers of the input, so they are exact. fl(x - y) = (x - y)(1 + δ) in
    float64; no underflow error (a difference that is subnormal is exact). If it overflows, the axis is scaled by 1/1024
-   first: exact up to 2^-1074, nothing beside the 2^1020 or more that overflowed.
-2. **Normalisation.** Axis k is multiplied by a power of two s_k with s_k·max|V_k| ≤ 1: exact but for underflow, and
-   that is part of the absolute term of step 5. In float32 the product is then rounded to float32: one more (1 + δ) with
-   u = 2^-24, beside which the 2^-53 of step 1 is lost in the slack of step 4. So |V̂_k - V_k| ≤ 1.001·u·|V̂_k|.
+   first: exact up to 2^-1074, negligible beside the 2^1020 or more that overflowed.
+2. **Normalisation.** Axis k is multiplied by a power of two s_k with s_k·max|V_k| ≤ 1: exact except for underflow,
+   which is part of the absolute term of step 5. In float32 the product is then rounded to float32: one more (1 + δ)
+   with u = 2^-24, beside which the 2^-53 of step 1 is covered by the slack of step 4. So
+   |V̂_k - V_k| ≤ 1.001·u·|V̂_k|.
 3. **Corners of a sub-patch.** W = (1-u)·x + u·y, with x, y = (1-v)·V_a + v·V_b for u, v on a dyadic grid whose
    1-u, 1-v are exact (MAX_SPLITS below). Each of the two levels rounds two products and one sum; weights sum to one:
    |Ŵ_k - W_k| ≤ (1 + 2·2)·1.001·u·M_k, M_k = max|V̂_k| over all corners and both ends of the step.
    The root patch is V̂ itself and has only the error of step 2.
 4. **Projection.** a = fl(d·Ŵ): three products, two sums, any order, with or without fma:
-   |a - d·Ŵ| ≤ 3·1.001·u·Σ|d_k|·M_k for any vector d of floating-point numbers (d itself is no approximation of
-   anything, so it carries no error). With steps 2 and 3, |a - d·W| ≤ Σ|d_k|·E_k with
+   |a - d·Ŵ| ≤ 3·1.001·u·Σ|d_k|·M_k for any vector d of floating-point numbers (d itself approximates nothing, so
+   it carries no error). With steps 2 and 3, |a - d·W| ≤ Σ|d_k|·E_k with
    E_k = (1 + 3)·u·M_k → PROJECTION_ROOT = 4.25 u for the root and (5 + 3)·u·M_k → PROJECTION_PATCH = 8.25 u else;
    the quarter covers the factors 1.001 and the roundings of E_k itself.
 5. **Underflow.** After normalisation corners are at most 1, sides 2, directions 8, so an underflow adds at most a few
@@ -42,17 +43,16 @@ below are in the normalised units of step 2.
    rounding included), its place between them (2u), and its share of the interval (5u, 1/3 and the interval rounded):
    that fraction times (1 - 12u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
    coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products.
-10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (again no
-   approximation of anything). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of
-   step 8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k a unit of direction, at most MOVING = 2 times the E_k
-   of step 4, for the root as for a sub-patch. A direction may vanish at x, so the offsets get TINY·TINY_DIRECTION, the
-   absolute term of step 5. |d_k| is convex in t, so the offsets of both ends interpolate to an upper
-   bound of the offset between them. Crossings are treated as in step 9.
-
-11. **Sides in the cull.** A corner is a rounded difference of input points (1u), a projection adds three roundings, the
-   interpolation to an end before 1 three more (step 8, without its sub-patch), and the bound itself four: SIDES = 16
-   times the sum of |d_k|·(largest corner on the axis). Underflow of a product is below 2^-1074 a term; the test adds
-   2^-1060. Where a product overflows so does that sum, and nothing is proved.
+10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (which again
+   approximate nothing). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of step
+   8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k per unit of direction, at most MOVING = 2 times the E_k of
+   step 4, for the root as for a sub-patch. A direction may vanish at x, so the offsets get TINY·TINY_DIRECTION, the
+   absolute term of step 5. |d_k| is convex in t, so the offsets of both ends interpolate to an upper bound of the
+   offset between them. Crossings are treated as in step 9.
+11. **Sides in the cull.** A corner is a rounded difference of input points (1u), a projection adds three roundings,
+   the interpolation to an end before 1 three more (step 8, without its sub-patch), and the bound itself four: SIDES =
+   16 times the sum of |d_k|·(largest corner on the axis). Underflow of a product is below 2^-1074 per term; the test
+   adds 2^-1060. Where a product overflows so does that sum, and nothing is proved.
 12. **End of a shorter step.** (1-t)·a + t·b with 1-t rounded: three roundings of the first term, two of the second, and
    the sum: at most 3.1u·max(|a|, |b|); INTERPOLATION = 8 covers the roundings of the bound and of adding it. A product
    that underflows is off by 2^-1074 at most; the box gets 2^-1070.
@@ -74,7 +74,7 @@ INTERPOLATION = 8.0
 # Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
 MAX_SPLITS = {wp.float64: 50, wp.float32: 21}
 UNIT_ROUNDOFF = {wp.float64: 2.0**-53, wp.float32: 2.0**-24}
-# Largest sum of magnitudes that is taken for finite; beyond it an axis is scaled down before its differences.
+# Largest sum of magnitudes that counts as finite; beyond it an axis is scaled down before differences are formed.
 LARGEST = wp.constant(wp.float64(2.0**1020))
 TINY = {wp.float64: 2.0**-900, wp.float32: 2.0**-90}
 TINY_DIRECTION = {wp.float64: 2.0**-150, wp.float32: 2.0**-50}

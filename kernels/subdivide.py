@@ -1,4 +1,4 @@
-"""Bisection of a patch in (u, v) with a stack of fixed depth: the backbone where single directions clip little."""
+"""Bisection of a patch in (u, v) with a stack of fixed depth, for patches on which single directions clip little."""
 
 from types import SimpleNamespace
 
@@ -50,8 +50,9 @@ def make_subdivide(real) -> SimpleNamespace:
     ) -> Answer:
         """Earliest contact of a patch that is free on [0, t_start).
 
-        Invariant: every contact lies on a patch of the stack, or not before ``toi``. A patch is halved across its
-        longer side, and the half with the closest point comes first: its contact bounds the others'.
+        Invariant: every contact lies on a patch of the stack, or at or after ``toi``. A patch is halved across its
+        longer side, and the half with the closest point is searched first: a contact on it bounds the time to search
+        the others.
         """
         answer = Answer()
         answer.toi = real(2.0)

@@ -1,11 +1,11 @@
-"""The volume f(t) = P·(Q×R) as an inclusion function: where it keeps its sign there is no contact.
+"""The volume f(t) = P·(Q×R) as an inclusion function: as long as it keeps its sign there is no contact.
 
-A contact makes P, Q, R linearly dependent, so f = 0 is necessary for one, wherever it lies on the patch. With a
-separation box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary. f is a cubic in t; in
-Bernstein form its hull bounds it on any interval, and the crossing of the hull is a clip of time that converges
-quadratically to a simple root, from below. No root is ever *found* here: the univariate method decides with the roots
-and misses collisions, this one only skips times at which f is certainly not zero. Where f vanishes altogether (motion
-in one plane) it skips nothing, and the directions of `inclusion` do the work.
+A contact makes P, Q, R linearly dependent, so f = 0 is necessary for a contact anywhere on the patch. With a separation
+box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary. f is a cubic in t. The convex
+hull of its Bernstein coefficients bounds it on any interval, and the first crossing of the hull is a clip of time that
+converges quadratically to a simple root, from below. No root is ever *computed* here: the univariate method decides by
+the roots and misses collisions, whereas this one only skips times at which f is certainly not zero. Where f vanishes
+identically (motion in one plane) it skips nothing, and the directions of `inclusion` make the progress.
 """
 
 from types import SimpleNamespace
@@ -75,7 +75,7 @@ def make_volume(real) -> SimpleNamespace:
 
     @wp.func
     def crossing(i: real, a: real, j: real, b: real, first: real) -> real:
-        """Where the segment between two control points falls to zero, if it does, else ``first``."""
+        """Minimum of ``first`` and the place, if any, where the segment between two control points falls to zero."""
         if a > real(0.0) and b <= real(0.0):
             return wp.min(first, (i + (j - i) * (a / (a - b))))
         return first
@@ -117,7 +117,7 @@ def make_volume(real) -> SimpleNamespace:
         """Time up to which f keeps its sign from ``t_start`` on: at least ``t_start``; 2 if beyond ``t_max``."""
         t = t_start
         x = t_max
-        for _ in range(16):  # a clip at each; far fewer are needed
+        for _ in range(16):  # one clip in each; far fewer are needed
             c = restrict(problem.volume, t, x)
             if c[0] < real(0.0):
                 c = -c
@@ -135,7 +135,7 @@ def make_volume(real) -> SimpleNamespace:
                 t = x
                 x = wp.min(t_max, t + real(4.0) * step)
             else:
-                # the fraction of [t, x] is rounded down and never reaches the crossing
+                # the fraction of [t, x] is rounded down, so it never reaches the crossing
                 s = (t + (x - t) * (first * third) * fraction_down) * round_down
                 if not s > t:
                     return t

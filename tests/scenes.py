@@ -27,7 +27,7 @@ def soup(rng, num_faces, size, num_vertices=None):
 
 
 def crowd(rng, num_faces=400, size=0.08, speed=0.1):
-    """Faces at random places that move at random: mesh and both frames."""
+    """Faces at random places that move at random: mesh, start and end positions."""
     start, faces = soup(rng, num_faces, size)
     return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
 
@@ -72,7 +72,7 @@ def sheet(n, size=1.0):
 
 
 def sheet_over_ball():
-    """A sheet that falls through a static ball: mesh and both frames."""
+    """A sheet that falls through a static ball: mesh, start and end positions."""
     vertices, faces = sheet(12)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
@@ -83,7 +83,7 @@ def sheet_over_ball():
 
 
 def sheet_over_floor():
-    """A sheet that falls through a static floor: mesh and both frames."""
+    """A sheet that falls through a static floor: mesh, start and end positions."""
     vertices, faces = sheet(8)
     floor = vertices * 1.3 + [0.013, 0.007, -0.2]
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (floor, faces)], static=[1])

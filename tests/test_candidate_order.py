@@ -46,7 +46,7 @@ def body_pairs(rng):
 
 
 def one_place(rng, num_faces=60, num_particles=200):
-    """All boxes hold the origin, those of a body that moves, one that rests, cables and particles."""
+    """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
     bodies = [(*soup(rng, num_faces, 0.2, 0.0), []) for _ in range(2)]
     particles = 0.01 * rng.standard_normal((num_particles, 3))
     cables = np.arange(num_particles // 2).reshape(-1, 2)
@@ -107,13 +107,15 @@ def test_blocks_of_boxes_that_exceed_the_memory_limit(device):
 
 
 def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):
-    """Bodies at rest keep their boxes while others move far in one step and little in the next."""
+    """Static bodies keep their boxes while others move far in one step and little in the next."""
     rng = np.random.default_rng(3)
     still, faces = soup(rng, 600, 0.03, 1.4)
     moving, moving_faces = soup(rng, 600, 0.03, 1.4)
     mesh = CollisionMesh.from_arrays([(moving, moving_faces), (still, faces)], static=[1])
     start = mesh.vertices.copy()
-    start[1800:] = still.reshape(-1, 3, 3)[rng.permutation(600)].reshape(-1, 3)  # neighbours at rest no more
+    start[1800:] = still.reshape(-1, 3, 3)[rng.permutation(600)].reshape(
+        -1, 3
+    )  # neighbours of the rest configuration are no longer near
     near, far = (start + size * rng.standard_normal(start.shape) for size in (0.01, 0.1))
     expected = [CollisionPipeline(mesh, device=device).find_candidates(start, end) for end in (near, far)]
     assert len(expected[0].edge_edge) > 500

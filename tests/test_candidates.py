@@ -288,7 +288,7 @@ def test_result_does_not_depend_on_num_threads(num_faces):
 
 
 def test_many_pairs_a_query(device):
-    """More partners than the first guess of the room has place for."""
+    """More pairs than the first guess of the capacity."""
     rng = np.random.default_rng(16)
     start, faces = soup(rng, 700, 0.0)
     start = start * [1.0, 1e-3, 1e-3]

@@ -652,7 +652,7 @@ def test_handcrafted_comes_first_whatever_its_name(tmp_path):
     assert [name for name, *_ in _summary(tmp_path)] == ["z", "a", tmp_path.name]
 
 
-def test_loose_files(tmp_path):
+def test_files_without_a_scene_folder(tmp_path):
     _write(tmp_path, ["0,1,0,1,0,1"] * 8, "0ee.csv")
     _write(tmp_path, ["1,1,0,1,0,1"] * 8, "1ee.csv")
     assert _summary(tmp_path) == [(tmp_path.name, "edge-edge", [0, 1], None)]

@@ -68,15 +68,15 @@ def test_demo_scenes_are_what_their_titles_say(name):
     from ccd_warp._cli.demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
 
     scene = {"bullet": bullet_scene, "cloth": cloth_scene}[name]()
-    moving, resting = scene.bodies
-    assert resting.is_static and not moving.is_static
+    moving, static = scene.bodies
+    assert static.is_static and not moving.is_static
     if name == "bullet":
         assert static_test(scene.bodies) == (False, False)
         middle = moving.vertices_t0 + 0.5 * (moving.vertices_t1 - moving.vertices_t0)
-        assert surfaces_intersect(middle, moving.faces, resting.vertices_t0, resting.faces)
+        assert surfaces_intersect(middle, moving.faces, static.vertices_t0, static.faces)
     else:
         assert 10_000 <= len(moving.faces) <= 11_000
-        assert math.isclose(float(abs(resting.vertices_t0).max()), 1.0)
+        assert math.isclose(float(abs(static.vertices_t0).max()), 1.0)
         # It starts outside the sphere and ends with vertices inside.
         assert (moving.vertices_t0**2).sum(axis=1).min() > 1.0
         assert (moving.vertices_t1**2).sum(axis=1).min() < 0.9

@@ -28,7 +28,7 @@ CAPACITIES = {"max_pairs": 20_000, "max_contacts": 20_000}
 
 
 class Step:
-    """A sheet of (n + 1)² vertices that falls onto a wavy floor at rest; the floor was once ``aside``."""
+    """A sheet of (n + 1)² vertices that falls onto a static wavy floor; the floor was once ``aside``."""
 
     def __init__(self, n=10, aside=(0.0, 0.0, -3.0), self_collision=True):
         upper, upper_faces = sheet(n)
@@ -168,7 +168,7 @@ def same_mesh(mesh):
 
 
 def turned(step):
-    """Frames in which the neighbours of the mesh at rest are far from each other."""
+    """Positions at which neighbours of the rest configuration are far from each other."""
     order = np.random.default_rng(0).permutation(len(step.start) - 81)
     order = np.concatenate([order, np.arange(len(order), len(step.start))])
     return step.start[order], step.end[order]

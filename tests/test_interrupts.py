@@ -107,9 +107,9 @@ _LONG = {"method": "bisection", "tolerance": 1e-15, "max_iterations": 100_000, "
 
 
 class Steps:
-    """Calls on a sphere that flies into another one at rest, on the host and on the device.
+    """Calls on a sphere that flies into a static one, on the host and on the device.
 
-    The one at rest is at one of two places, in turn: what a call keeps of it, the next must not take for its own.
+    The static sphere is at one of two places, in turn: a call must not use what an earlier one has kept of it.
     """
 
     def __init__(self, num_faces, num_threads):

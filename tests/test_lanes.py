@@ -28,9 +28,9 @@ def supports(version):
     return _kernels["probe"]
 
 
-def blocks(rng, count, frames):
-    """Boxes on a coarse lattice, so that ties abound, some infinite and some empty; [count, frames, 6, 16]."""
-    lower = rng.integers(-4, 4, (count, frames, 3, WIDTH)).astype(np.float32)
+def blocks(rng, count, num_aabbs):
+    """Boxes on a coarse lattice, so that ties abound, some infinite and some empty; [count, num_aabbs, 6, 16]."""
+    lower = rng.integers(-4, 4, (count, num_aabbs, 3, WIDTH)).astype(np.float32)
     upper = lower + rng.integers(0, 4, lower.shape).astype(np.float32)
     lower[rng.random(lower.shape) < 0.02] = -np.inf
     upper[rng.random(upper.shape) < 0.02] = np.inf
@@ -70,17 +70,17 @@ def test_overlap(name, version):
     if not supports(version):
         pytest.skip(f"this processor has no {version}")
     rng = np.random.default_rng(1)
-    frames = 2 if name == "MOVING_OVERLAP" else 1
-    boxes, queries = blocks(rng, 20, frames), blocks(rng, 4, frames)
-    b = boxes.transpose(1, 2, 0, 3).reshape(frames, 6, 1, -1)
-    q = queries.transpose(1, 2, 0, 3).reshape(frames, 6, -1, 1)
-    if frames == 1:
+    num_aabbs = 2 if name == "MOVING_OVERLAP" else 1
+    boxes, queries = blocks(rng, 20, num_aabbs), blocks(rng, 4, num_aabbs)
+    b = boxes.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, 1, -1)
+    q = queries.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, -1, 1)
+    if num_aabbs == 1:
         closed = (b[0, :3] <= q[0, 3:]).all(axis=0) & (b[0, 3:] >= q[0, :3]).all(axis=0)
         opened = (b[0, :3] < q[0, 3:]).all(axis=0) & (b[0, 3:] > q[0, :3]).all(axis=0)
     else:
         closed = (b[:, :3] <= q[:, 3:]).any(axis=0).all(axis=0) & (b[:, 3:] >= q[:, :3]).any(axis=0).all(axis=0)
         opened = closed
-    for with_open in (0, 1) if frames == 1 else (0,):
+    for with_open in (0, 1) if num_aabbs == 1 else (0,):
         out = wp.zeros((64, 20), dtype=wp.uint32, device="cpu")
         inputs = [on_cpu(boxes, wp.float32), on_cpu(queries, wp.float32), with_open]
         wp.launch(make_overlap(getattr(lanes, name), version), dim=(64, 20), inputs=inputs, outputs=[out], device="cpu")
@@ -89,7 +89,7 @@ def test_overlap(name, version):
         if with_open:
             expected = expected + ((opened & closed).reshape(64, 20, WIDTH) * (weight << 16)).sum(axis=2)
         assert np.array_equal(out.numpy(), expected)
-    assert 0 < opened.sum() < closed.sum() or frames == 2
+    assert 0 < opened.sum() < closed.sum() or num_aabbs == 2
 
 
 @pytest.mark.parametrize("version", lanes.SHARED_VERTEX)
@@ -125,7 +125,7 @@ def test_shared_vertex(version, corners):
 @pytest.mark.parametrize("version", lanes.LEAVES)
 @pytest.mark.parametrize("num_corners", [1, 2, 3])
 @pytest.mark.parametrize("num_aabbs", [1, 2])
-def test_leaves_records_and_unions(version, num_corners, num_aabbs):
+def test_leaves_vertex_aabbs_and_unions(version, num_corners, num_aabbs):
     @wp.func_native(lanes.LEAVES[version])
     def leaves(
         vertex_aabbs: wp.array[wp.float32],
@@ -146,7 +146,7 @@ def test_leaves_records_and_unions(version, num_corners, num_aabbs):
     @wp.kernel(module="unique", enable_backward=False)
     def run(
         vertex_aabbs: wp.array[wp.float32],
-        frames: int,
+        num_aabbs: int,
         corners: wp.array[wp.int32],
         n: int,
         count: int,
@@ -154,10 +154,11 @@ def test_leaves_records_and_unions(version, num_corners, num_aabbs):
         out: wp.array[wp.float32],
     ):
         b = wp.tid()
-        leaves(vertex_aabbs, frames, corners, n, nodes, b, count - 16 * b)
-        for f in range(frames):
-            union(nodes, b * frames + f, (4 * frames + f) * 96 + b)
-        r = united(vertex_aabbs, corners[48 * b] * frames, corners[48 * b + 16] * frames, corners[48 * b + 32] * frames)
+        leaves(vertex_aabbs, num_aabbs, corners, n, nodes, b, count - 16 * b)
+        for f in range(num_aabbs):
+            union(nodes, b * num_aabbs + f, (4 * num_aabbs + f) * 96 + b)
+        c = 48 * b
+        r = united(vertex_aabbs, corners[c] * num_aabbs, corners[c + 16] * num_aabbs, corners[c + 32] * num_aabbs)
         for k in range(8):
             out[8 * b + k] = r[k]
 
@@ -169,7 +170,7 @@ def test_leaves_records_and_unions(version, num_corners, num_aabbs):
     out = wp.zeros(32, dtype=wp.float32, device="cpu")
     inputs = [on_cpu(vertex_aabbs, wp.float32), num_aabbs, on_cpu(corners, wp.int32), num_corners, count]
     wp.launch(run, dim=4, inputs=inputs, outputs=[nodes, out], device="cpu")
-    least = vertex_aabbs[corners[:, :num_corners]].min(axis=1)  # [block, lane, frame, 8]
+    least = vertex_aabbs[corners[:, :num_corners]].min(axis=1)  # [block, lane, aabb, 8]
     least[np.arange(64).reshape(4, WIDTH) >= count] = np.inf
     expected = np.concatenate([least[..., :3], -least[..., 4:7]], axis=-1).transpose(0, 2, 3, 1)
     found = nodes.numpy().reshape(5, num_aabbs, 6, WIDTH)

@@ -1,4 +1,4 @@
-"""Steps whose input and results stay on the device: against the calls on the host, captured, with too little room."""
+"""Steps whose input and results stay on the device: compared with host calls, captured, with too little capacity."""
 
 import gc
 import weakref
@@ -55,7 +55,7 @@ def test_every_form_of_input(device, form):
 
 
 @pytest.mark.parametrize("kinds", [["vertex_face"], ["edge_edge"], ["vertex_face", "edge_edge"]])
-def test_kinds_that_are_not_asked_for_have_no_room(device, kinds):
+def test_kinds_that_are_not_asked_for_have_no_capacity(device, kinds):
     mesh, start, end = crowd(np.random.default_rng(5))
     pipeline = ccd.CollisionPipeline(mesh, pair_kinds=kinds, length_scale=1.0, device=device, **CAPACITIES)
     result = pipeline.launch(on_device(start, device), on_device(end, device))
@@ -168,7 +168,7 @@ def test_float64_positions_are_read_where_they_are(device):
 
 
 @pytest.mark.parametrize("max_pairs", [1, 7, 500])
-def test_pairs_without_room_count_as_touching(device, max_pairs):
+def test_pairs_beyond_the_capacity_count_as_touching(device, max_pairs):
     mesh, start, end = crowd(np.random.default_rng(3))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=max_pairs, max_contacts=60_000)
     vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
@@ -185,7 +185,7 @@ def test_pairs_without_room_count_as_touching(device, max_pairs):
     check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
 
 
-def test_contacts_without_room_are_missing_from_the_list_alone(device):
+def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone(device):
     mesh, start, end = crowd(np.random.default_rng(3))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=60_000, max_contacts=10)
     vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
@@ -201,7 +201,7 @@ def test_contacts_without_room_are_missing_from_the_list_alone(device):
 
 
 def worlds_of(scenes):
-    """Scenes of several meshes as worlds of one mesh: the mesh, both frames, and where the vertices of each begin."""
+    """Scenes of several meshes as worlds of one mesh: the mesh, start and end positions, and where the vertices of each begin."""
     bodies = [(mesh.vertices, mesh.faces) for mesh, _, _ in scenes]
     counts = [mesh.num_vertices for mesh, _, _ in scenes]
     mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(len(scenes)), counts))
@@ -341,23 +341,25 @@ ONE_FACE = [[0, 1, 2]]
 
 
 def falling(**options):
-    """A face that falls through another: mesh and both frames."""
+    """A face that falls through another: mesh, start and end positions."""
     mesh = ccd.CollisionMesh.from_arrays([(LOW, ONE_FACE), (HIGH, ONE_FACE)], **options)
     end = mesh.vertices.copy()
     end[3:, 2] -= 2.0
     return mesh, mesh.vertices.copy(), end
 
 
-@pytest.mark.parametrize("rules", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool)}, {"exclusion_rings": 2}])
-def test_first_launch_in_a_capture_of_the_cpu(rules):
-    """What a mesh keeps on the device is made before, or the graph alone would hold the copies."""
-    mesh, start, end = falling(**rules)
+@pytest.mark.parametrize(
+    "options", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool)}, {"exclusion_rings": 2}]
+)
+def test_first_launch_in_a_capture_of_the_cpu(options):
+    """The arrays of a mesh on the device are made before the capture; otherwise only the graph would own the copies."""
+    mesh, start, end = falling(**options)
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
     result = pipeline.reserve()
     vertices_t0, vertices_t1 = on_device(start), on_device(end)
     with wp.ScopedCapture(device="cpu") as capture:
         pipeline.launch(vertices_t0, vertices_t1)
-    expected = ccd.mesh_ccd(falling(**rules)[0], start, end, length_scale=1.0, device="cpu")
+    expected = ccd.mesh_ccd(falling(**options)[0], start, end, length_scale=1.0, device="cpu")
     assert expected.hit
     wp.capture_launch(capture.graph)
     check_same(result, expected)
@@ -380,7 +382,7 @@ def test_calls_that_a_graph_cannot_hold_say_so():
 
 @pytest.mark.parametrize("far", [1e40, 1e300])
 @pytest.mark.parametrize("count", [20, 5_000])
-def test_face_whose_box_is_infinite_in_the_image(device, count, far):
+def test_face_whose_box_is_infinite_in_quantized_coordinates(device, count, far):
     rng = np.random.default_rng(0)
     vertices = (rng.uniform(-1, 1, (count, 1, 3)) + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
     faces = np.arange(3 * count).reshape(-1, 3)
@@ -398,7 +400,7 @@ def test_face_whose_box_is_infinite_in_the_image(device, count, far):
     assert ccd.collision_free_step(mesh, start, end, length_scale=1.0, device=device) <= min(expected.toi, 1.0)
 
 
-def test_separation_beyond_the_image(device):
+def test_separation_beyond_the_quantized_coordinates(device):
     mesh, start, end = falling()
     options = {"minimum_separation": 1e40, "length_scale": 1.0, "device": device}
     result = ccd.CollisionPipeline(mesh, **options).launch(on_device(start, device), on_device(end, device))
@@ -512,7 +514,7 @@ def test_bad_capacities_are_named(capacity, message):
         pipeline.reserve(**capacity)
 
 
-def test_capture_without_room_says_what_to_do():
+def test_capture_without_capacity_says_what_to_do():
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
     pipeline = ccd.CollisionPipeline(mesh, device="cpu")
     with pytest.raises(RuntimeError, match=r"call reserve\(\) before the capture"), wp.ScopedCapture(device="cpu"):

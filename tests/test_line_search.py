@@ -98,8 +98,8 @@ def test_touching_at_the_start_holds_those_that_touch(per):
         assert (step.vertex_fraction[6:] == 1.0).all()
 
 
-def test_touching_at_the_start_and_leaving_is_held_too():
-    """Contact at t = 0 counts even where the motion opens it, so such a pair is held and named."""
+def test_touching_at_the_start_and_leaving_is_stopped_too():
+    """Contact at t = 0 counts even where the motion opens it, so such a pair is stopped and named."""
     bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE)]
     start = np.concatenate([vertices for vertices, _ in bodies])
     mesh = ccd.CollisionMesh.from_arrays(bodies)
@@ -149,8 +149,8 @@ def test_the_held_object_gives_the_same():
     mesh, start = stacked(0.0, 1.0)
     end = start - [0, 0, 2.0] * (np.arange(6)[:, None] >= 3)
     pipeline = ccd.CollisionPipeline(mesh)
-    ours, held = ccd.line_search(mesh, start, end, per="vertex"), pipeline.line_search(start, end, per="vertex")
-    assert np.array_equal(ours.vertices, held.vertices)
+    one_shot, kept = ccd.line_search(mesh, start, end, per="vertex"), pipeline.line_search(start, end, per="vertex")
+    assert np.array_equal(one_shot.vertices, kept.vertices)
     with pytest.raises(ValueError, match=r"t_max is 0\.5; expected 1"):
         ccd.CollisionPipeline(mesh, t_max=0.5).line_search(start, end)
 
@@ -331,9 +331,9 @@ def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, devi
     assert (start != end).any() and num_touching(mesh, start, end, length_scale=1.0) == 0
 
 
-def test_a_world_that_another_shortens_is_looked_at_again(device, monkeypatch):
+def test_a_world_that_another_shortens_is_checked_again(device, monkeypatch):
     """One fraction for the scene moves worlds that were found free, too, and rounds them anew."""
-    # without the look between, so that the pairs of the last one are those of what the first has shortened
+    # without the pass between, so that the last pass finds the pairs of the motion that the first has shortened
     monkeypatch.setattr(LineSearch, "stages", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -354,7 +354,7 @@ def test_a_world_that_another_shortens_is_looked_at_again(device, monkeypatch):
 
 
 def _random_scene(rng):
-    """Worlds of some bodies, of which some rest: mesh and end positions wished for."""
+    """Worlds of a few bodies, some of them static: the mesh and the desired end positions."""
     num_worlds, num_bodies = rng.integers(1, 5), rng.integers(1, 6)
     size, offset = 10.0 ** rng.uniform(-2, 0.5), rng.choice([0.0, 0.0, 10.0, 1000.0])
     bodies, ends, worlds = [], [], []
@@ -381,7 +381,7 @@ def _random_scene(rng):
 
 @pytest.mark.parametrize("per", EVERY_PER)
 @pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
-def test_random_scenes_are_free_whatever_the_room(per, dtype, device):
+def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
     rng = np.random.default_rng(EVERY_PER.index(per))
     num_moved = 0
     for _ in range(60):
@@ -409,7 +409,7 @@ def test_coordinates_that_are_no_numbers_stop_their_world(device):
     assert result.flags.numpy()[0] == ccd.LaunchFlag.INVALID_INPUT and result.toi.numpy()[0] == 0.0
 
 
-def test_without_room_for_pairs_nothing_moves_into_another(device):
+def test_without_capacity_for_pairs_nothing_moves_into_another(device):
     rng = np.random.default_rng(0)
     bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
     start = np.concatenate([vertices for vertices, _ in bodies])

@@ -61,7 +61,7 @@ def test_from_trimesh():
     assert mesh.num_edges == len(box.edges_unique) + len(ball.edges_unique)
 
 
-def test_loose_edges_join_the_edges_of_faces():
+def test_codimensional_edges_are_added_to_the_edges_of_faces():
     cable = (np.zeros((5, 3)), [[0, 1, 2]], [[3, 2], [4, 3], [2, 3], [1, 0], [4, 4]])
     mesh = CollisionMesh.from_arrays([TRIANGLE, cable, (np.zeros((2, 3)), [], [[1, 0]])])
     # [1, 0] of the second body is an edge of its face, [2, 3] comes twice, and [4, 4] is no edge
@@ -73,14 +73,14 @@ def test_loose_edges_join_the_edges_of_faces():
     assert "3 codimensional edges" in repr(mesh)
 
 
-def test_triangle_mesh_has_no_loose_primitives():
+def test_triangle_mesh_has_no_codimensional_primitives():
     for bodies in ([TRIANGLE, TETRAHEDRON], [(*TRIANGLE, [])], [(*TETRAHEDRON, [[1, 2]])]):
         mesh = CollisionMesh.from_arrays(bodies)
         assert mesh.codimensional_edges.tolist() == mesh.codimensional_points.tolist() == []
         assert "codimensional" not in repr(mesh)
 
 
-def test_unused_vertices_are_loose_points_only_where_asked():
+def test_unused_vertices_are_codimensional_points_only_where_asked():
     body = (np.zeros((7, 3)), [[0, 1, 2], [6, 6, 6]], [[3, 4], [2, 2]])  # nothing uses vertex 5
     assert CollisionMesh.from_arrays([body, body]).codimensional_points.tolist() == []
     assert CollisionMesh.from_arrays([body, body], codimensional_points=True).codimensional_points.tolist() == [5, 12]

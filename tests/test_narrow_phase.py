@@ -284,7 +284,7 @@ def test_num_threads_changes_no_bit():
 
 
 def falling_vertex(height=1.0, end=-1.0):
-    """A vertex that falls through the middle of a resting face."""
+    """A vertex that falls through the middle of a stationary face."""
     p0 = np.array([[[0.25, 0.25, height], [0, 0, 0], [1, 0, 0], [0, 1, 0]]], dtype=float)
     p1 = p0.copy()
     p1[0, 0, 2] = end
@@ -292,7 +292,7 @@ def falling_vertex(height=1.0, end=-1.0):
 
 
 def crossing_edges():
-    """An edge along x that falls through a resting edge along y, at a quarter and a half of their lengths."""
+    """An edge along x that falls through a stationary edge along y, at a quarter and a half of their lengths."""
     p0 = np.array([[[-0.25, 0, 1], [0.75, 0, 1], [0, -0.5, 0], [0, 0.5, 0]]], dtype=float)
     p1 = p0.copy()
     p1[0, :2, 2] = -1
@@ -415,7 +415,7 @@ def test_separation_near_overflow(options, precision):
 
 
 def test_needle_that_touches_names_its_point(precision):
-    # slivers at rest, 1e-6 of their length wide: the gap is measured at a point that is in contact, in float64 and
+    # stationary slivers, 1e-6 of their length wide: the gap is measured at a point that is in contact, in float64 and
     # float32, though a closest point computed from the needle's normal is not
     rng = np.random.default_rng(35)
     n = 500

@@ -53,7 +53,7 @@ def _meet_in_plane(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, c
 
 
 def _num_crossings(mesh: ccd.CollisionMesh, vertices: np.ndarray) -> int:
-    """Pairs of an edge and a face, without a common vertex and not both at rest, that touch or cross.
+    """Pairs of an edge and a face, without a common vertex and not both static, that touch or cross.
 
     Two triangles without a common vertex meet only where an edge of one meets the other.
     """
@@ -63,8 +63,8 @@ def _num_crossings(mesh: ccd.CollisionMesh, vertices: np.ndarray) -> int:
     for face in range(len(mesh.faces)):
         near = np.flatnonzero(((low <= face_high[face]) & (face_low[face] <= high)).all(axis=1))
         common = (mesh.edges[near][:, :, None] == mesh.faces[face]).any(axis=(1, 2))
-        rest = mesh.static[mesh.edge_body[near]] & mesh.static[mesh.face_body[face]]
-        pairs.append(np.column_stack([near[~common & ~rest], np.full((~common & ~rest).sum(), face)]))
+        is_static = mesh.static[mesh.edge_body[near]] & mesh.static[mesh.face_body[face]]
+        pairs.append(np.column_stack([near[~common & ~is_static], np.full((~common & ~is_static).sum(), face)]))
     edge, face = np.vstack(pairs).T
     exact = _integers(vertices)
     p, q = exact[mesh.edges[edge]].transpose(1, 0, 2)

@@ -318,7 +318,7 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision, device):
     assert set(result.contacts.kind.tolist()) == {ccd.PairKind.VERTEX_FACE}
     end[:4] = mesh.vertices[:4]
     end[4] = particles[1]  # through the sheet, to where the second has just left
-    end[6] = particles[3]  # through the sheet, into the resting fourth
+    end[6] = particles[3]  # through the sheet, into the stationary fourth
     result = ccd.mesh_ccd(mesh, mesh.vertices, end, **options)
     contacts = result.contacts
     meeting = contacts.kind == ccd.PairKind.POINT_POINT
@@ -372,7 +372,7 @@ def test_particle_passes_a_cable_at_less_than_the_separation(precision):
 def test_normal_of_points_that_rest_within_the_separation():
     cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
     mesh = ccd.CollisionMesh.from_arrays([(cable, [], [[0, 1]]), (particles, [])], codimensional_points=True)
-    for motion in ([0, 0, 0], [0, 0.125, 0]):  # at rest, and sliding along the cable
+    for motion in ([0, 0, 0], [0, 0.125, 0]):  # stationary, and sliding along the cable
         end = mesh.vertices + np.array([[0, 0, 0]] * 2 + [motion] * 2)
         contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.5, length_scale=1.0).contacts
         assert contacts.kind.tolist() == [2, 2, 3] and (contacts.toi == 0).all()

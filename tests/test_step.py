@@ -131,7 +131,7 @@ def test_minimum_separation_reaches_beyond_the_boxes():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_crowd_on_a_lattice_touches_at_ties(seed):
-    """Boxes that only touch, at both ends and in the image, hold contacts."""
+    """Boxes that only touch, at both ends and in quantized coordinates, may contain contacts."""
     rng = np.random.default_rng(100 + seed)
     start = rng.integers(0, 8, (90, 3)).astype(np.float64)
     end = start + rng.integers(-1, 2, (90, 3)) * rng.integers(0, 2, (90, 1))
@@ -221,10 +221,10 @@ def test_kinds_that_are_not_asked_for_are_not_searched():
         assert result.counts.num_boxes == count
 
 
-def test_boxes_of_what_rests_are_made_once():
+def test_boxes_of_static_bodies_are_made_once():
     rng = np.random.default_rng(8)
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, 50, 0.1), soup(rng, 300, 0.1)], static=[1])
-    resting = (mesh.vertex_body == 1).sum() + (mesh.edge_body == 1).sum() + (mesh.face_body == 1).sum()
+    static = (mesh.vertex_body == 1).sum() + (mesh.edge_body == 1).sum() + (mesh.face_body == 1).sum()
     every = mesh.num_vertices + mesh.num_edges + mesh.num_faces
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0)
     counts = []
@@ -233,8 +233,8 @@ def test_boxes_of_what_rests_are_made_once():
         result = pipeline.mesh_ccd(start, start + 0.01)
         counts.append(result.counts.num_boxes)
         assert as_bytes(result) == as_bytes(ccd.mesh_ccd(mesh, start, start + 0.01, length_scale=1.0, num_threads=1))
-    assert counts == [every, every - resting, every - resting, every - resting]
-    start = mesh.vertices + 1e-3  # what rests was put elsewhere between two steps
+    assert counts == [every, every - static, every - static, every - static]
+    start = mesh.vertices + 1e-3  # the static body was moved between two steps
     assert pipeline.mesh_ccd(start, start).counts.num_boxes == every
     check_candidates(mesh, start, start + 0.1)
 
@@ -355,7 +355,7 @@ def test_identical_faces_stacked_10_000_times_touch_at_once():
 def test_steps_of_a_size_that_was_seen_allocate_nothing():
     mesh, start, end = crowd(np.random.default_rng(11), 2000, 0.05)
     pipeline = ccd.CollisionPipeline(mesh)
-    for _ in range(2):  # the first finds out how much room the pairs need
+    for _ in range(2):  # the first finds out how much capacity the pairs need
         for call in (pipeline.mesh_ccd, pipeline.collision_free_step, pipeline.find_candidates):
             call(start, end)
     before = pipeline.num_allocations
@@ -403,7 +403,7 @@ def test_a_step_as_on_cuda_gives_the_same(monkeypatch):
         assert ccd.collision_free_step(other, start, end, memory_limit=memory_limit) == pytest.approx(step, abs=1e-9)
     found = ccd.find_candidates(other, start, end)
     assert np.array_equal(found.edge_edge, pairs.edge_edge) and np.array_equal(found.vertex_face, pairs.vertex_face)
-    # so little room that parts are cut, down to single queries that need all of it
+    # so little capacity that parts are cut, down to single queries that need all of it
     mesh, start, end = leaning_stack(60, 0.0)
     with pytest.raises(ValueError, match="expected at least") as error:
         ccd.collision_free_step(mesh, start, end, memory_limit=1)
@@ -494,7 +494,7 @@ def test_duplicate_faces_and_edges_of_many_faces():
 
 
 def test_shuffled_mesh_is_sorted_by_place():
-    """A mesh whose rest positions say nothing of where it is: the order is made anew, and only that."""
+    """A mesh whose rest positions do not match its positions: the order is computed again, and nothing else."""
     rng = np.random.default_rng(20)
     sheet = trimesh.creation.box().subdivide_loop(iterations=4)
     mesh = ccd.CollisionMesh.from_arrays([(rng.random(sheet.vertices.shape), sheet.faces)])
@@ -535,7 +535,7 @@ def test_bad_options_are_named(options, message):
         ({"exclusion_rings": 0}, "exclusion_rings is 0; expected a positive integer"),
     ],
 )
-def test_bad_rules_are_named(options, message):
+def test_bad_collision_filters_are_named(options, message):
     body = (np.eye(3), [[0, 1, 2]])
     with pytest.raises(ValueError, match=message):
         ccd.CollisionMesh.from_arrays([body, body], **options)

@@ -168,7 +168,7 @@ def test_sheet_that_crumples_without_its_neighbours(device, rings):
 
 
 def falling_by(height):
-    """A triangle that falls on another from one above it: mesh and both frames, 2.1 long at the start."""
+    """A triangle that falls on another from one above it: mesh, start and end positions, 2.1 long at the start."""
     mesh, start = stacked(0.0, 1.0)
     return mesh, start, start - [0, 0, height] * (mesh.vertex_body == 1)[:, None]
 

@@ -16,7 +16,7 @@ every_finder = pytest.mark.parametrize("roots", ROOTS)
 
 
 def _passing(end: float) -> tuple[np.ndarray, np.ndarray]:
-    """A vertex that falls from height 1 over the inside of a resting face to the height `end`."""
+    """A vertex that falls from height 1 over the inside of a stationary face to the height `end`."""
     start = np.array([[[0.25, 0.25, 1.0], [0, 0, 0], [1, 0, 0], [0, 1, 0]]])
     after = start.copy()
     after[0, 0, 2] = end
@@ -150,7 +150,7 @@ def test_face_without_area_is_found_by_distance_and_missed_by_barycentric_coordi
 def test_parallel_edges_meet_side_by_side() -> None:
     start = np.array([[[0, 0, 1.0], [2, 0, 1], [1, 0, 0], [3, 0, 0]]])
     end = np.array([[[0, 0, -1.0], [2, 0, -1], [1, 0, 0], [3, 0, 0]]])
-    # They stay in one plane, so that the passage is missed; what rests on the other is found.
+    # They stay in one plane, so that the passage is missed; an edge that ends on the other is found.
     assert np.isinf(univariate_ccd("edge-edge", start, end)).all()
     end[0, :2, 2] = 0.0
     assert univariate_ccd("edge-edge", start, end)[0] == 1.0

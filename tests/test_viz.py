@@ -113,7 +113,7 @@ def test_contact_point_of_two_edges():
     assert points.tolist() == [[1.0, 0.0, 0.0]]
 
 
-def test_contact_points_of_loose_points():
+def test_contact_points_of_codimensional_points():
     """A particle falls on a cable, at a quarter of it, and another meets a third; an edge of a face comes first."""
     bodies = [
         ([[9.0, 9, 0], [8, 9, 0], [9, 8, 0]], [[0, 1, 2]]),
@@ -224,8 +224,8 @@ def test_static_bodies_are_grey_and_rest(tmp_path):
     for panel, colourful in zip(panels, spread, strict=True):
         assert (_is_drawn(panel) & (colourful < 12)).mean() > 0.05  # the box
         assert (colourful > 40).mean() > 0.02  # the balls
-    rests = (spread[0] < 12) & (spread[2] < 12) & _is_drawn(panels[0]) & _is_drawn(panels[2])
-    assert np.median(np.abs(panels[0] - panels[2])[rests]) == 0
+    is_box = (spread[0] < 12) & (spread[2] < 12) & _is_drawn(panels[0]) & _is_drawn(panels[2])
+    assert np.median(np.abs(panels[0] - panels[2])[is_box]) == 0
 
 
 @requires_drawing
@@ -313,7 +313,7 @@ def test_colours_of_toi_read_in_grey(tmp_path):
 
 @requires_drawing
 def test_earlier_vertices_are_darker(tmp_path):
-    """A wavy sheet falls flat on a finer sheet at rest, its left side first; seen from above at t = 1."""
+    """A wavy sheet falls flat on a finer static sheet, its left side first; seen from above at t = 1."""
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21), indexing="ij"))
     corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
     faces = np.vstack(
