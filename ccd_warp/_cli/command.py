@@ -3,12 +3,13 @@
 import argparse
 import logging
 import os
+import signal
 import sys
 import threading
 import time
 import warnings
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,6 +28,8 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._runtime.threads import is_any_aside
 from ccd_warp._version import __version__
+
+_INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
 
 
 class _BadUsageError(ValueError):
@@ -60,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        return 130
+        return _INTERRUPTED
 
 
 def _make_parser() -> argparse.ArgumentParser:
@@ -397,13 +400,39 @@ def _start_quietly(device: str | None) -> None:
     """
 
     wp.config.log_level = wp.LOG_ERROR
-    with _closed_stderr():
+    with _closed_stderr(), _heeded_interrupts():
+        import trimesh  # noqa: F401
+
         wp.init()
 
         resolve_device(device)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False
+
+
+@contextmanager
+def _heeded_interrupts():
+    """Raise Ctrl-C again where the work inside has caught it, as trimesh catches whatever its imports raise."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def heed(number: int, frame: Any) -> None:
+        caught.append(number)
+        if callable(before):
+            before(number, frame)
+
+    if callable(before):  # else it is ignored, as in a job in the background
+        signal.signal(signal.SIGINT, heed)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if caught:
+        raise KeyboardInterrupt
 
 
 @contextmanager
@@ -427,8 +456,11 @@ def run_program() -> NoReturn:
     """The command ``ccd-warp``: :func:`main`, and the end of the process."""
     status = main()
 
-    if is_any_aside():  # a compiler at work would hold up the end, or end with a fault
-        sys.stdout.flush()
+    # after Ctrl-C nobody waits for modules to be cleared; a compiler at work would hold up the end, or end with a fault
+    if status == _INTERRUPTED or is_any_aside():
+        if sys.stdout is not None:
+            with suppress(OSError):
+                sys.stdout.flush()
         os._exit(status)
     sys.exit(status)
 
