@@ -78,13 +78,13 @@ def test_results_go_out_where_they_are(library):
 
 def test_pairs_are_read_where_they_are(library, monkeypatch):
     seen = []
-    launch = ccd._narrow_phase.Execution.launch
+    launch = ccd._pair_ccd.Execution.launch
 
     def watched(execution, kernel, count, inputs, *arguments, **options):
         seen.append(inputs[1:3])
         launch(execution, kernel, count, inputs, *arguments, **options)
 
-    monkeypatch.setattr(ccd._narrow_phase.Execution, "launch", watched)
+    monkeypatch.setattr(ccd._pair_ccd.Execution, "launch", watched)
     # more than the few of NumPy that are copied to where a launch has been recorded
     start, end = (library.array(np.repeat(points, 300, axis=0)) for points in PAIR)
     result = ccd.vertex_face_ccd(start, end, device="cpu")
