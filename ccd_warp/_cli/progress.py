@@ -35,6 +35,8 @@ class ProgressLine:
             sys.stderr.flush()
 
     def _write(self, text: str) -> None:
+        # the longer of both while an interrupt may come before the line is written or after it
+        self._length = max(self._length, len(text))
         sys.stderr.write(f"\r{text:{self._length}}")
         sys.stderr.flush()
         self._length = len(text)
