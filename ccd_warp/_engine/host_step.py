@@ -563,7 +563,7 @@ class Step:
 def _level_of_caller() -> int:
     """Frames from the function that warns to the first outside the package."""
     frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
         frame, level = frame.f_back, level + 1
     return level
 
