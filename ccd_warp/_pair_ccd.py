@@ -227,8 +227,8 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
         with naming(function):
             device = resolve_device(options.device, points_t0.device)
-        vertices_t0 = _as_points(kind, points_t0, "points_t0")
-        vertices_t1 = _as_points(kind, points_t1, "points_t1")
+        device_t0 = _as_points(kind, points_t0, "points_t0")
+        device_t1 = _as_points(kind, points_t1, "points_t1")
         if points_t1.device != device:
             raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
         if points_t1.shape != points_t0.shape:
@@ -247,11 +247,11 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         a, b = _in_3d(a), _in_3d(b)
         if device.is_cpu and 0 < len(a) <= CAPACITY:
             return PairResult(*_solve_few(kind, a, b, options, device))
-        vertices_t0, vertices_t1 = (
+        device_t0, device_t1 = (
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         )
 
-    out = _solve(kind, vertices_t0, vertices_t1, options, device)
+    out = _solve(kind, device_t0, device_t1, options, device)
     if on_device:
         return PairResult(*out.as_list())
     return PairResult(*(array.numpy() for array in out.as_list()))
@@ -270,15 +270,15 @@ def _solve_few(
     return results
 
 
-def _solve(kind: PairKind, vertices_t0: wp.array, vertices_t1: wp.array, options: Options, device: Any) -> PairArrays:
+def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairArrays:
     """Launch the solver; on the CPU in two rounds, the second for the pairs that the first leaves open."""
     is_one_round = device.is_cuda or device.is_capturing  # the host or the graph does not know which pairs are open
     first = int(options.max_iterations) if is_one_round else options.first_iterations
-    out = _launch(kind, vertices_t0, vertices_t1, options, first, device)
+    out = _launch(kind, points_t0, points_t1, options, first, device)
     is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
     if is_open is not None:
         results = [array.numpy() for array in out.as_list()]
-        _solve_open(kind, vertices_t0.numpy(), vertices_t1.numpy(), results, is_open, options, device)
+        _solve_open(kind, points_t0.numpy(), points_t1.numpy(), results, is_open, options, device)
     return out
 
 
@@ -300,22 +300,22 @@ def _solve_open(
     device: Any,
 ) -> None:
     """The second round: solve the pairs that the first left open, and overwrite their results."""
-    vertices_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
-    vertices_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
-    solved = _launch(kind, vertices_t0, vertices_t1, options, int(options.max_iterations), device)
+    open_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
+    open_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
+    solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
     for array, new in zip(results, solved.as_list(), strict=True):
         array[is_open] = new.numpy()
 
 
 def _launch(
     kind: PairKind,
-    vertices_t0: wp.array,
-    vertices_t1: wp.array,
+    points_t0: wp.array,
+    points_t1: wp.array,
     options: Options,
     max_iterations: int,
     device: Any,
 ) -> PairArrays:
-    count = vertices_t0.shape[0]
+    count = points_t0.shape[0]
     out = PairArrays.empty(count, device)
     is_first = max_iterations == options.first_iterations
     is_long = not is_first or count > _LONG_PART * options.threads
@@ -324,7 +324,7 @@ def _launch(
     Execution(device, options.threads, stop).launch(
         make_narrow_phase(options.real).points_toi,
         count,
-        inputs=[int(kind), vertices_t0, vertices_t1, packed],
+        inputs=[int(kind), points_t0, points_t1, packed],
         outputs=out.as_list(),
         grain=_WORTH_A_THREAD if is_first else 1,
         is_long=is_long,

@@ -65,7 +65,7 @@ def check_step_is_whole(t_max: float) -> None:
         ValueError: If not.
     """
     if t_max != 1.0:
-        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search looks at the whole step")
+        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search covers the whole step")
 
 
 def search_step(
