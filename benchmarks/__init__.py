@@ -1,6 +1,6 @@
 """Speed against error of CCD (continuous collision detection), ours and every peer's, in one run: ``ccd-warp bench``.
 
-Installed as ``ccd_warp.benchmarks``; what it needs beyond the package is the extra ``bench``.
+It is installed as ``ccd_warp.benchmarks``; its additional requirements are the extra ``bench``.
 """
 
 from importlib.util import find_spec
@@ -19,7 +19,7 @@ def require_extra() -> None:
     """Check that the extra ``bench`` is installed.
 
     Raises:
-        ValueError: If something of it is missing, in one line that says what and how to install it.
+        ValueError: If a requirement is missing; the message names it and how to install it.
     """
     missing = [package for package, module in REQUIRED.items() if find_spec(module) is None]
     if missing:

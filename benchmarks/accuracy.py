@@ -1,4 +1,4 @@
-"""Exact times of impact as arrays, and what an answer is worth against them."""
+"""Exact times of impact as arrays, and the faults and errors of answers against them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ccd_warp.benchmarks.oracle import ExactToi, exact_tois
 
 @dataclass(frozen=True)
 class ExactTimes:
-    """Exact tois τ of n queries, so that thousands of answers are compared at once and still exactly.
+    """Exact tois τ of n queries, in a form that allows comparing thousands of answers at once and still exactly.
 
     Attributes:
         below: Largest float64 that is not above τ, shape [n]; inf without a contact. An answer is late if and only if
             it is above this: the next float64 is above τ.
-        rest: τ − below, rounded once, shape [n]; 0 without a contact.
+        remainder: τ − below, rounded once, shape [n]; 0 without a contact.
     """
 
     below: np.ndarray
-    rest: np.ndarray
+    remainder: np.ndarray
 
     @classmethod
     def of(cls, kind: str, points_t0: np.ndarray, points_t1: np.ndarray, separation: float = 0.0) -> ExactTimes:
@@ -31,19 +31,19 @@ class ExactTimes:
     def from_oracle(cls, exact: list[ExactToi]) -> ExactTimes:
         """Round answers of the oracle."""
         below = np.full(len(exact), np.inf)
-        rest = np.zeros(len(exact))
+        remainder = np.zeros(len(exact))
         for i, tau in enumerate(exact):
             if tau.hit:
                 t = tau.approx
                 below[i] = math.nextafter(t, -math.inf) if tau.late(t) else t
-                rest[i] = tau.early_by(below[i])
-        return cls(below, rest)
+                remainder[i] = tau.early_by(below[i])
+        return cls(below, remainder)
 
     def __len__(self) -> int:
         return len(self.below)
 
     def __getitem__(self, chosen) -> ExactTimes:
-        return ExactTimes(self.below[chosen], self.rest[chosen])
+        return ExactTimes(self.below[chosen], self.remainder[chosen])
 
     @property
     def hit(self) -> np.ndarray:
@@ -53,7 +53,7 @@ class ExactTimes:
     def early_by(self, toi: np.ndarray) -> np.ndarray:
         """τ − toi of the queries where both are finite: positive is early, negative is late."""
         both = self.hit & np.isfinite(toi)
-        return (self.below[both] - toi[both]) + self.rest[both]
+        return (self.below[both] - toi[both]) + self.remainder[both]
 
     def faults(self, toi: np.ndarray) -> dict[str, int]:
         """Numbers of missed, late and phantom answers.

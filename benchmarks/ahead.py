@@ -1,4 +1,4 @@
-"""Where another method is ahead of ours, found in the raw figures."""
+"""Figures in which another method is ahead of ours, from the raw figures."""
 
 from __future__ import annotations
 

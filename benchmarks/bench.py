@@ -1,4 +1,4 @@
-"""The benchmark: what is measured in which order, kept after every task, so that it can be interrupted and resumed."""
+"""The benchmark: the tasks in their order. Every task is saved, so that a run can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Settings:
     """What a run measures.
 
     Attributes:
-        quick: Whether it is to end within five minutes on two cores.
+        quick: Whether the run should end within five minutes on two cores.
         data: Folder of queries in the public formats, or None.
-        devices: Warp devices of ours.
-        sections: Which of :data:`SECTIONS`.
-        max_queries: Most queries of a set; a larger one is sampled.
-        tolerances: Of the sweep.
+        devices: Warp devices on which ours is measured.
+        sections: Those of :data:`SECTIONS` that are measured.
+        max_queries: Largest number of queries in a set; a larger set is sampled.
+        tolerances: Tolerances of the sweep.
         generated: Queries of each generated set, and of each family in the set of hard cases.
         sweep: Effort of a point of the sweep.
         case_queries: Queries of a family and kind in the table of hard cases.
@@ -118,7 +118,7 @@ class Settings:
         )
 
     def as_dict(self) -> dict:
-        """For the raw file; the folder by its name alone."""
+        """The settings for the raw file, which has only the name of the folder."""
         return {**asdict(self), "data": None if self.data is None else Path(self.data).name}
 
 
@@ -128,8 +128,8 @@ class Task:
 
     Attributes:
         key: Its name in the journal; the part before the first | is its section.
-        seconds: About how long it takes, for the remaining time.
-        run: Measures it; a JSON object comes back.
+        seconds: Estimated duration, for the remaining time.
+        run: Measures it and returns a JSON object.
     """
 
     key: str
@@ -138,7 +138,7 @@ class Task:
 
 
 def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
-    """Every task in its order. Sets and scenes are made when they are first needed."""
+    """Every task in order. Sets and scenes are made when they are first needed."""
     methods = all_methods(list(settings.devices))
     folder = None if settings.data is None else Path(settings.data)
 
@@ -223,7 +223,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
 
 
 def measure_case(methods: list[Method], queries: QuerySet, effort: Effort) -> dict:
-    """The methods on a family, at the default tolerance."""
+    """Measure the methods on a family, at the default tolerance."""
     return {
         "family": queries.name,
         "kind": queries.kind,
@@ -235,7 +235,7 @@ def measure_case(methods: list[Method], queries: QuerySet, effort: Effort) -> di
 
 
 def case_set(name: str, kind: str, count: int) -> QuerySet:
-    """The queries of a family: tolerances in units of each query's own size, unless it has a separation of its own."""
+    """The queries of a family; the unit is each query's own size, unless the family has its own separation."""
     case = FAMILIES[name]
     points = case(kind, count, np.random.default_rng(2))
     scale = case.length_scale if case.minimum_separation else None
@@ -243,17 +243,17 @@ def case_set(name: str, kind: str, count: int) -> QuerySet:
 
 
 def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | None = None) -> tuple[dict | None, bool]:
-    """Measure what the journal does not hold yet.
+    """Measure everything that the journal does not contain yet.
 
     Args:
         settings: What to measure.
-        folder: Where journal and raw file are.
-        quiet: No progress bar.
-        kept: Raw figures of which the other parts are kept.
+        folder: Folder of the journal and the raw file.
+        quiet: Whether to show no progress bar.
+        kept: Raw figures whose other parts are kept.
 
     Returns:
-        The raw figures, and whether they are complete: False after an interruption by Ctrl-C. None, and nothing is
-        written, if that came before the first figure.
+        The raw figures, and whether they are complete: False after an interruption by Ctrl-C. None if that came before
+        the first figure; then nothing is written.
     """
     about = machine()
     mark = fingerprint(asdict(settings), about, None if settings.data is None else Path(settings.data))
@@ -284,7 +284,7 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | N
                 bar.postfix = [_clock(_left(bar)), task.key.replace("|", " ")]
                 bar.refresh()
                 journal.add(task.key, task.run())
-                bar.update(min(task.seconds, bar.total - bar.n))  # sums of floats may pass each other
+                bar.update(min(task.seconds, bar.total - bar.n))  # rounded sums of floats may exceed the total
     except KeyboardInterrupt:
         complete = False
     if not journal.records:
@@ -299,7 +299,7 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | N
 
 
 def _left(bar: tqdm) -> float:
-    """Seconds that are left: the estimate, corrected by how it did so far."""
+    """Estimate of the remaining seconds, corrected by its accuracy so far."""
     done, elapsed = bar.n, bar.format_dict["elapsed"]
     return (bar.total - done) * (elapsed / done if done > 0.05 * bar.total else 1.0)
 

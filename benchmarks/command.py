@@ -13,7 +13,7 @@ INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command. Nothing that the extra brings is imported for them."""
+    """Add the options of the command, without importing anything of the extra."""
     parser.add_argument("--quick", action="store_true", help="smaller samples: within five minutes on two cores")
     parser.add_argument(
         "--data", metavar="DIR", type=Path, help="folder of queries and frames in the public formats (CCD_WARP_DATA)"
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     for part in arguments.only or []:
         if part not in bench.SECTIONS:
             raise ValueError(f"only holds {part!r}; expected some of {', '.join(bench.SECTIONS)}")
-    # all that can be wrong is found before the hours of measuring
+    # all errors of the arguments are found before the hours of measuring
     old = None if arguments.compare is None else read_raw(arguments.compare)
     folder: Path = arguments.output
     if arguments.merge and not arguments.only:

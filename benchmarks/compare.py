@@ -1,10 +1,10 @@
-"""Two runs beside each other: what became slower or less accurate.
+"""Comparison of two runs: what became slower or less accurate.
 
-Times are divided by those of the peer in the same run, on queries and scenes that both runs have finished, so that a
-slower machine cancels; they are the least of the rounds, which noise can only raise. The peer runs on one core, so that
-noise on others, or on a GPU, stays. A figure of one set and method is the geometric mean over the tolerances of both
-runs. Small scenes and single
-pairs are compared with ipc-toolkit's additive CCD. Not compared: growth, batches, threads, memory.
+Times are divided by those of the peer in the same run, on queries and scenes that both runs have finished, so that the
+speed of the machine cancels. They are minima over the rounds, which noise can only raise. The peer runs on one core, so
+noise on other cores, or on a GPU, does not cancel. A figure of one set and method is the geometric mean over the
+tolerances of both runs. Small scenes and single pairs are compared with ipc-toolkit's additive CCD. Growth, batches,
+threads and memory are not compared.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ccd_warp.benchmarks.numbers import error_text, rows_of, set_name
 from ccd_warp.benchmarks.sections import SMALL_PEERS, pair_name, scene_name
 
 DEFAULT_THRESHOLD = 1.25
-# An error below this many is rounding of a toi near one; a ratio of such errors says nothing.
+# An error below this is rounding of a toi near one; a ratio of such errors is meaningless.
 _ERROR_FLOOR = 1e-14
 _LEAST_QUERIES = 10
 
@@ -28,8 +28,8 @@ class Change:
     """One figure of ours in both runs.
 
     Attributes:
-        what: Which figure.
-        ratio: How many times worse it became; below 1 is better.
+        what: Name of the figure.
+        ratio: Factor by which it became worse; below 1 it became better.
         text: Both values.
     """
 
@@ -159,7 +159,7 @@ def compare(old: dict, new: dict, threshold: float) -> tuple[list[str], bool]:
         threshold: Largest ratio that passes, above 1.
 
     Returns:
-        The lines, and True where a ratio is above the threshold. Nothing in common counts as that, too.
+        The lines, and True if a ratio is above the threshold, or if the runs have nothing in common.
     """
     found, notes = changes(old, new)
     lines = []

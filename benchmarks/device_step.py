@@ -68,7 +68,7 @@ def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarr
 
 
 def worlds(count: int) -> tuple[str, ccd.CollisionMesh, np.ndarray, np.ndarray]:
-    """So many worlds of a sheet of 32 faces that falls on a ball of 80, some of them onto it."""
+    """``count`` worlds, each with a sheet of 32 faces above a ball of 80 faces, which some of the sheets hit."""
     sheet, faces = scenes.grid(5, 5, 1.0, 1.0)
     ball, ball_faces = scenes.sphere(80, 0.3)
     size = len(sheet) + len(ball)

@@ -1,4 +1,4 @@
-"""Pictures of the raw figures, readable in greyscale: markers and lines differ, colour only helps."""
+"""Pictures of the raw figures, readable in greyscale: markers and line styles differ, and colour only helps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 # Errors of zero are drawn at the left edge.
 _LEAST_ERROR = 1e-18
-# Share of answers cut short from which on a point is marked.
+# Share of answers cut short by a limit from which on a point is marked.
 _CUT_SHARE = 0.05
 # Line, marker and colour of the methods that a picture of many lines shows.
 _STYLES: dict[str, dict[str, Any]] = {
@@ -39,7 +39,7 @@ _HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++")
 
 
 def style(method: str, methods: list[str]) -> dict[str, Any]:
-    """How a method is drawn, the same in every picture."""
+    """The style of a method, the same in every picture."""
     if method in _STYLES:
         return _STYLES[method]
     others = [m for m in methods if m not in _STYLES]
@@ -206,7 +206,7 @@ def draw_cases(raw: dict) -> Figure:
 
 
 def _cell_text(cell: dict[str, int] | None) -> str:
-    """What is wrong with a method's answers for a family; a dot where nothing is."""
+    """The faults of a method's answers for a family; a dot if there are none."""
     if cell is None:
         return "n/a"
     parts = [f"{cell[key]} {word}" for key, word in (("missed", "MISSED"), ("late", "late")) if cell[key]]

@@ -15,7 +15,7 @@ Every batch draws a kind, a source of queries, a precision and options. A query 
 - insane: a status that contradicts toi, toi outside [0, t_max], or parameters that are not finite.
 
 One batch in four is also put side by side into one mesh, where `mesh_ccd` and `collision_free_step` must neither miss a
-query nor be late for one: that covers boxes, tree, filter and cull, beside scales and places of any kind.
+query nor be late for one. This covers boxes, tree, filter and cull at all scales and positions.
 
 Failing queries are saved as .npz beside a JSON with the options; the exit status is then 1.
 """
@@ -59,20 +59,20 @@ _published: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
 
 def with_ulp_noise(points: np.ndarray, rng: np.random.Generator, share: float = 0.2) -> np.ndarray:
-    """Some coordinates moved by up to three ulp, which keeps queries near their degeneracy but not on it."""
+    """Some coordinates perturbed by up to three ulp, which leaves queries near their degeneracy but not on it."""
     ulps = rng.integers(-3, 4, points.shape) * (rng.random(points.shape) < share)
     return points + ulps * np.spacing(points)
 
 
 def crossover(points: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Single points or single axes of the other query in place of one's own; the frames are mixed alike."""
+    """Queries with single points or single axes of other queries, the same at both ends of the step."""
     by_point = rng.random((*points.shape[:3], 1)) < 0.25
     by_axis = rng.random((len(points), 1, 1, points.shape[3])) < 0.25
     return np.where(np.where(rng.random((len(points), 1, 1, 1)) < 0.5, by_point, by_axis), other, points)
 
 
 def with_scaled_axes(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Each axis times a power of two of its own: exact, so the truth stays, but no bound may be shared by the axes."""
+    """Each axis scaled by its own power of two: exact, so the truth stays, but the axes cannot share a bound."""
     reach = rng.choice([8, 40, 150, 500])
     return np.ldexp(points, rng.integers(-reach, reach + 1, (len(points), 1, 1, points.shape[3])))
 
@@ -110,7 +110,7 @@ def draw(source: str, kind: str, dimension: int, n: int, rng: np.random.Generato
 
 
 def draw_options(arguments: dict, rng: np.random.Generator) -> dict:
-    """Options of one batch; those that the command line names are taken as they are."""
+    """Options of one batch; those given on the command line are fixed."""
     options = {"precision": str(rng.choice(arguments["precision"])), "num_threads": 1}
     options["tolerance"] = 1e-6 if rng.random() < 0.5 else float(10.0 ** rng.uniform(-14, -1))
     options["t_max"] = arguments["t_max"]
@@ -172,7 +172,7 @@ def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict
         if gap > (separation + reported) * (1 + 1e-15) + SEPARATION_ROUNDING[precision] * separation + 5e-324:
             failures.append((i, "gap", f"gap {gap!r} above separation + reported gap {reported!r}"))
         bound = separation + tolerance + rounding
-        # an answer at the resolution's limit may lie beyond the bound, and its status says so: counted, not hidden
+        # an answer at the resolution limit may exceed the bound, and its status says so: it is counted, not hidden
         counts["unresolved_beyond"] += int(unresolved and gap > bound)
         if gap > bound and not (limited or unresolved):
             failures.append((i, "phantom", f"gap {gap!r} above {bound!r} at toi {toi!r}"))
@@ -180,7 +180,7 @@ def check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict
 
 
 def check_mesh(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options: dict) -> list:
-    """Failures of a batch whose queries lie in one mesh, among the pairs that they form with each other."""
+    """Failures of a batch whose queries are put into one mesh, where they also form pairs with each other."""
     options = {"length_scale": 1.0, **options}
     separation = options["minimum_separation"] * options["length_scale"]
     exact = exact_tois(kind, points_t0, points_t1, separation, options["t_max"])
@@ -215,7 +215,7 @@ def start_worker(published: dict) -> None:
 
 
 def run_batch(task: tuple) -> dict:
-    """One batch in a worker: drawn from its own seed, so that it can be repeated alone."""
+    """Run one batch in a worker; it is drawn from its own seed, so that it can be repeated alone."""
     seed, index, kind, dimension, source, arguments = task
     rng = np.random.default_rng([seed, index])
     options = draw_options(arguments, rng)
@@ -229,25 +229,25 @@ def run_batch(task: tuple) -> dict:
     return report
 
 
-def tasks(seed: int, batches: int, sources: list[str], kinds: list[str], arguments: dict, room: threading.Semaphore):
+def tasks(seed: int, batches: int, sources: list[str], kinds: list[str], arguments: dict, slots: threading.Semaphore):
     """Batches in turn over kinds, dimensions and sources, so that each combination gets its share; 0 is endless.
 
-    A pool draws tasks as fast as it can, so each waits for room that a finished one has made.
+    A pool draws tasks as fast as it can, so each waits for a free slot, which a finished task releases.
     """
     shapes = [(kind, d) for kind in kinds for d in ((3,) if POINTS[kind] == 4 else (2, 3))]
-    # pairs of four points are what most users have: three batches to one of the others
+    # most users have pairs of four points, so these get three batches for each one of the others
     shapes = [shape for shape in shapes for _ in range(3 if POINTS[shape[0]] == 4 else 1)]
     combinations = [(*shape, source) for source in sources for shape in shapes]
     index = 0
     while index < batches or batches == 0:
-        room.acquire()
+        slots.acquire()
         kind, dimension, source = combinations[index % len(combinations)]
         yield seed, index, kind, dimension, source, arguments
         index += 1
 
 
 def save(folder: Path, seed: int, report: dict) -> Path:
-    """Failing queries of a batch as arrays, and all that is needed to repeat them as JSON."""
+    """Save the failing queries of a batch as arrays, and everything needed to repeat them as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
     queries = {i: (p0, p1) for i, _, _, p0, p1 in report["failures"]}
     points_t0, points_t1 = (np.stack(points) for points in zip(*queries.values(), strict=True))
@@ -293,7 +293,7 @@ def main() -> int:
         sources = [source for source in sources if not source.startswith("published")]
         print("the published sample queries are absent: their mutations are left out")
     wp.config.log_level = wp.LOG_WARNING
-    for precision in parsed.precision:  # compiled once here, so that the workers find it in the cache
+    for precision in parsed.precision:  # compile once here, so that the workers find the kernels in the cache
         SOLVE["vertex-face"](np.zeros((1, 4, 3)), np.zeros((1, 4, 3)), precision=precision)
 
     arguments = {"precision": parsed.precision, "separation": parsed.separation, "t_max": parsed.t_max}
@@ -302,16 +302,16 @@ def main() -> int:
     checks: Counter = Counter()
     by_source: Counter = Counter()
     begin = time.perf_counter()
-    room = threading.Semaphore(8 * parsed.processes)
+    slots = threading.Semaphore(8 * parsed.processes)
     context = multiprocessing.get_context("spawn")  # a forked Warp would share its threads' locks
     with (
         context.Pool(parsed.processes, start_worker, (published,)) as pool,
         tqdm(total=parsed.queries or None, unit=" queries", file=sys.stderr) as bar,
     ):
         try:
-            queue = tasks(seed, batches, sources, parsed.kinds, arguments, room)
+            queue = tasks(seed, batches, sources, parsed.kinds, arguments, slots)
             for report in pool.imap_unordered(run_batch, queue):
-                room.release()
+                slots.release()
                 counts.update(report["counts"])
                 for key in ("kind", "source"):
                     by_source[report[key]] += BATCH
@@ -324,7 +324,7 @@ def main() -> int:
                 bar.set_postfix(failures=checks.total(), refresh=False)
                 bar.update(BATCH)
         except KeyboardInterrupt:
-            room.release(10**6)  # lets the pool's feeding thread go
+            slots.release(10**6)  # releases the feeding thread of the pool
             pool.terminate()
     seconds = time.perf_counter() - begin
 

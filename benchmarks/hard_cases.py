@@ -1,17 +1,19 @@
 """Catalogue of hard cases: seeded families of queries, each with why it is hard and which method fails there.
 
 A family is called as `FAMILIES[name](kind, n, rng, dimension=3)` and returns points_t0 and points_t1, float64, of shape
-[n, points of the kind, dimension]. Every family serves every kind, though a few say little about a point pair. The
-truth of a query is the oracle's business. Families that need an exact contact build it on a lattice (`_contacts.py`).
+[n, points of the kind, dimension]. Every family supports every kind, although a few are of little interest for point
+pairs. The oracle decides the truth of a query. Families that need an exact contact build it on a lattice
+(`_contacts.py`).
 
-What fails was measured against the exact oracle, on 200 vertex-face and 200 edge-edge queries of each family:
+The failures were measured against the exact oracle, on 200 vertex-face and 200 edge-edge queries of each family:
 - the ends and the univariate method: `univariate.py`, tolerance 1e-6 and the test by distance unless it says otherwise;
 - Tight-Inclusion: `ipctk.tight_inclusion`, on 40 of them, tolerance 1e-6 of the size and at most 100,000 iterations,
   where it gives up after some 30 ms; it takes 20 to 300 µs a query of the plain families;
 - additive CCD: `ipctk.AdditiveCCD`, at most 10,000 iterations.
 
-Said once: the ends miss whatever passes between them. A root in floating point is late by rounding for up to half of
-the contacts. Additive CCD stops at a tenth of the gap at the start, so that it is early and has phantoms everywhere.
+In general, the ends miss every collision that shows at neither end of the step. A root in floating point is late by
+rounding for up to half of the contacts. Additive CCD stops at a tenth of the gap at the start, so that it is early and
+has phantoms everywhere.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ FAMILIES: dict[str, HardCase] = {}
 
 
 def _family(fails: str, **options: float) -> Callable[[Callable[..., Points]], HardCase]:
-    """Enters a generator into the catalogue; the first line of its docstring is why it is hard."""
+    """Enter a generator into the catalogue; the first line of its docstring says why it is hard."""
 
     def enter(generate: Callable[..., Points]) -> HardCase:
         name = generate.__name__

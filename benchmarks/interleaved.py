@@ -12,7 +12,7 @@ from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method
 from ccd_warp.benchmarks.peers import Peer
 from ccd_warp.benchmarks.query_sets import QuerySet
 
-# Queries of the reference whose own times are kept, so that two runs can be compared on the same work.
+# Number of queries of the reference whose times are kept, so that two runs can be compared on the same work.
 REFERENCE_QUERIES = 200
 
 
@@ -21,9 +21,9 @@ class Effort:
     """How long to measure.
 
     Attributes:
-        rounds: Interleaved repeats.
+        rounds: Number of interleaved repeats.
         batch: Queries of a timed call; smaller sets are tiled.
-        seconds: Most time of a call in process; a method that is slower gets the first queries of the set.
+        seconds: Longest time of a call within this process; a slower method gets only the first queries of the set.
         peer_seconds: Time of a peer's first pass; the other passes repeat it.
         cap: Seconds after which a query of a peer is stopped.
     """
@@ -37,7 +37,7 @@ class Effort:
 
 @dataclass
 class _Batch:
-    """A method in process, with the queries that it is timed and judged on."""
+    """A method within this process, with the queries on which it is timed and judged."""
 
     method: Method
     queries: QuerySet
@@ -54,15 +54,15 @@ class _Batch:
 
     @classmethod
     def make(cls, method: Method, queries: QuerySet, tolerance: float, effort: Effort) -> _Batch:
-        """Find out how many queries fit the time, and answer those."""
+        """Determine how many queries fit the time, and answer those."""
         count = min(4, len(queries))
         while True:
             batch = cls(method, queries, tolerance, count, count)
-            seconds = min(batch.once(), batch.once())  # the first loads kernels and fills caches, too
+            seconds = min(batch.once(), batch.once())  # the first call also loads kernels and fills caches
             if count == len(queries) or 2 * seconds > effort.seconds:
                 break
             count = min(4 * count, len(queries))
-        # a call has a fixed cost, so that this is an upper bound of the time of a query
+        # a call has a fixed cost, so this is an upper bound on the time of a query
         tile = max(count, min(effort.batch, int(count * effort.seconds / max(seconds, 1e-9))))
         batch = cls(method, queries, tolerance, count, tile)
         memory = PeakMemory()
@@ -101,7 +101,7 @@ def _speed(per_query: list[float]) -> dict:
 
 
 def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
-    """Figures of a peer; a query that was stopped has taken the cap, and has no answer that could be right or wrong."""
+    """Figures of a peer; a stopped query counts with the time of the cap, and has no answer."""
     answers = peer.answers
     count = answers.count
     answered = answered_by(peer)[:count]
@@ -121,7 +121,8 @@ def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
         "peak_bytes": answers.peak_bytes,
     }
     if method.name == REFERENCE:
-        # what two runs are compared by: the least of the rounds, which noise can only raise, with the call's overhead
+        # for the comparison of two runs: the minimum over the rounds, which noise can only raise, with the call's
+        # overhead
         times = passes.min(axis=0)[:REFERENCE_QUERIES]
         row["query_seconds"] = [
             float(f"{t:.3g}") if ok else None for t, ok in zip(times, answered[: len(times)], strict=True)
@@ -130,12 +131,12 @@ def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
 
 
 def answered_by(peer: Peer) -> np.ndarray:
-    """Which queries of the set a peer has answered, bool, shape [n]: not stopped, and not said to be hit at nan."""
+    """Which queries of the set a peer has answered, bool, shape [n]: not stopped, and not reported as a hit at nan."""
     return ~np.isnan(peer.answers.toi)
 
 
 def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: Effort) -> list[dict]:
-    """One row a method; a method that does not know the set's separation is left out."""
+    """One row for each method; a method that does not support the set's separation is left out."""
     methods = [m for m in methods if m.has_separation or not queries.separation]
     batches = [_Batch.make(m, queries, tolerance, effort) for m in methods if m.solve is not None]
     peers = {}
@@ -160,7 +161,7 @@ def measure(methods: list[Method], queries: QuerySet, tolerance: float, effort: 
             rows[m.name] = _peer_row(m, queries, peers[m.name])
     ours = next((batch for batch in batches if batch.method.group == "ours"), None)
     if ours is not None:
-        # the errors of ours on the very queries that a peer has answered
+        # the errors of ours on exactly the queries that a peer has answered
         for m in methods:
             if m.name in peers:
                 same = np.flatnonzero(answered_by(peers[m.name])[: ours.count])

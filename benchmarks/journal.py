@@ -1,4 +1,4 @@
-"""What was measured so far, on disk: an interrupted run keeps it, and the next one goes on from there."""
+"""The results so far, on disk: an interrupted run keeps them, and the next one continues from there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import ccd_warp
 
 
 def fingerprint(settings: dict, about: dict, data: Path | None) -> str:
-    """What has to agree for two halves of a run to be one: settings, machine, versions, code of the package, data."""
+    """Fingerprint of what must agree for a run to be continued: settings, machine, versions, package code, data."""
     digest = hashlib.sha256(json.dumps([settings, {**about, "date": ""}], sort_keys=True).encode())
     for path in sorted(data.rglob("*")) if data is not None else ():
         if path.is_file():
@@ -24,11 +24,11 @@ def fingerprint(settings: dict, about: dict, data: Path | None) -> str:
 
 
 class Journal:
-    """Records by key, one JSON a line, each on disk before the next is measured.
+    """Records by key, one JSON object on each line, each on disk before the next is measured.
 
     Attributes:
-        records: What was measured, by key.
-        set_aside: Where the journal of another run was moved to, if there was one.
+        records: Results by key.
+        set_aside: Path to which the journal of another run was moved, if there was one.
     """
 
     def __init__(self, path: Path, mark: str) -> None:
@@ -38,7 +38,7 @@ class Journal:
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         if lines and _parsed(lines[0]) == {"fingerprint": mark}:
             for line in lines[1:]:
-                if (entry := _parsed(line)) is not None:  # the last line may be cut short
+                if (entry := _parsed(line)) is not None:  # the last line may be incomplete
                     self.records[entry["key"]] = entry["record"]
         elif len(lines) > 1:
             self.set_aside = path.with_suffix(".old")
@@ -51,7 +51,7 @@ class Journal:
         os.replace(new, self.path)
 
     def add(self, key: str, record: Any) -> None:
-        """Keep a record."""
+        """Save a record."""
         self.records[key] = record
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"key": key, "record": record}) + "\n")
@@ -59,7 +59,7 @@ class Journal:
             os.fsync(file.fileno())
 
     def close(self) -> None:
-        """The run is complete: the next one starts afresh."""
+        """Remove the journal of a complete run, so that the next one starts afresh."""
         self.path.unlink(missing_ok=True)
 
 

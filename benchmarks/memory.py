@@ -1,4 +1,4 @@
-"""How much memory something takes at the peak."""
+"""Measurement of peak memory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 class PeakMemory:
-    """Bytes that this process takes at the peak beyond what it had when this was made; None where that is unknown."""
+    """Peak memory of this process in bytes beyond that at construction; None where it is unknown."""
 
     def __init__(self) -> None:
-        # What was freed before would be used again without a trace, so it goes back to the system first.
+        # Memory freed earlier would be reused without being noticed, so it is returned to the system first.
         gc.collect()
         try:
             ctypes.CDLL(None).malloc_trim(0)
@@ -25,11 +25,11 @@ class PeakMemory:
             pass
 
     def bytes(self) -> int | None:
-        """The peak since then."""
+        """The peak since construction."""
         return None if self.before is None else max(0, resident("VmHWM") - self.before)
 
 
 def resident(name: str, process: int | str = "self") -> int:
-    """Bytes that Linux calls so: VmRSS now, VmHWM at the peak."""
+    """Resident bytes of a process under Linux: VmRSS for now, VmHWM for the peak."""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))

@@ -21,7 +21,7 @@ SOLVE = {
     "point-segment": ccd.point_segment_ccd,
     "point-point": ccd.point_point_ccd,
 }
-# The method that ours is divided by where two runs are compared.
+# The method whose times divide ours where two runs are compared.
 REFERENCE = "Tight-Inclusion"
 _BISECTION_ITERATIONS = 100_000
 
@@ -39,13 +39,13 @@ class Method:
     """One method.
 
     Attributes:
-        name: As in every table and figure.
+        name: Name in every table and figure.
         group: "ours", "ablation", "peer" or "baseline".
         solve: Batch solver (kind, points_t0, points_t1, tolerance, separation, length_scale) to :class:`Answer`; None
             for a peer that is called query by query.
         peer: Name in :mod:`peers`, or None.
-        has_separation: Whether it knows a minimum separation.
-        note: What it is, and in what the comparison is unlike.
+        has_separation: Whether it supports a minimum separation.
+        note: What it is, and how the comparison is not like for like.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Numbers and tables as text, and the rows that tables pick from."""
+"""Numbers and tables as text, and the selection of rows for tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DEFAULT_TOLERANCE = 1e-6
 
 
 def time_text(seconds: float) -> str:
-    """Seconds of a query or a call, three digits, in the unit that suits them."""
+    """The time of a query or a call with three digits, in a suitable unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}" if seconds < 1000 * size else f"{seconds / size:.0f} {unit}"
@@ -66,7 +66,7 @@ def is_peer(row: dict) -> bool:
 
 
 def bound(row: dict) -> str:
-    """Mark of a time that is a lower bound, as some queries were stopped, or an upper one, lost in the overhead."""
+    """Mark of a time that is a lower bound (some queries were stopped) or an upper bound (lost in the overhead)."""
     if not is_peer(row):
         return ""
     return "> " if row["limited"] else "< " if row["below_resolution"] else ""

@@ -702,7 +702,7 @@ def _certainly_apart(kind: str, p0: np.ndarray, p1: np.ndarray, separation: floa
 
 
 def _integer_rows(values: np.ndarray) -> list[list[int]]:
-    """Each row times one power of two of its own, so that all of it is integer and something in it is odd."""
+    """Each row times its own power of two, so that all entries are integers and at least one is odd."""
     mantissa, exponent = np.frexp(values)
     mantissa = np.ldexp(mantissa, 53).astype(np.int64)
     exponent = np.where(mantissa == 0, np.iinfo(np.int32).max, exponent)
@@ -719,7 +719,7 @@ def _integer_rows(values: np.ndarray) -> list[list[int]]:
 
 
 def _moving_corners(kind: str, row: list[int], dimension: int, t_max: tuple[int, int]) -> list[Line]:
-    """Corners as lines in s = t / t_max, times the denominator of t_max, from the flat integers of both frames."""
+    """Corners as lines in s = t / t_max, times the denominator of t_max, from the flat integers of both ends."""
     p, q = t_max
     n = POINTS[kind] * dimension
     pad = (0,) * (3 - dimension)
@@ -755,7 +755,7 @@ def exact_tois(
         progress: Whether to print a count to stderr now and then.
 
     Returns:
-        One result a query.
+        One result for each query.
     """
     p0, p1 = _validated(kind, points_t0, points_t1)
     if not (separation >= 0.0 and math.isfinite(separation)):
@@ -766,7 +766,7 @@ def exact_tois(
     dimension = p0.shape[2]
     none = ExactToi(None, t_max)
     results = [none] * len(p0)
-    # The cull looks at the whole of [0, 1], which holds [0, t_max].
+    # The cull checks the whole of [0, 1], which contains [0, t_max].
     open_queries = np.flatnonzero(~_certainly_apart(kind, p0, p1, separation))
     flat = np.concatenate(
         [
@@ -800,13 +800,13 @@ def exact_toi(
 def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float | Fraction | fmpq) -> float:
     """L-infinity distance of the two primitives at the rational time t, exact and then rounded once.
 
-    K is within d of the origin iff no facet normal n of K + cube separates them, that is iff
-    min_i n.V_i <= d |n|_1 and max_i n.V_i >= -d |n|_1 for all n; the distance is the largest d that one of them asks.
+    K is within d of the origin iff no facet normal n of K + cube separates them, that is iff min_i n.V_i <= d |n|_1 and
+    max_i n.V_i >= -d |n|_1 for all n; the distance is the largest d that one of them requires.
     """
     p0, p1 = _validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
     p, q = (int(t.p), int(t.q)) if isinstance(t, fmpq) else t.as_integer_ratio()
     dimension = p0.shape[2]
-    # One more value tells the scale of the integers.
+    # One additional value carries the scale of the integers.
     row = _integer_rows(np.concatenate([p0.ravel(), p1.ravel(), [1.0]])[None])[0]
     lines = _moving_corners(kind, row, dimension, (1, 1))
     corners = [(tuple(q * a + p * b for a, b in zip(*line, strict=True)), (0, 0, 0)) for line in lines]

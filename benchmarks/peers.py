@@ -1,8 +1,8 @@
-"""ipc-toolkit's narrow phases, one Python call a query, in a process of their own that is stopped where one hangs.
+"""ipc-toolkit's narrow phases, one Python call for each query, in a separate process that is stopped if a query hangs.
 
 The process starts neither Warp nor a kernel of ours; it writes into shared memory, so that no message is sent for a
-query. A query that takes longer than the cap is stopped, counts as having taken the cap and has no answer; so does one
-that ends the process.
+query. A query that takes longer than the cap is stopped, counts with the time of the cap and has no answer. The same
+holds for a query that crashes the process.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from ccd_warp.benchmarks.memory import PeakMemory, resident
 
-# Calls that the cost of a Python call is measured on, around every piece of a pass.
+# Number of calls for measuring the cost of a Python call, around every piece of a pass.
 _OVERHEAD_CALLS = 60
 _PIECE = 500
-# Places in the shared state: the query that runs, and the memory of the process before its piece.
+# Indices in the shared state: the query that runs, and the memory of the process before its piece.
 _CURRENT, _MEMORY = 0, 1
 
 
@@ -52,7 +52,7 @@ def _solver(peer: str, kind: str, tolerance: float) -> Callable[[list[np.ndarray
 
 
 def _far_apart(kind: str) -> list[list[np.ndarray]]:
-    """Queries that are decided at once: two primitives at rest, far apart."""
+    """Queries that are decided at once: two stationary primitives, far apart."""
     x = np.random.default_rng(0).uniform(-1, 1, (_OVERHEAD_CALLS, 4, 3))
     x[:, 2 if kind == "edge-edge" else 1 :, 2] += 100.0
     return [[*points, *points] for points in x]
@@ -60,7 +60,7 @@ def _far_apart(kind: str) -> list[list[np.ndarray]]:
 
 def _serve(connection: Any, peer: str, kind: str, queries: Any, shared: tuple) -> None:
     """Loop of the process: takes (positions, seconds or None), answers (how many were taken, overhead, memory)."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, and ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles it, and ends this process
     points_t0, points_t1, tolerance, unit, separation = queries
     toi, seconds, state = (np.frombuffer(array, dtype=dtype) for array, dtype in zip(shared, "ddq", strict=True))
     solve = _solver(peer, kind, tolerance)
@@ -79,7 +79,7 @@ def _serve(connection: Any, peer: str, kind: str, queries: Any, shared: tuple) -
     connection.send(None)
     while True:
         positions, budget = connection.recv()
-        points = [[*points_t0[i], *points_t1[i]] for i in positions]  # arrays are made before the clock runs
+        points = [[*points_t0[i], *points_t1[i]] for i in positions]  # arrays are made before the time is taken
         memory = PeakMemory()
         state[_MEMORY] = memory.before or -1
         cost = [overhead()]
@@ -101,16 +101,16 @@ def _serve(connection: Any, peer: str, kind: str, queries: Any, shared: tuple) -
 
 @dataclass
 class PeerAnswers:
-    """What a peer did with the first queries of a set.
+    """Results of a peer on the first queries of a set.
 
     Attributes:
-        count: How many queries it took, from the first on.
-        capped: Which of them were stopped at the cap, or ended the process.
-        toi: Times of impact of all queries of the set; inf where there is none, nan where it was stopped or not asked,
-            or said so itself.
+        count: Number of queries that it took, from the first on.
+        capped: Which of them were stopped at the cap, or crashed the process.
+        toi: Times of impact of all queries of the set; inf where there is none, nan where the query was stopped or not
+            run, or where the peer returned nan.
         rounds: Seconds of each query in each pass, shape [rounds, count], call overhead included.
         overheads: Seconds of a Python call that does nothing, measured around each piece of each pass.
-        peak_bytes: Most memory that a piece took; None where unknown.
+        peak_bytes: Largest memory that a piece took; None where unknown.
     """
 
     count: int = 0
@@ -127,7 +127,7 @@ class PeerAnswers:
 
     @property
     def resolution(self) -> float:
-        """Least time of a query that the overhead lets be seen: how far its measurements lie apart."""
+        """Least time of a query that can be resolved beside the overhead: the spread of the overhead's measurements."""
         if not self.overheads:
             return 0.0
         low, high = np.percentile(self.overheads, [10, 90])
@@ -148,7 +148,7 @@ class Peer:
         separation: float,
         cap: float,
     ) -> None:
-        """``unit`` is the length of each query that the tolerance is a multiple of, shape [n]."""
+        """``unit`` is the length for each query of which the tolerance is a multiple, shape [n]."""
         self.name, self.kind, self.cap = peer, kind, cap
         self.queries = (points_t0, points_t1, tolerance, unit, separation)
         self.answers = PeerAnswers(toi=np.full(len(points_t0), np.nan))
@@ -189,7 +189,7 @@ class Peer:
             self._process = None
 
     def run(self, seconds: float) -> None:
-        """One pass: the first takes as many queries as fit the seconds, the others the same again."""
+        """Run one pass: the first takes as many queries as fit the seconds, later ones take the same queries."""
         answers = self.answers
         first = not answers.rounds
         capped = set(answers.capped)
@@ -210,7 +210,7 @@ class Peer:
         answers.rounds.append(self._seconds[: answers.count].copy())
 
     def _take(self, positions: list[int], budget: float | None) -> int:
-        """Have some queries solved; how many were taken, one that was stopped included."""
+        """Have some queries solved, and return how many were taken, including a stopped one."""
         if self._process is None:
             self._start()
         self._state[_CURRENT] = -1
@@ -223,14 +223,14 @@ class Peer:
                 elif current >= 0 and time.perf_counter() - since > self.cap:
                     return self._stop(positions, current)
             taken, cost, peak = self._connection.recv()
-        except (EOFError, OSError):  # the query has ended the process
+        except (EOFError, OSError):  # the query has crashed the process
             return self._stop(positions, max(int(self._state[_CURRENT]), positions[0]))
         self.answers.overheads += cost
         self._keep_peak(peak)
         return taken
 
     def _stop(self, positions: list[int], current: int) -> int:
-        """End the process at a query, which then has no answer; how many of the positions were taken."""
+        """Stop the process at a query, which then has no answer, and return how many of the positions were taken."""
         if self._state[_MEMORY] > 0 and self._process.is_alive():
             self._keep_peak(resident("VmHWM", self._process.pid) - int(self._state[_MEMORY]))
         self.close()

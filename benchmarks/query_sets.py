@@ -28,8 +28,8 @@ class QuerySet:
         points_t1: End positions.
         exact: Exact times of impact.
         separation: Minimum separation, in length scales.
-        length_scale: Unit of tolerance and separation; None: the size of each query's own motion.
-        total: Queries of the source, of which these are a sample.
+        length_scale: Unit of tolerance and separation; None stands for the size of each query's own motion.
+        total: Number of queries of the source, of which these are a sample.
         truth_disagreements: Queries whose published truth differs from exact arithmetic; None without truth.
     """
 
@@ -47,20 +47,20 @@ class QuerySet:
         return len(self.points_t0)
 
     def unit(self) -> np.ndarray:
-        """Length scale of each query, shape [n]: what a method that takes lengths multiplies tolerances by."""
+        """Length scale of each query, shape [n], by which tolerances are multiplied for methods that take lengths."""
         if self.length_scale is not None:
             return np.full(len(self), self.length_scale)
         return size_of_motion(self.points_t0, self.points_t1)
 
     def fingerprint(self) -> str:
-        """Mark of the queries: two runs compare only what is the same in both."""
+        """Fingerprint of the queries: only sets that are the same in two runs are compared."""
         digest = hashlib.sha256(f"{self.separation} {self.length_scale}".encode())
         digest.update(self.points_t0.tobytes())
         digest.update(self.points_t1.tobytes())
         return digest.hexdigest()[:16]
 
     def describe(self) -> dict:
-        """What a reader of the raw file needs to know."""
+        """The description of the set for the raw file."""
         return {
             "set": self.name,
             "kind": self.kind,
@@ -89,7 +89,7 @@ def make_set(
     separation: float = 0.0,
     length_scale: float | None = 1.0,
 ) -> QuerySet:
-    """A set of at most ``most`` queries, drawn by a fixed seed, in an order of its own."""
+    """A set of at most ``most`` queries, drawn with a fixed seed, in random order."""
     chosen = np.random.default_rng(0).permutation(len(points_t0))[:most]
     p0, p1 = (np.ascontiguousarray(points[chosen]) for points in (points_t0, points_t1))
     exact = ExactTimes.of(kind, p0, p1, separation * (length_scale or 1.0))
@@ -98,7 +98,7 @@ def make_set(
 
 
 def published_sets(folder: Path, most: int, *, progress: bool = False) -> list[QuerySet]:
-    """Sets of a folder in the public formats, the scenes of each part of it (as ``handcrafted``) taken together."""
+    """Sets of a folder in the public formats; the scenes of each part, such as ``handcrafted``, form one set."""
     parts: dict[tuple[str, str], list] = {}
     for queries in datasets.find_queries(folder, progress=progress):
         parts.setdefault((queries.name.split("/")[0], queries.kind), []).append(queries)
@@ -133,7 +133,7 @@ def generated_sets(count: int, hard_each: int, names: tuple[str, ...] = GENERATE
 
 
 def default_data() -> Path | None:
-    """Folder of the published data, if any: what CCD_WARP_DATA names, or ``../shared/data`` beside a checkout."""
+    """Folder of the published data, if any: that of CCD_WARP_DATA, or ``../shared/data`` beside a checkout."""
     named = os.environ.get("CCD_WARP_DATA")
     if named:
         return Path(named)

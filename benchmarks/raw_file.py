@@ -1,4 +1,4 @@
-"""The raw figures: one JSON for all, and a CSV of each table beside it."""
+"""The raw figures: one JSON file for all, and a CSV file for each table."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _KEYS = ("machine", "settings", "complete", "methods", "sets", "sweep", "cases",
 
 
 def write_raw(path: Path, raw: dict) -> None:
-    """Write the JSON, with a line for each record of a list, and the CSV files ``NAME_sweep.csv`` and so on."""
+    """Write the JSON file, with a line for each record of a list, and the CSV files ``NAME_sweep.csv`` and so on."""
     parts = []
     for key, value in raw.items():
         if isinstance(value, list) and value:
@@ -32,7 +32,7 @@ def read_raw(path: Path) -> dict:
     """Read the JSON.
 
     Raises:
-        ValueError: If it is not there or not a raw file of this benchmark.
+        ValueError: If it does not exist or is not a raw file of this benchmark.
     """
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
@@ -49,12 +49,12 @@ def read_raw(path: Path) -> dict:
 
 
 def merged(kept: dict, new: dict, sections: tuple[str, ...]) -> dict:
-    """Raw figures with some parts of another run, which are marked with what they were measured on, and when.
+    """Raw figures with some parts from another run, each marked with its machine and date.
 
     Args:
         kept: Figures of all parts.
-        new: Figures of the run that measured some of them anew.
-        sections: Which.
+        new: Figures of the run that measured some parts again.
+        sections: The parts to take from ``new``.
     """
     mark = {"machine": new["machine"], "fingerprint": new["fingerprint"], "quick": new["settings"]["quick"]}
     marks = kept.get("measured_apart", {}) | dict.fromkeys(sections, mark)

@@ -1,4 +1,4 @@
-"""docs/benchmarks.md, the README's tables, and what the command prints at its end, from the raw figures."""
+"""docs/benchmarks.md, the README's tables, and the final output of the command, from the raw figures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COMMAND = "ccd-warp bench --output benchmarks/results --docs ."
 
 
 def document(raw: dict, figures: str = "figures") -> str:
-    """docs/benchmarks.md: every number in it stands in the raw file."""
+    """docs/benchmarks.md; every number in it is in the raw file."""
 
     def picture(name: str, title: str) -> list[str]:
         return [f"![{title}]({figures}/bench_{name}.png)", ""]
@@ -180,7 +180,7 @@ def readme_steps(raw: dict) -> list[str]:
     return table(sections.STEP_HEADER, ([sections.scene_name(row), *sections.step_cells(row)] for row in raw["steps"]))
 
 
-# Tables between marks, by the page that they are on.
+# Tables between marks, by the page on which they are.
 TABLES = {
     "README.md": {"queries": readme_queries, "whole steps": readme_steps},
     "docs/choosing.md": {"by tolerance": sections.ours_by_tolerance},
@@ -195,7 +195,7 @@ def with_tables(page: str, text: str, raw: dict) -> str:
 
 
 def with_table(text: str, name: str, lines: list[str]) -> str:
-    """A text with what is between two marks replaced."""
+    """A text with the part between two marks replaced."""
     begin, end = _marks(name)
     before, rest = text.split(f"{begin}\n")
     return f"{before}{begin}\n" + "\n".join(lines) + f"\n{end}" + rest.split(end)[1]

@@ -1,4 +1,4 @@
-"""How the speed of pairs depends on the size of a batch and on threads, and what the first call costs."""
+"""Dependence of the speed on the batch size and the number of threads, and the cost of the first call."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ _FIRST_CALL = (
 
 
 def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: float) -> dict:
-    """Seconds of a warm call with so many pairs, for ours and the cubic; counts that memory does not hold are named."""
+    """Seconds of a warm call for each number of pairs, for ours and the cubic; counts beyond the memory are listed."""
     few = FAMILIES[FAMILY]("vertex-face", 100_000, np.random.default_rng(4))
     chosen = [m for m in methods if m.group == "ours" or m.name == "cubic, closed form"]
     rows, left_out = [], []
     for count in counts:
-        # two frames of twelve float64, once in NumPy and once in Warp, and as much again for results and temporaries
+        # positions of twelve float64 at both ends, once in NumPy and once in Warp, and as much again for results and
+        # temporaries
         if count * 400 > 0.5 * memory_gib * 2**30:
             left_out.append(count)
             continue
@@ -49,7 +50,7 @@ def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int,
 
 
 def measure_start(devices: list[str]) -> list[dict]:
-    """Seconds of the first call of a process, imports aside: with nothing compiled, and with kernels in the cache."""
+    """Seconds of the first call of a process without imports: with nothing compiled, and with cached kernels."""
     rows = []
     for device in devices:
         for precision in ("float64", "float32"):
@@ -66,10 +67,10 @@ def _last_number(code: str, environment: dict[str, str]) -> float:
 
 
 def run_apart(command: list[str], environment: dict[str, str] | None = None) -> str:
-    """What a process of its own prints.
+    """Run a command in a separate process and return its output.
 
     Raises:
-        ValueError: If it fails, with the last line that it said.
+        ValueError: If it fails; the message is the last line that it printed.
     """
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode != 0:
@@ -79,7 +80,7 @@ def run_apart(command: list[str], environment: dict[str, str] | None = None) -> 
 
 
 def thread_counts() -> list[int]:
-    """Powers of two up to the cores, and the cores."""
+    """Powers of two up to the number of cores, and that number."""
     cores = default_num_threads()
     return sorted({2**k for k in range(cores.bit_length()) if 2**k <= cores} | {cores})
 

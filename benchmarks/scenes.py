@@ -1,4 +1,4 @@
-"""Whole steps to measure: published frames, and generated scenes of any size."""
+"""Whole steps for the benchmark: published frames, and generated scenes of any size."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ccd_warp import datasets
 
 @dataclass(frozen=True)
 class Scene:
-    """Two frames of a mesh, and which of its bodies rest or ignore themselves."""
+    """A mesh at both ends of a step, with its static bodies and those without self-collision."""
 
     name: str
     vertices_t0: np.ndarray
@@ -45,7 +45,7 @@ def grid(rows: int, columns: int, width: float = 2.0, length: float = 2.0) -> tu
 
 
 def sphere(num_faces: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """A sphere of roughly so many faces: the surface of a finely cut cube, blown up."""
+    """A sphere of roughly ``num_faces`` faces: the finely divided surface of a cube, projected onto it."""
     n = max(2, round((num_faces / 12) ** 0.5) + 1)
     side, faces = grid(n, n)
     turns = [np.roll(np.eye(3), k, axis=0) for k in range(3)]
@@ -185,7 +185,7 @@ def published_scenes(folder: Path | None) -> list[tuple[str, Callable[[], Scene]
 
 
 def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[], Scene]]]:
-    """Every scene of the benchmark by name, built when it is its turn."""
+    """Every scene of the benchmark by name, with the function that builds it."""
     scenes: list[Callable[[], Scene]] = [
         lambda: cloth_over_sphere(10_000),
         lambda: cloth_over_sphere(100_000),

@@ -58,7 +58,7 @@ def conditions(raw: dict) -> list[str]:
     return lines
 
 
-# Tolerances of the table on what to choose.
+# Tolerances of the table that helps to choose one.
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
 
 
@@ -137,7 +137,7 @@ def peer_ratios(raw: dict) -> list[str]:
 
 
 def median_query_text(row: dict) -> str:
-    """Time of a peer's median query, as a bound where the call's overhead hides it."""
+    """Time of a peer's median query, given as a bound where the overhead of a call hides it."""
     hidden = row["median_query_seconds"] <= row["resolution"]
     return ("< " if hidden else "") + time_text(row["median_query_seconds"])
 
@@ -157,7 +157,7 @@ def by_tolerance(raw: dict) -> list[str]:
 
 
 def ours_by_tolerance(raw: dict) -> list[str]:
-    """What tolerance and precision change in ours: time, largest error, phantoms."""
+    """Effect of tolerance and precision on ours: time, largest error, phantoms."""
     by_set: dict[str, dict[float, dict]] = {}
     for unit in raw["sweep"]:
         by_set.setdefault(set_name(unit), {})[unit["tolerance"]] = rows_of(unit)
@@ -342,7 +342,7 @@ def single_pairs(raw: dict) -> list[str]:
 
 
 def apart(raw: dict, section: str) -> list[str]:
-    """What a part was measured on that is not of the run of the others."""
+    """The machine of a part that was measured in a separate run."""
     mark = raw.get("measured_apart", {}).get(section)
     if mark is None:
         return []

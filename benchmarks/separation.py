@@ -1,4 +1,4 @@
-"""What a minimum separation costs: pairs, contacts and time of a step that is the same but for it.
+"""The cost of a minimum separation: pairs, contacts and time of a step for different separations.
 
 python -m ccd_warp.benchmarks.separation --output benchmarks/results/separation.json --docs docs/choosing.md
 """
@@ -18,7 +18,7 @@ ROUNDS = 9
 
 
 def measure(num_faces: int, separations: tuple[float, ...] = SEPARATIONS) -> list[dict]:
-    """One row a separation, the rounds interleaved."""
+    """One row for each separation, with interleaved rounds."""
     scene = scenes.cloth_over_sphere(num_faces)
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)

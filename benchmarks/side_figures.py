@@ -1,4 +1,4 @@
-"""What the small benchmarks share: interleaved rounds, and a raw file with a table on one page made from it."""
+"""Shared by the small benchmarks: interleaved rounds, and a raw file with a table made from it on one page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccd_warp.benchmarks.report import with_table
 
 
 def interleaved(calls: dict[Any, Callable[[], Any]], rounds: int, device: Any = None) -> dict[Any, float]:
-    """Median seconds of each call, after one to warm up; each until the device is done."""
+    """Median seconds of each call, after one to warm up; each includes waiting for the device."""
     seconds: dict[Any, list[float]] = {name: [] for name in calls}
     for k in range(rounds + 1):
         for name, call in calls.items():
@@ -29,7 +29,7 @@ def interleaved(calls: dict[Any, Callable[[], Any]], rounds: int, device: Any = 
 
 
 def parser(description: str, page: str) -> argparse.ArgumentParser:
-    """The options that `publish` reads."""
+    """The parser of the options that `publish` reads."""
     options = argparse.ArgumentParser(description=f"{description}, as a table and as JSON.")
     options.add_argument("--output", type=Path, help="where the figures go, JSON")
     options.add_argument("--docs", type=Path, help=f"{page}, whose table is written")
@@ -37,7 +37,7 @@ def parser(description: str, page: str) -> argparse.ArgumentParser:
 
 
 def publish(options: argparse.Namespace, name: str, rows: list[dict], lines: list[str]) -> None:
-    """Print a table, and write the raw file and the page that are asked for."""
+    """Print a table, and write the raw file and the page given by the options."""
     here = machine()
     print("\n".join([describe(here), "", *lines]))
     if options.output:

@@ -1,4 +1,4 @@
-"""Scenes of a few faces and single pairs, where the fixed cost of a call is all: ours beside ipc-toolkit.
+"""Scenes of a few faces and single pairs, where the fixed cost of a call dominates: ours beside ipc-toolkit.
 
 Peers: `Candidates.build` with `LBVH`, then `compute_collision_free_stepsize` with `TightInclusionCCD` and with
 `AdditiveCCD`; for a single pair, the query of `AdditiveCCD`. A round calls each in turn, as often in a row as fits some
@@ -22,7 +22,7 @@ from ccd_warp.benchmarks.whole_step import ToolkitScene
 
 import ccd_warp as ccd
 
-# What the figures are divided by, in tables and by --compare.
+# The call by which the figures are divided, in tables and by --compare.
 PEER = SMALL_PEERS[1]
 PAIR_KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
 _SECONDS = 4e-3  # of a call's repetitions in a round

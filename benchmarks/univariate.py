@@ -3,7 +3,7 @@
 The four points of a pair lie in one plane where f(t) = P · (Q × R) vanishes, so that a contact is at one of at most
 three roots. These are found in floating point, and a root counts if the two primitives are within a tolerance of each
 other there. Nothing bounds the rounding of the root, and where f vanishes for all t there is no root to test: the
-method misses collisions. `ends_ccd` is the discrete test, which looks at the two ends of the step alone.
+method misses collisions. `ends_ccd` is the discrete test, which checks only the two ends of the step.
 
 This is NumPy over whole batches, for comparison of the answers; a compiled loop over the same formulas is faster.
 
@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-CHUNK = 100_000  # queries at a time, which bounds the memory to about 200 MB
+CHUNK = 100_000  # queries at a time, which limits the memory to about 200 MB
 
 # A leading coefficient below this multiple of the largest one is dropped before the closed form and the eigenvalues,
 # which lose as many digits as it is smaller; the polish afterwards is on the whole cubic.
@@ -384,7 +384,7 @@ def ends_ccd(
     tolerance: float = 1e-6,
     length_scale: float | None = None,
 ) -> np.ndarray:
-    """The discrete test: whether the primitives are within a distance at t = 0 or at t = 1; blind to all between.
+    """The discrete test: whether the primitives are within a distance at t = 0 or at t = 1, and nothing in between.
 
     Args:
         kind: "vertex-face" or "edge-edge".

@@ -1,8 +1,8 @@
 """Whole steps against ipc-toolkit: broad phase, collision-free step, all contacts; and how the cost grows.
 
 Peer: `Candidates.build` with `LBVH`, its fastest, then `compute_collision_free_stepsize` with `TightInclusionCCD`, both
-on all cores. Each round calls the peer and ours in turn on the same two frames; medians. The time of a mesh's
-construction counts for neither; the first call, which orders the mesh once, is given apart.
+on all cores. Each round calls the peer and ours in turn on the same step; the figures are medians. The construction of
+the mesh is not timed for either; the first call, which orders the mesh once, is given separately.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def timed(function):
 
 
 class ToolkitScene:
-    """ipc-toolkit on one scene. A sheet and a sphere are one mesh to it, and what rests moves by nothing."""
+    """ipc-toolkit on one scene. All bodies are one mesh to it, and static bodies have displacement 0."""
 
     def __init__(self, scene: Scene, mesh: ccd.CollisionMesh) -> None:
         self.scene = scene
@@ -58,7 +58,7 @@ class ToolkitScene:
 
 
 def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
-    """One row: medians of interleaved rounds, at least so many and as many as fit the seconds."""
+    """One row: medians of interleaved rounds, at least ``least`` and as many as fit ``budget`` seconds."""
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipeline = ccd.CollisionPipeline(mesh, device=device)
@@ -115,7 +115,7 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
 
 
 def disagreements(scene: Scene, mesh: ccd.CollisionMesh, found: ccd.Candidates, peer) -> int:
-    """Candidates that only one of the two has, less those of the peer whose boxes do not overlap in float64."""
+    """Candidates that only one of the two has, without those of the peer whose boxes do not overlap in float64."""
     frames = np.stack(mesh.frames(scene.vertices_t0, scene.vertices_t1))
     count = 0
     kinds = (
@@ -134,7 +134,7 @@ def disagreements(scene: Scene, mesh: ccd.CollisionMesh, found: ccd.Candidates, 
 
 
 def grow(num_faces: int) -> dict:
-    """Time and memory of one size, in a process of its own."""
+    """Time and memory of one size; to be run in a separate process."""
     scene = cloth_over_sphere(num_faces)
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
@@ -154,7 +154,7 @@ def grow(num_faces: int) -> dict:
 
 
 def grow_apart(num_faces: int) -> dict:
-    """`grow` in a process of its own, whose memory holds nothing else."""
+    """`grow` in a separate process, whose memory contains nothing else."""
     command = [sys.executable, "-m", "ccd_warp.benchmarks.whole_step", str(num_faces)]
     return json.loads(run_apart(command).splitlines()[-1])
 

@@ -1,8 +1,8 @@
 """Batched, conservative continuous collision detection (CCD) for deforming triangle meshes, on NVIDIA Warp.
 
-CCD here means: every vertex moves on a straight line over a step, and the question is the earliest time of impact (toi)
-in [0, t_max]. A collision is never missed and never reported late. All functions share the options of
-:class:`MeshOptions`, which are given by keyword.
+During a step every vertex moves on a straight line; CCD computes the earliest time of impact (toi) in [0, t_max]. A
+collision is never missed and never reported late. All functions share the options of :class:`MeshOptions`, which are
+passed by keyword.
 
 Guarantee: if the exact trajectories of a pair first touch (or come within the minimum separation) at τ ≤ t_max, every
 reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where

@@ -27,35 +27,37 @@ from ccd_warp._runtime.lazy import lazy_property
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CollisionMesh:
-    """What may collide: vertices, unique edges and faces of all bodies, one after the other.
+    """The vertices, unique edges and faces of all bodies that may collide, concatenated body by body.
 
-    Build one with :meth:`from_trimesh` or :meth:`from_arrays`; it does not change afterwards and its arrays are
-    read-only. Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without
-    faces are valid.
+    Build a mesh with :meth:`from_trimesh` or :meth:`from_arrays`. It is immutable and its arrays are read-only.
+    Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without faces are
+    valid.
 
-    Beside faces a body may have **codimensional edges**, as cables do, and **codimensional points**, as particles are. An edge that is
-    given as loose but belongs to a face is an edge of that face. A vertex in no face and no edge is a codimensional point only
-    in bodies whose ``codimensional_points`` is on, because meshes from files often hold vertices that nothing uses; elsewhere
-    it meets faces alone.
+    Besides faces, a body may have **codimensional edges**, for cables, and **codimensional points**, for particles. A
+    given edge that belongs to a face counts as an edge of that face. A vertex that belongs to no face and no edge is a
+    codimensional point only in bodies whose ``codimensional_points`` flag is set, because meshes from files often
+    contain unused vertices; in other bodies such a vertex is tested against faces only.
 
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3].
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
-        edges: The unique pairs (min, max) of vertices that follow each other in a face or that a codimensional edge joins,
-            sorted by (max, min), int32, shape [E, 2]. A pair (a, a), as a face with a repeated vertex holds it, is not
-            an edge.
-        codimensional_edges: Indices into ``edges`` of those that belong to no face, ascending, int32, shape [E_codim].
+        edges: The unique pairs (min, max) of vertices that are consecutive in a face or joined by a codimensional edge,
+            sorted by (max, min), int32, shape [E, 2]. A pair (a, a), which a face with a repeated vertex contains, is
+            not an edge.
+        codimensional_edges: Indices into ``edges`` of the edges that belong to no face, ascending, int32, shape
+            [E_codim].
         codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
         vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
-        body_vertex_range: Body b owns the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
+        body_vertex_range: Body b consists of the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
         static: Bodies that do not move, bool, shape [B].
         self_collision: Bodies whose primitives may collide with each other, bool, shape [B].
         moving_vertices: Indices of the vertices of bodies that move, ascending, int32, shape [V_moving].
-        body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B], or None: all.
-        exclusion_rings: Pairs of primitives this many edges apart or less, less one, are left out: 1, those that share
-            a vertex; 2, also those with vertices that an edge joins; and so on.
-        vertex_world: World of each vertex: scenes that know nothing of each other, int32, shape [V].
+        body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; None if all may.
+        exclusion_rings: Pairs of primitives with vertices fewer than this many edges apart are excluded: with 1 the
+            pairs that share a vertex, with 2 also those with two vertices joined by an edge, and so on.
+        vertex_world: World of each vertex, int32, shape [V]. Worlds are independent scenes: their primitives never
+            collide with those of another world.
     """
 
     vertices: NDArray[np.float64]
@@ -73,13 +75,13 @@ class CollisionMesh:
     body_pairs: NDArray[np.bool_] | None
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
-    # What the constructor takes beside fields. It checks nothing, and so does dataclasses.replace, which is refused
-    # because these have no defaults.
+    # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
+    # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
     with_codimensional_points: InitVar[NDArray[np.bool_]]
 
     def __post_init__(self, given_edges: NDArray[np.int32], with_codimensional_points: NDArray[np.bool_]) -> None:
-        """Derive the other fields from those that are given and already validated."""
+        """Derive the remaining fields from the given ones, which are already validated."""
         vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
         edges, codimensional_edges = unique_edges(self.faces, given_edges)
         derived = {
@@ -96,11 +98,11 @@ class CollisionMesh:
         self.__setstate__(vars(self) | derived)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy or a pickle holds: the fields, without what calls keep with the mesh."""
+        """The state for a copy or a pickle: the fields, without the cache that calls attach to the mesh."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Hold the fields; their arrays become read-only, which no pickle keeps."""
+        """Restore the fields and make their arrays read-only, a property that pickling loses."""
         for value in state.values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
@@ -126,26 +128,27 @@ class CollisionMesh:
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
     ) -> "CollisionMesh":
-        """Join trimesh objects.
+        """Build a mesh from trimesh objects, one for each body.
 
         Args:
-            bodies: One a body: a mesh (``trimesh.Trimesh``); a path of straight lines (``trimesh.path.Path3D``), whose
-                segments become codimensional edges; or points (``trimesh.PointCloud``), which become codimensional points.
+            bodies: One object for each body: a mesh (``trimesh.Trimesh``); a path of straight lines
+                (``trimesh.path.Path3D``), whose segments become codimensional edges; or points
+                (``trimesh.PointCloud``), which become codimensional points.
             static: Indices of the bodies that do not move.
-            self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
-            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points: one answer for
-                all bodies or one for each. Those of a point cloud always are.
-            body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
-                (``self_collision`` has it). By default all may.
-            exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
-                edges join, too. From 2 on the vertices so near to each are listed, 4 bytes each, by the first call that
-                needs them, and refused there beyond 2²⁷ of them; a number beyond the longest way in the mesh costs no
-                more than that one.
-            vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
-                worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
+            self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
+            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
+                one flag for all bodies or one for each. The points of a point cloud always are.
+            body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
+                ignored (see ``self_collision``). By default all pairs may.
+            exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
+                than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
+                each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
+                diameter of the mesh as a graph costs no more than the diameter itself.
+            vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
+                worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
 
         Returns:
-            The joined mesh.
+            The mesh.
 
         Raises:
             ValueError: If there is no body, or an argument is not as described.
@@ -154,12 +157,12 @@ class CollisionMesh:
         given = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         arrays = [arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
         is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
-        loose = (given | np.array(is_cloud, dtype=bool)).tolist()
+        with_points = (given | np.array(is_cloud, dtype=bool)).tolist()
         return cls.from_arrays(
             arrays,
             static,
             self_collision,
-            loose,
+            with_points,
             body_pairs=body_pairs,
             exclusion_rings=exclusion_rings,
             vertex_world=vertex_world,
@@ -177,26 +180,27 @@ class CollisionMesh:
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
     ) -> "CollisionMesh":
-        """Join bodies given by arrays.
+        """Build a mesh from the arrays of each body.
 
         Args:
-            bodies: One tuple a body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape [V_b, 3];
-                faces, integer indices into these vertices, shape [F_b, 3]; and codimensional edges, likewise, shape [E_b, 2].
+            bodies: One tuple for each body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape
+                [V_b, 3]; faces, integer indices into these vertices, shape [F_b, 3]; codimensional edges, also indices
+                into these vertices, shape [E_b, 2].
             static: Indices of the bodies that do not move.
-            self_collision: Whether a body may collide with itself: one answer for all bodies or one for each.
-            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points: one answer for
-                all bodies or one for each.
-            body_pairs: Which two different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is not read
-                (``self_collision`` has it). By default all may.
-            exclusion_rings: 1 leaves out pairs that share a vertex; n leaves out pairs with vertices that fewer than n
-                edges join, too. From 2 on the vertices so near to each are listed, 4 bytes each, by the first call that
-                needs them, and refused there beyond 2²⁷ of them; a number beyond the longest way in the mesh costs no
-                more than that one.
-            vertex_world: World of each vertex of all bodies, from 0 on, integer, shape [V]. Primitives of different
-                worlds never meet, wherever they are, and each world has a toi of its own. By default all are of one.
+            self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
+            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
+                one flag for all bodies or one for each.
+            body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
+                ignored (see ``self_collision``). By default all pairs may.
+            exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
+                than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
+                each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
+                diameter of the mesh as a graph costs no more than the diameter itself.
+            vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
+                worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
 
         Returns:
-            The joined mesh.
+            The mesh.
 
         Raises:
             ValueError: If there is no body, or an argument is not as described.
@@ -265,7 +269,7 @@ class CollisionMesh:
 
     @property
     def static_vertex_ranges(self) -> list[tuple[int, int]]:
-        """First vertex and the one after the last of each run of static bodies that own vertices."""
+        """Vertex range [begin, end) of each run of consecutive static bodies; bodies without vertices are skipped."""
         ranges: list[tuple[int, int]] = []
         for body in np.flatnonzero(self.static & (np.diff(self.body_vertex_range) > 0)):
             begin, end = map(int, self.body_vertex_range[body : body + 2])
@@ -283,7 +287,7 @@ class CollisionMesh:
             name: Name of the argument, for the messages.
 
         Returns:
-            The positions, float64, C order, shape [V, 3]; the array itself where it is that already.
+            The positions, float64, C order, shape [V, 3]; an array that already has this form is returned as it is.
 
         Raises:
             ValueError: If the shape differs or a value is not finite.
@@ -291,16 +295,16 @@ class CollisionMesh:
         return validated_positions(vertices, name, self.num_vertices, "one row a vertex of the mesh")
 
     def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Validate the positions at both ends of a step and let static bodies rest.
+        """Validate the positions at both ends of a step, and keep static bodies at their start positions.
 
         Args:
             vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
-            vertices_t1: End positions, shape [V, 3], where rows of static bodies are not read; or of the moving
+            vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
                 vertices only, in the order of ``moving_vertices``, shape [V_moving, 3].
 
         Returns:
-            Start and end positions, float64, C order, shape [V, 3]; static rows are the same in both. The arrays
-            themselves where they are that already; every other call returns memory of its own.
+            Start and end positions, float64, C order, shape [V, 3]; rows of static vertices are the same in both. An
+            array that already has this form is returned as it is; otherwise the returned array is new.
 
         Raises:
             ValueError: If a shape does not match or a value that is read is not finite.

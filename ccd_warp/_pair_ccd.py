@@ -26,21 +26,23 @@ from ccd_warp.kernels.narrow_phase import make_narrow_phase
 class PairResult:
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
-    Warp arrays on the same device for arrays of Warp, or of a library that speaks DLPack (PyTorch, JAX, CuPy): those
-    are read where they are, and what comes back goes the same way, as in ``torch.from_dlpack(result.toi)``. A call with
-    such arrays can be captured in a graph, which writes to the result's arrays: keep the result as long as the graph.
+    For arrays of Warp, or of a library that supports DLPack (PyTorch, JAX, CuPy), the result holds Warp arrays on the
+    same device. The input is read in place, and the result can be passed on in the same way, as in
+    ``torch.from_dlpack(result.toi)``. A call with such arrays can be captured in a graph, which writes to the arrays of
+    the result: keep the result as long as the graph.
 
     Attributes:
-        toi: Earliest time of impact, in [0, t_max], or inf: certainly none; float64, shape [n].
-        status: How the answer was reached (:class:`ccd_warp.CCDStatus`), int32, shape [n].
-        parameters: (u, v) of the closest point at toi, with a minimum separation in the Euclidean norm, float64,
-            shape [n, 2]: barycentric coordinates of f1 and f2 for vertex-face, positions along the first and the second
-            edge for edge-edge, (u, 0) with the position u along the segment for point-segment. 0 where toi is inf.
+        toi: Earliest time of impact in [0, t_max], inf if there is certainly none; float64, shape [n].
+        status: How the result was obtained (:class:`ccd_warp.CCDStatus`), int32, shape [n].
+        parameters: (u, v) of the closest point at toi (with a minimum separation, closest in the Euclidean norm),
+            float64, shape [n, 2]: barycentric coordinates of f1 and f2 for vertex-face, positions along the first and
+            the second edge for edge-edge, (u, 0) with the position u along the segment for point-segment. 0 where toi
+            is inf.
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, in the length unit of the points,
             float64, shape [n]; 0 where toi is inf.
-        width: Width of the reported box in time: the gap holds somewhere in [toi, toi + width]. 0 with the default
-            method, but up to t_max where a limit was reached; float64, shape [n].
-        iterations: Steps that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
+        width: Width in time of the reported box: the gap is attained somewhere in [toi, toi + width]. With the default
+            method it is 0, except up to t_max where a limit was reached; float64, shape [n].
+        iterations: Iterations that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
     """
 
     toi: Any
@@ -69,7 +71,7 @@ def vertex_face_ccd(
 
     Args:
         points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
-            shape [n, 4]. Arrays of Warp or with DLPack are read where they are: float64, contiguous.
+            shape [n, 4]. Arrays of Warp or with DLPack are read in place and must be float64 and contiguous.
         points_t1: End positions, likewise.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
@@ -82,7 +84,7 @@ def vertex_face_ccd(
 
     References:
         Wang et al. 2021, "A large-scale benchmark and an inclusion-based algorithm for continuous collision detection",
-        sections 3 and 4; Snyder 1992, "Interval analysis for computer graphics". The rounding analysis stands in
+        sections 3 and 4; Snyder 1992, "Interval analysis for computer graphics". The rounding analysis is in
         ``ccd_warp.kernels.rounding``.
 
     Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
@@ -111,7 +113,7 @@ def edge_edge_ccd(
         TypeError: If there is no such option.
 
     References:
-        As of :func:`vertex_face_ccd`.
+        As for :func:`vertex_face_ccd`.
 
     Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
@@ -142,7 +144,7 @@ def point_segment_ccd(
         TypeError: If there is no such option.
 
     References:
-        As of :func:`vertex_face_ccd`.
+        As for :func:`vertex_face_ccd`.
 
     Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
@@ -172,7 +174,7 @@ def point_point_ccd(
         TypeError: If there is no such option.
 
     References:
-        As of :func:`vertex_face_ccd`.
+        As for :func:`vertex_face_ccd`.
 
     Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
@@ -199,12 +201,12 @@ class PairArrays:
         return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
-_STATUS = 1  # its place among the outputs
+_STATUS = 1  # position of the status among the outputs
 _LIMIT = int(CCDStatus.ITERATION_LIMIT)
-# Pairs from which on a part may take long: some 0.2 s if all of them reach the limit of the first round.
+# A part of more pairs than this may take long: some 0.2 s if all of them reach the limit of the first round.
 _LONG_PART = 1 << 10
 _WORTH_A_THREAD = 1 << 10
-# Points a pair, and the dimensions that a kind is defined in.
+# Points of a pair, and the dimensions in which a kind is defined.
 _POINTS = {
     PairKind.VERTEX_FACE: (4, (3,)),
     PairKind.EDGE_EDGE: (4, (3,)),
@@ -225,8 +227,8 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
         with naming(function):
             device = resolve_device(options.device, points_t0.device)
-        vertices_t0 = _as_points(kind, points_t0, "points_t0")
-        vertices_t1 = _as_points(kind, points_t1, "points_t1")
+        device_t0 = _as_points(kind, points_t0, "points_t0")
+        device_t1 = _as_points(kind, points_t1, "points_t1")
         if points_t1.device != device:
             raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
         if points_t1.shape != points_t0.shape:
@@ -245,11 +247,11 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         a, b = _in_3d(a), _in_3d(b)
         if device.is_cpu and 0 < len(a) <= CAPACITY:
             return PairResult(*_solve_few(kind, a, b, options, device))
-        vertices_t0, vertices_t1 = (
+        device_t0, device_t1 = (
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         )
 
-    out = _solve(kind, vertices_t0, vertices_t1, options, device)
+    out = _solve(kind, device_t0, device_t1, options, device)
     if on_device:
         return PairResult(*out.as_list())
     return PairResult(*(array.numpy() for array in out.as_list()))
@@ -258,7 +260,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
 def _solve_few(
     kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
 ) -> list[np.ndarray]:
-    """As :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than they do."""
+    """Like :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than solving them."""
     packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
     with borrowed_batch(kind, options.real, device, points_t0.shape[1], packed) as batch:
         results = batch.solve(points_t0, points_t1, packed)
@@ -268,15 +270,15 @@ def _solve_few(
     return results
 
 
-def _solve(kind: PairKind, vertices_t0: wp.array, vertices_t1: wp.array, options: Options, device: Any) -> PairArrays:
-    """Launch the solver; on the CPU in two rounds, the second for the pairs that take more than a few iterations."""
-    is_one_round = device.is_cuda or device.is_capturing  # neither the host nor a graph knows which those are
+def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairArrays:
+    """Launch the solver; on the CPU in two rounds, the second for the pairs that the first leaves open."""
+    is_one_round = device.is_cuda or device.is_capturing  # the host or the graph does not know which pairs are open
     first = int(options.max_iterations) if is_one_round else options.first_iterations
-    out = _launch(kind, vertices_t0, vertices_t1, options, first, device)
+    out = _launch(kind, points_t0, points_t1, options, first, device)
     is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
     if is_open is not None:
         results = [array.numpy() for array in out.as_list()]
-        _solve_open(kind, vertices_t0.numpy(), vertices_t1.numpy(), results, is_open, options, device)
+        _solve_open(kind, points_t0.numpy(), points_t1.numpy(), results, is_open, options, device)
     return out
 
 
@@ -297,23 +299,23 @@ def _solve_open(
     options: Options,
     device: Any,
 ) -> None:
-    """The second round: solve the pairs that the first left open, and put their results in place."""
-    vertices_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
-    vertices_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
-    solved = _launch(kind, vertices_t0, vertices_t1, options, int(options.max_iterations), device)
+    """The second round: solve the pairs that the first left open, and overwrite their results."""
+    open_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
+    open_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
+    solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
     for array, new in zip(results, solved.as_list(), strict=True):
         array[is_open] = new.numpy()
 
 
 def _launch(
     kind: PairKind,
-    vertices_t0: wp.array,
-    vertices_t1: wp.array,
+    points_t0: wp.array,
+    points_t1: wp.array,
     options: Options,
     max_iterations: int,
     device: Any,
 ) -> PairArrays:
-    count = vertices_t0.shape[0]
+    count = points_t0.shape[0]
     out = PairArrays.empty(count, device)
     is_first = max_iterations == options.first_iterations
     is_long = not is_first or count > _LONG_PART * options.threads
@@ -322,7 +324,7 @@ def _launch(
     Execution(device, options.threads, stop).launch(
         make_narrow_phase(options.real).points_toi,
         count,
-        inputs=[int(kind), vertices_t0, vertices_t1, packed],
+        inputs=[int(kind), points_t0, points_t1, packed],
         outputs=out.as_list(),
         grain=_WORTH_A_THREAD if is_first else 1,
         is_long=is_long,
@@ -331,7 +333,7 @@ def _launch(
 
 
 def _in_3d(points: np.ndarray) -> np.ndarray:
-    """Points of the plane at z = 0; points of space as they are."""
+    """Points in 2D with z = 0 appended; points in 3D unchanged."""
     if points.shape[2] == 3:
         return points
     return np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
@@ -353,7 +355,7 @@ def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
 
 
 def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
-    """A Warp array as vec3d of shape [n, points]: without a copy, unless it is two-dimensional."""
+    """A Warp array as vec3d of shape [n, points], without a copy unless its points are two-dimensional."""
     count, dimensions = _POINTS[kind]
     if points.ndim == 2 and points.shape[1] == count:
         if points.dtype == wp.vec3d:

@@ -1,4 +1,4 @@
-"""The object to hold in a time loop: a mesh, options, and all that does not change from step to step."""
+"""The object for a time loop: a mesh, its options, and everything that stays the same from step to step."""
 
 import threading
 import time
@@ -46,12 +46,12 @@ _T = TypeVar("_T")
 
 
 class CollisionPipeline:
-    """The calls on one mesh with one set of options, for a time loop.
+    """All functions on one mesh with one set of options, for a time loop.
 
-    It holds the topology, the trees of what rests and all buffers: a step of a size that was seen before allocates
-    nothing but its result. :meth:`launch` works on arrays on the device alone, and can be captured in a graph; the
-    other methods take and return NumPy arrays. The one-shot functions are these methods on a pipeline for one call,
-    whose buffers stay with the mesh.
+    A pipeline keeps the topology, the trees of static bodies and all buffers, so a step no larger than an earlier one
+    allocates nothing but its result. :meth:`launch` and :meth:`launch_line_search` work on device arrays only and can
+    be captured in a graph; the other methods take and return NumPy arrays. The one-shot functions call these methods on
+    a temporary pipeline whose buffers are cached with the mesh.
 
     Attributes:
         mesh: The bodies.
@@ -70,12 +70,12 @@ class CollisionPipeline:
         max_contacts: int | None = None,
         **options: Unpack[MeshOptions],
     ) -> None:
-        """Hold a mesh and options.
+        """Make a pipeline for a mesh with options.
 
         Args:
             mesh: The bodies.
-            max_pairs: Capacity for pairs, as of :meth:`reserve`.
-            max_contacts: Capacity for contacts, likewise.
+            max_pairs: Capacity for pairs, as in :meth:`reserve`.
+            max_contacts: Capacity for contacts, as in :meth:`reserve`.
             **options: Options of :class:`ccd_warp.MeshOptions`.
 
         Raises:
@@ -84,30 +84,31 @@ class CollisionPipeline:
         """
         chosen = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
         check_instance("mesh", mesh, CollisionMesh)
-        self._hold(chosen, Workspace(mesh, resolve_device(chosen.device)))
+        self._set_up(chosen, Workspace(mesh, resolve_device(chosen.device)))
         with naming("CollisionPipeline"):
             self._capacities = self._with_capacities(max_pairs, max_contacts)
 
-    def _hold(self, options: Options, workspace: Workspace) -> None:
+    def _set_up(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
         self.counts = Counts()
         self.timings: dict[str, float] = {}
         self._options = options
         self._topology = workspace.topology
-        # both are away while a call uses them, and come back from one that ended well: nothing half-made is used again
+        # A call takes these two out while it uses them and puts them back only if it succeeds, so that no inconsistent
+        # state is used again.
         self._workspace: Workspace | None = workspace
         self._device_step: DeviceStep | None = None
         self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh.vertices
-        self._interrupted: DeviceStep | None = None  # the step of a launch that did not end
-        self._is_placing = False  # whether that may have placed some of the static bodies
+        self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
+        self._is_placing = False  # whether that launch may have moved some of the static bodies
 
     @classmethod
     @contextmanager
     def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
-        """A pipeline for one call, on a workspace that stays with the mesh and that no other thread uses meanwhile."""
+        """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
         idle = MeshCache.of(mesh).idle_workspaces.setdefault(str(device), [])
@@ -116,7 +117,7 @@ class CollisionPipeline:
         except IndexError:
             workspace = Workspace(mesh, device)
         pipeline = cls.__new__(cls)
-        pipeline._hold(options, workspace)
+        pipeline._set_up(options, workspace)
         try:
             yield pipeline
         finally:
@@ -124,14 +125,14 @@ class CollisionPipeline:
                 idle.append(pipeline._workspace)
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled: what it holds is on a device, and of this process."""
+        """Refuse to be copied or pickled: its contents live on a device and belong to this process."""
         raise TypeError(
             "a CollisionPipeline cannot be copied or pickled; copy or pickle its mesh and its options, "
             "and build another: CollisionPipeline(mesh, **options)"
         )
 
     def _on_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, work: Callable[[Step], _T]) -> _T:
-        """What ``work`` makes of a step."""
+        """Run ``work`` on a step and return its result."""
         if self._topology.device.is_capturing:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
@@ -160,27 +161,27 @@ class CollisionPipeline:
     def reserve(
         self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
     ) -> LaunchResult:
-        """Allocate all that :meth:`launch` needs: before the loop, and again where a flag told of too little capacity.
+        """Allocate everything that :meth:`launch` needs: before the loop, and again after an overflow flag.
 
-        The result of before is no longer written to. A graph that was captured before still writes there, as long as
-        that result is kept: capture anew.
+        Later launches no longer write to the previous result. A graph captured before still writes to it, as long as
+        that result is kept alive: capture a new graph.
 
         Args:
-            max_pairs: Pairs of each kind that there is capacity for after the cull, 8 bytes each; by default as before, at
-                first one a primitive and at least 4,096.
-            max_contacts: Contacts that there is capacity for, 80 bytes each; by default as before, at first one a vertex
-                and at least 4,096.
-            vertices: Positions that are typical of the loop, shape [V, 3]: boxes are laid out for them, and static
-                bodies rest there until a launch says otherwise. By default as before, at first those of the mesh.
-                Another layout costs time, never a collision.
+            max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. Default: unchanged;
+                initially one for each primitive, and at least 4,096.
+            max_contacts: Capacity for contacts, 80 bytes each. Default: unchanged; initially one for each vertex, and
+                at least 4,096.
+            vertices: Positions that are typical of the loop, shape [V, 3]. The trees are laid out for them, and static
+                bodies stay there until a launch gives them other positions. Default: unchanged; initially those of the
+                mesh. An unsuitable layout costs time but never misses a collision.
 
         Returns:
-            Where the launches to come write.
+            The arrays to which later launches write.
 
         Raises:
-            ValueError: If a capacity is out of its range, the positions do not match, or are all one and no
-                ``length_scale`` is given.
-            RuntimeError: While a graph is captured.
+            ValueError: If a capacity is out of its range, the positions do not match the mesh, or they all coincide and
+                no ``length_scale`` is given.
+            RuntimeError: If a graph is being captured.
         """
         with self._lock:
             if self._topology.device.is_capturing:
@@ -193,9 +194,9 @@ class CollisionPipeline:
             return self._device_step.result
 
     def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
-        """Make the step on the device, at other positions if they are given."""
+        """Make the device step, laid out for other positions if they are given."""
         before = self._device_step or self._interrupted
-        placed = self._layout if before is None else before.at_rest()
+        placed = self._layout if before is None else before.static_positions()
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
@@ -205,37 +206,40 @@ class CollisionPipeline:
         self._capacities, self._layout, self._device_step = capacities, layout, step
 
     def launch(self, vertices_t0: Any, vertices_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
-        """Look at a step on the device, without waiting for it.
+        """Check a step for collisions on the device, without waiting for the result.
 
-        For a time loop on the device: kernels of known sizes, recorded at the first call, read the positions and write
-        the result's arrays. Nothing is allocated, copied to or from the host, or waited for, so a call can be captured
-        in a graph (``wp.ScopedCapture``, on CUDA and on the CPU) and replayed with whatever the same arrays hold by
-        then; on CUDA after a first call outside. Float64 positions of a mesh without static bodies are read where they
-        are; others are converted, by the kernel that checks them.
+        This is for time loops on the device. Kernels of fixed sizes, recorded at the first call, read the positions and
+        write the arrays of the result. A call allocates nothing, copies nothing to or from the host and does not wait,
+        so it can be captured in a graph (``wp.ScopedCapture``, on CUDA and on the CPU) and replayed with the current
+        contents of the same arrays; on CUDA a first call outside the capture is required. Float64 positions of a mesh
+        without static bodies are read in place; others are converted by the kernel that checks them.
 
-        ``length_scale`` is, unless it was given, the longest side of the box around the positions of :meth:`reserve`,
-        so that it is the same in every step. ``memory_limit`` does not count here; the capacities are the limits.
+        Unless it was given, ``length_scale`` is the longest side of the box around the positions of :meth:`reserve`, so
+        that it is the same in every step. ``memory_limit`` is ignored here; the capacities are the limits.
 
         Args:
-            vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library that
-                speaks DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or rows of
-                the moving vertices alone, when static bodies stay where they were.
-            vertices_t1: End positions of the same type. Rows of static bodies are not read.
-            displacements: In their place, what is added to the start positions, in float64. A solver that adds them in
-                float32 must pass the positions that it gets, as its rounding is part of the motion.
+            vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
+                that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
+                rows of the moving vertices only, if the static bodies stay where they were.
+            vertices_t1: End positions of the same type. Rows of static bodies are ignored.
+            displacements: Displacements in place of end positions; they are added to the start positions in float64. A
+                solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
+                of the motion.
 
         Returns:
-            The arrays that the launch writes to, the same ones until the next :meth:`reserve`.
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
 
         Raises:
-            ValueError: If an array is not as described, or not exactly one of ``vertices_t1`` and ``displacements`` is given.
-            RuntimeError: If a graph of CUDA is being captured, and no call with arrays of these types came before.
+            ValueError: If an array is not as described, or if both or neither of ``vertices_t1`` and ``displacements``
+                are given.
+            RuntimeError: If a CUDA graph is being captured, and there was no earlier call with arrays of these types.
 
         References:
-            As of :func:`ccd_warp.mesh_ccd`.
+            As for :func:`ccd_warp.mesh_ccd`.
 
-        Guarantee: as of :func:`ccd_warp.mesh_ccd`, for the scene, each world, body and vertex, whatever the flags.
-        Where there is no capacity for a pair its toi counts as 0, and where a coordinate is not finite that of its world.
+        Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the scene and for each world, body and vertex, whatever the
+        flags. A pair that exceeds the capacity counts with toi 0, and a world with a coordinate that is not finite has
+        toi 0.
         """
         if (vertices_t1 is None) == (displacements is None):
             given = "both" if vertices_t1 is not None else "neither"
@@ -253,45 +257,46 @@ class CollisionPipeline:
         safety: float = DEFAULT_SAFETY,
         num_rounds: int = DEFAULT_NUM_ROUNDS,
     ) -> LaunchResult:
-        """Shorten a step on the device until it is certain to be free of collisions, as :meth:`launch` looks at it.
+        """Shorten a step on the device until it is certain to be free of collisions, without waiting for the result.
 
-        A round looks at the step and moves every vertex that is part of a contact, or all that move with it, no
-        farther than ``safety`` times its toi; bodies and vertices of their own fractions that touch a third time stay
-        where they are, which may stop others in turn. After ``num_rounds`` a round with one fraction for each world
-        that still touches follows, and a last look: a world that touches even then stays where it is. One fraction for
-        the scene or each world is shortened twice at most before the last look. The number of launches is always the
-        same, so that a graph can hold them; a world that a look finds free has no boxes in those that follow.
+        Each pass checks the step as :meth:`launch` does, and then limits the motion of every vertex of a contact, and
+        of all vertices that share its fraction, to ``safety`` times the toi. Bodies or vertices with their own
+        fractions that touch in a third pass stay where they are, which may stop others in turn. After ``num_rounds``
+        such passes, one pass follows with one fraction for each world that still touches, and then a final pass: a
+        world that touches even then stays where it is. With one fraction for the scene or for each world, the step is
+        shortened at most twice before the final pass. The number of launches is always the same, so that a graph can
+        contain them; a world that a pass finds free of contacts has no boxes in the following passes.
 
-        Beside a long motion a small gap is lost in rounding, and the toi is 0. Where the first look finds a toi below
-        1e-6, the pair is therefore taken to move by an eighth of its gap at least; with toi 0 in the second look its
-        vertices, or all that move with them, stay where they are. With one fraction for each body or vertex that takes
-        two rounds.
+        A small gap is lost in the rounding of a long motion, and the toi is then 0. Where the first pass finds a toi
+        below 1e-6, the pair is therefore allowed to move by at least an eighth of its gap. If its toi is 0 in the
+        second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
+        body or vertex this requires ``num_rounds`` of at least 2.
 
-        Pairs that rest are no matter here: two vertices that both stay may touch.
+        Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
 
         Args:
             vertices_t0: Start positions, as in :meth:`launch`.
-            vertices_t1: End positions wished for, of the same type, which become those that can be taken. Rows of static
-                bodies are neither read nor written.
+            vertices_t1: Desired end positions, of the same type; they are overwritten with those of the shortened step.
+                Rows of static bodies are neither read nor written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
-            safety: Share of its toi that what touches may move, in (0, 1).
-            num_rounds: Rounds in which bodies or vertices have fractions of their own, at least one; two more looks
+            safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
+            num_rounds: Passes in which bodies or vertices have their own fractions, at least one; two more passes
                 follow.
 
         Returns:
-            The result of the last look: of a world in which something moves, toi is inf; of one that it had to stop it
-            is finite. Flags of too little capacity for pairs and of invalid input are those of all looks.
+            The result of the final pass: the toi of a world in which something moves is inf, and that of a world that
+            this pass had to stop is finite. The flags for pair overflow and invalid input cover all passes.
 
         Raises:
-            ValueError: As :meth:`launch`, or if an option is out of its range.
-            RuntimeError: As :meth:`launch`.
+            ValueError: As in :meth:`launch`, or if an option is out of its range.
+            RuntimeError: As in :meth:`launch`.
 
         References:
             Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
 
-        Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a vertex that
-        moves touches (or comes within the minimum separation), whatever the flags. Proof: the last look was at these
-        very positions, as they are rounded, and where its toi was not inf the vertices do not move.
+        Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a
+        vertex that moves touches (or comes within the minimum separation), whatever the flags. Proof: the final pass
+        checked exactly these rounded positions, and where its toi was not inf the vertices do not move.
         """
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
@@ -301,7 +306,7 @@ class CollisionPipeline:
         return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 
     def _launch(self, vertices_t0: Any, vertices_t1: Any, **arguments: Any) -> LaunchResult:
-        """Launch on what :meth:`reserve` made, or makes now."""
+        """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         with self._lock:
             if self._device_step is None:
                 if self._topology.device.is_capturing:
@@ -324,7 +329,7 @@ class CollisionPipeline:
 
     @property
     def num_allocations(self) -> int:
-        """Device arrays that were allocated so far."""
+        """Number of device arrays allocated so far."""
         return self._workspace.buffers.num_allocations if self._workspace else 0
 
     def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
@@ -332,16 +337,17 @@ class CollisionPipeline:
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
-            vertices_t1: End positions, as there.
-            inflation: Growth of every box on every side, a length.
+            vertices_t1: End positions, as in that function.
+            inflation: Enlargement of every box on every side, a length.
 
         Returns:
-            The pairs, in an order that does not depend on threads, memory limit or earlier calls.
+            The pairs, in an order that does not depend on the number of threads, the memory limit or earlier calls.
 
         Raises:
-            ValueError: As there.
+            ValueError: As in that function.
 
-        Guarantee: every pair whose boxes overlap is found, exactly once, and no other pair.
+        Guarantee: as for that function; every pair that passes the filter and whose boxes overlap is found exactly
+        once.
         """
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
@@ -352,15 +358,15 @@ class CollisionPipeline:
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
-            vertices_t1: End positions, as there.
+            vertices_t1: End positions, as in that function.
 
         Returns:
             The result, NumPy arrays.
 
         Raises:
-            ValueError: As there.
+            ValueError: As in that function.
 
-        Guarantee: as there; no toi is late and no contact is missed.
+        Guarantee: as for that function; no toi is late and no contact is missed.
         """
         return self._on_step(vertices_t0, vertices_t1, Step.contacts)
 
@@ -369,15 +375,15 @@ class CollisionPipeline:
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
-            vertices_t1: End positions, as there.
+            vertices_t1: End positions, as in that function.
 
         Returns:
             A fraction of the step in [0, t_max].
 
         Raises:
-            ValueError: As there.
+            ValueError: As in that function.
 
-        Guarantee: as there; no pair touches before the returned fraction.
+        Guarantee: as for that function; no pair touches before the returned fraction.
         """
         return self._on_step(vertices_t0, vertices_t1, Step.bound)
 
@@ -394,18 +400,18 @@ class CollisionPipeline:
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
-            vertices_t1: End positions wished for, as there.
+            vertices_t1: Desired end positions, as in that function.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
-            safety: Share of its toi that what touches may move.
-            max_rounds: Most calls of :meth:`mesh_ccd`.
+            safety: Fraction of its toi by which a vertex in contact may move.
+            max_rounds: Largest number of calls of :meth:`mesh_ccd`.
 
         Returns:
-            The end positions that can be taken, and the fractions that led there.
+            The end positions of the shortened step, and the fractions by which the vertices move.
 
         Raises:
-            ValueError: As there, and if the pipeline's ``t_max`` is not 1.
+            ValueError: As in that function, and if the pipeline's ``t_max`` is not 1.
 
-        Guarantee: as there; no pair with a vertex that moves touches on the way to the end positions.
+        Guarantee: as for that function; no pair with a vertex that moves touches on the way to the end positions.
         """
         with naming("line_search"):
             check_step_is_whole(self._options.t_max)
@@ -417,7 +423,7 @@ class CollisionPipeline:
 
 
 def _validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
-    """What moves together and how far, or a ValueError."""
+    """The arguments ``per`` and ``safety``, validated."""
     return (
         check_choice("per", per, EVERY_PER),
         check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),

@@ -12,21 +12,21 @@ from ccd_warp._status import PairKind
 
 @dataclass(frozen=True)
 class Contacts:
-    """Pairs that touch, by kind in the order of :class:`ccd_warp.PairKind`, then in lexicographic order of primitives.
+    """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
 
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Vertex and face ids, two edge ids, vertex and edge id of a codimensional point and a codimensional edge, or two
-            vertex ids of codimensional points, int32, shape [m, 2].
+        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
+            and a codimensional edge, or of the vertices of two codimensional points, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
-        normal: Unit normal of the contact at toi, from the second primitive towards the side that the first comes from;
-            zero where nothing moves and no side gives a direction; float64, shape [m, 3]. A point has no sides: there
-            it is against the relative velocity, across the segment if there is one, or along the gap where nothing
-            moves that way.
+        normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
+            comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
+            sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
+            or points along the gap where that velocity is zero.
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
-        width: Width in time that was left open, 0 but at a limit, as in :class:`ccd_warp.PairResult`, float64,
+        width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
             shape [m].
     """
 
@@ -91,19 +91,19 @@ class Counts:
 
 @dataclass(frozen=True)
 class MeshResult:
-    """Result of a step of meshes.
+    """Result of :func:`ccd_warp.mesh_ccd`.
 
     Attributes:
-        toi: Earliest time of impact of the scene in [0, t_max]; inf: certainly none.
+        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
         vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
         body_toi: The same for each body, float64, shape [B].
         contacts: Every pair with a finite toi.
         counts: Sizes of the scene and of each stage's output.
         timings: Seconds of each stage, and their ``total``.
-        vertex_contact: Index of the contact that the toi of a vertex is of, the first where several share it, -1 where
+        vertex_contact: Index of the contact that gives the toi of a vertex, the first where several share it, -1 where
             there is none, int32, shape [V].
         body_contact: The same for each body, int32, shape [B].
-        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; of a mesh without worlds one.
+        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
     """
 
     toi: float
@@ -124,11 +124,12 @@ class MeshResult:
 
 @dataclass(frozen=True)
 class DeviceContacts:
-    """Room for contacts on a device, filled from the front, in any order; the fields are those of :class:`Contacts`.
+    """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
 
     Attributes:
-        count: Contacts that were found; beyond the capacity they are counted alone; int32, shape [1].
-        kind: int32, shape [max_contacts], as all that follow.
+        count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
+            [1].
+        kind: int32, shape [max_contacts], as for all that follow.
         primitives: vec2i.
         toi: float64.
         parameters: vec2d.
@@ -158,20 +159,20 @@ class DeviceContacts:
 
 @dataclass(frozen=True)
 class LaunchResult:
-    """Where :meth:`ccd_warp.CollisionPipeline.launch` writes: Warp arrays, the same ones each time.
+    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch` writes, the same ones each time.
 
-    It keeps all that a captured graph uses, so keep it as long as the graph.
+    The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
 
     Attributes:
-        toi: Earliest time of impact of the scene in [0, t_max]; inf: certainly none; float64, shape [1].
-        world_toi: The same for each world, float64, shape [W]; without worlds the array ``toi`` itself.
+        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none; float64, shape [1].
+        world_toi: The same for each world, float64, shape [W]; with a single world the array ``toi`` itself.
         body_toi: The same for each body, float64, shape [B].
         vertex_toi: The same for each vertex, float64, shape [V].
-        contacts: Every pair with a finite toi, as far as there is capacity.
+        contacts: Every pair with a finite toi, up to the capacity.
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
-        world_flags: The same for each world, int32, shape [W]; without worlds the array ``flags`` itself.
-        num_pairs: Pairs of each :class:`ccd_warp.PairKind` that the cull left open, whether there was capacity for them or
-            not, int64, shape [4].
+        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
+        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
+            capacity, int64, shape [4].
     """
 
     toi: wp.array
@@ -182,4 +183,4 @@ class LaunchResult:
     flags: wp.array
     world_flags: wp.array
     num_pairs: wp.array
-    _step: Any = field(default=None, repr=False, compare=False)  # what a graph that writes here uses
+    _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses

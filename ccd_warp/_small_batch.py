@@ -1,7 +1,8 @@
-"""A recorded launch of the solver for a few pairs on the CPU, with arrays of its own, kept from call to call.
+"""A recorded launch of the solver for a few pairs on the CPU, with its own arrays, reused from call to call.
 
-One pair takes less than a microsecond; making eight Warp arrays and packing a launch takes nearly a hundred. What is
-kept is used by one call at a time: a call takes it out of the list, and puts it back only when it has ended well.
+Solving one pair takes less than a microsecond; making eight Warp arrays and packing a launch takes nearly a hundred.
+Only one call at a time uses a recorded launch: the call takes it out of the list of idle ones, and puts it back only if
+it succeeds.
 """
 
 from collections.abc import Iterator
@@ -16,10 +17,10 @@ from ccd_warp._runtime.launch import load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
-CAPACITY = 256  # pairs, of some 240 bytes; beyond it the solving takes longer than the launch
-_MOST_IDLE = 16  # kept for each kind and precision, however many threads called at once
+CAPACITY = 256  # pairs, some 240 bytes each; beyond it solving takes longer than launching
+_MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
 _OUTPUTS = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
-_OPTIONS = 4  # their place among the kernel's parameters
+_OPTIONS = 4  # position of the options among the kernel's parameters
 
 _idle: dict[tuple[PairKind, Any], list["SmallBatch"]] = {}
 
@@ -46,7 +47,7 @@ class SmallBatch:
         self._count = 1
 
     def solve(self, points_t0: NDArray[np.float64], points_t1: NDArray[np.float64], packed: Any) -> list[NDArray[Any]]:
-        """Solve the pairs; arrays in the order of the kernel's outputs, which the caller owns.
+        """Solve the pairs and return copies of the kernel's outputs, in their order.
 
         Args:
             points_t0: Start positions, shape [n, points, 3], n from 1 to `CAPACITY`.
@@ -68,7 +69,7 @@ class SmallBatch:
 
 @contextmanager
 def borrowed_batch(kind: PairKind, real: Any, device: Any, num_points: int, packed: Any) -> Iterator[SmallBatch]:
-    """A batch for one call, which no other uses meanwhile; a call that raises does not give it back."""
+    """A batch for one call, which no other call uses meanwhile; a call that raises does not return it."""
     idle = _idle.setdefault((kind, real), [])
     try:
         batch = idle.pop()

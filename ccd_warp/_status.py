@@ -1,4 +1,4 @@
-"""Closed sets of the results: pair kinds and statuses."""
+"""Enumerations of the results: pair kinds, statuses and flags."""
 
 from enum import IntEnum, IntFlag
 
@@ -15,7 +15,7 @@ class PairKind(IntEnum):
 
 
 class CCDStatus(IntEnum):
-    """How the answer for a pair was reached. Every toi is conservative, whatever the status."""
+    """How the result of a pair was obtained. Every toi is conservative, whatever the status."""
 
     NO_COLLISION = int(answer.STATUS_NO_COLLISION)
     """Certainly no contact in [0, t_max]; toi is inf."""
@@ -30,20 +30,20 @@ class CCDStatus(IntEnum):
     """``max_iterations``, or the pair's share of ``max_work``, was reached; toi is the earliest time still open."""
 
     RESOLUTION_LIMIT = int(answer.STATUS_RESOLUTION_LIMIT)
-    """The patch cannot be split further in this precision; toi is the earliest time still open."""
+    """The patch cannot be subdivided further in this precision; toi is the earliest time still open."""
 
     INVALID = int(answer.STATUS_INVALID)
     """A coordinate is not finite (Warp arrays only; NumPy input raises a ValueError); toi is 0."""
 
 
 class LaunchFlag(IntFlag):
-    """What became of a launch on the device. Every toi is conservative, whatever the flags; 0 where all is well."""
+    """Outcome of a launch on the device, 0 if there was no problem. Every toi is conservative, whatever the flags."""
 
     PAIRS_OVERFLOW = int(minima.PAIRS_OVERFLOW)
-    """More pairs than ``max_pairs`` of a kind: those without capacity count with toi 0, and are not among the contacts."""
+    """There are more than ``max_pairs`` pairs of a kind: the excess counts with toi 0 and is not among the contacts."""
 
     CONTACTS_OVERFLOW = int(minima.CONTACTS_OVERFLOW)
-    """More contacts than ``max_contacts``: those without capacity are missing from the list alone."""
+    """There are more than ``max_contacts`` contacts: the excess is missing only from the list of contacts."""
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
     """A coordinate is not finite: every toi of its world is 0."""

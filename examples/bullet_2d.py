@@ -1,4 +1,4 @@
-"""The bullet of the literature in the plane, as it is usually told, and what each method has to look at.
+"""The bullet of the literature in the plane, and the work of each method on it.
 
 A point flies from (0.5, 3.5) to (9.5, 3.5) within one step, past a static wall: the segment at x = 5 from y = 1 to
 y = 6. The first contact is at t = 0.5, in the middle of the wall. Plain inclusion bisection finds it by halving boxes

@@ -1,26 +1,27 @@
 """A cloth falls on a ball in a glass globe that is kicked about, and on itself: 300 frames without one penetration.
 
-The obstacle, a ball and the thin globe around it, moves rigidly and by many edge lengths of the cloth in a frame, and
-nothing can stop it. Extended position-based dynamics (XPBD) moves the cloth, one large step a frame. A test at one
-instant finds the two on either side of each other: without CCD the cloth is soon outside the globe.
+The obstacle, a ball and the thin globe around it, moves rigidly, by many edge lengths of the cloth in a frame, and
+nothing can stop it. Extended position-based dynamics (XPBD) moves the cloth, with one large step for each frame. A test
+at one instant finds them already past each other: without CCD the cloth is soon outside the globe.
 
-With CCD, each frame is solved in the frame of reference of the obstacle, where it rests; straight ways stay straight.
-There, to stay where one is, is always free of collisions: it means to be carried along. From this start, a round
+With CCD, each frame is solved in the frame of reference of the obstacle, where the obstacle is stationary and straight
+paths stay straight. There, a cloth that does not move is carried along with the obstacle, which is always free of
+collisions. From this start, a round
 
-1. asks `mesh_ccd` what the way to the wished end touches, and keeps the two sides of each contact apart by a plane,
+1. computes by `mesh_ccd` the contacts on the path to the desired end, and keeps the two sides of each apart by a plane,
 2. lets XPBD find an end that obeys springs and planes,
-3. goes there as far as `line_search` allows each vertex, which is certain to be free,
+3. moves each vertex towards it as far as `line_search` allows, which is certain to be free,
 
-and the next round goes on from there. What the rounds do not reach is lost, as momentum is in an inelastic impact.
-Every position that is kept ends a way that CCD has found free, with a gap left that outlasts the rounding of the
-positions in the world. An independent check is made of every frame: CGAL looks for faces that intersect, by exact
-arithmetic.
+and the next round continues from there. Motion that the rounds do not complete is lost, like momentum in an inelastic
+impact. Every accepted position is the end of a path that CCD has found free, with a gap that is larger than the
+rounding of the positions in the world. Every frame is checked independently: CGAL searches for intersecting faces by
+exact arithmetic.
 
 Run it: python examples/cloth_drop.py --output drop
         python examples/cloth_drop.py --output drop_no_ccd --no-ccd
 
-It needs: pip install 'ccd-warp[examples]'. It writes key frames as cloth_drop.png and all frames as
-frame_0000.ply … (in single precision, to look at), and prints, with CCD:
+It needs: pip install 'ccd-warp[examples]'. It writes key frames as cloth_drop.png and all frames as frame_0000.ply …
+(in single precision, for viewing), and prints, with CCD:
 
     10201 vertices, obstacle up to 8.0 edge lengths a frame
     300 frames, 0 with intersecting faces, at most 0 pairs of them
@@ -55,7 +56,7 @@ FRAME_TIME = 1.0 / 60.0
 GRAVITY = np.array([0.0, 0.0, -9.81])
 CLOTH_SIDE, CLOTH_HEIGHT, CLOTH_ANGLE = 0.9, 0.12, 0.3
 GLOBE_RADIUS, BALL_RADIUS, BALL_HEIGHT = 0.75, 0.22, -0.25
-# The obstacle rests, and then is somewhere else within a few frames, again and again.
+# Again and again the obstacle stands still, and then moves to another place within a few frames.
 KICKS = 0.45 * np.array(
     [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]], dtype=np.float64
 )
@@ -63,7 +64,7 @@ FIRST_KICK, FRAMES_BETWEEN_KICKS, FRAMES_OF_KICK = 4, 48, 12
 ROUNDS, ITERATIONS = 3, 32
 FRICTION, AIR_DRAG = 0.3, 3.0
 SHEAR_COMPLIANCE, BEND_COMPLIANCE = 0.5, 5.0  # of unit masses, over the frame time squared
-# In edge lengths: what contacts ask for, and the least that is left anywhere on any way.
+# In edge lengths: the gap that contacts aim at, and the least gap along any path.
 THICKNESS, SEPARATION = 0.2, 0.02
 BALL_SUBDIVISIONS, GLOBE_SUBDIVISIONS = 3, 4
 KEY_FRAMES = (3, 8, 18, 50, 57, 68, 112, 299)
@@ -106,7 +107,7 @@ def push_contacts(
     push: wp.array[wp.vec3d],
     num_pushes: wp.array[wp.float64],
 ):
-    """What each contact asks of its vertices: the thickness along its normal, and to slide less."""
+    """Add up the corrections of each contact for its vertices: the thickness along its normal, and friction."""
     c = wp.tid()
     normal = normals[c]
     gap = wp.vec3d()
@@ -121,8 +122,8 @@ def push_contacts(
     depth = thickness - wp.dot(normal, gap)
     if depth > wp.float64(0.0) and mobility > wp.float64(0.0):
         slide -= wp.dot(normal, slide) * normal
-        held = wp.min(wp.float64(1.0), friction * depth / wp.max(wp.length(slide), wp.float64(1e-12)))
-        change = (depth * normal - held * slide) / mobility
+        damping = wp.min(wp.float64(1.0), friction * depth / wp.max(wp.length(slide), wp.float64(1e-12)))
+        change = (depth * normal - damping * slide) / mobility
         for k in range(4):
             i, w = corners[c][k], weights[c][k]
             if i < num_cloth:
@@ -137,7 +138,7 @@ def apply_pushes(
     num_pushes: wp.array[wp.float64],
     positions: wp.array[wp.vec3d],
 ):
-    """Move each vertex by the mean of what its contacts ask for."""
+    """Move each vertex by the mean of the corrections of its contacts."""
     i = wp.tid()
     if num_pushes[i] > wp.float64(0.0):
         positions[i] = positions[i] + push[i] / num_pushes[i]
@@ -185,7 +186,7 @@ def obstacle_mesh() -> trimesh.Trimesh:
 
 
 def obstacle_offset(frame: int) -> NDArray[np.float64]:
-    """Where the obstacle is."""
+    """Position of the obstacle."""
     s = np.clip((frame - FIRST_KICK - FRAMES_BETWEEN_KICKS * np.arange(len(KICKS))) / FRAMES_OF_KICK, 0.0, 1.0)
     return (s * (2.0 - s)) @ KICKS
 
@@ -199,7 +200,7 @@ class Planes(NamedTuple):
     normals: NDArray[np.float64]  # shape [m, 3]
 
     def joined(self, earlier: Self | None) -> Self:
-        """These and earlier ones of other pairs."""
+        """These contacts and the earlier ones of other pairs."""
         if earlier is None:
             return self
         both = Planes(*(np.concatenate(values) for values in zip(self, earlier, strict=True)))
@@ -267,7 +268,7 @@ class ClothDrop:
         planes = None
         reached = start
         for _ in range(ROUNDS):
-            # Without CCD all that can be known is what is close at one instant.
+            # Without CCD only the primitives close to each other at one instant are known.
             begin = reached if self.with_ccd else wish
             found = self.finder.mesh_ccd(begin, wish).contacts
             planes = contact_planes(self.mesh, found, begin, wish).joined(planes)
@@ -278,7 +279,7 @@ class ClothDrop:
         self.velocity = ((1.0 - AIR_DRAG * FRAME_TIME) * (reached[cloth] - start[cloth]) + obstacle_step) / FRAME_TIME
 
     def solve(self, start: NDArray[np.float64], wish: NDArray[np.float64], planes: Planes) -> NDArray[np.float64]:
-        """Springs and contacts in turn, from where the last round ended."""
+        """Solve springs and contacts in turn, from the end of the last round."""
         positions, start = (wp.array(values, dtype=wp.vec3d) for values in (wish, start))
         corners = wp.array(planes.corners, dtype=wp.vec4i)
         weights = wp.array(planes.weights, dtype=wp.vec4d)
@@ -303,14 +304,14 @@ class ClothDrop:
 
 def intersecting_pairs(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
     """Number of pairs of faces that intersect beyond a vertex or an edge that they share, by CGAL's exact kernel."""
-    from igl.copyleft import cgal  # only here, so that the rest runs without it
+    from igl.copyleft import cgal  # imported here, so that everything else runs without it
 
     found = cgal.remesh_self_intersections(vertices, faces.astype(np.int64), detect_only=True)
     return len(found[2])
 
 
 def draw(path: Path, scene: ClothDrop, pictures: list[tuple[str, NDArray[np.float64]]]) -> None:
-    """Write key frames side by side, seen by one who moves with the obstacle."""
+    """Draw key frames side by side, in the frame of reference of the obstacle."""
     num_ball = 20 * 4**BALL_SUBDIVISIONS
     is_cloth = scene.mesh.face_body == 0
     cloth, obstacle = scene.mesh.faces[is_cloth], scene.mesh.faces[~is_cloth]
@@ -336,7 +337,7 @@ def draw(path: Path, scene: ClothDrop, pictures: list[tuple[str, NDArray[np.floa
 
 
 def main() -> None:
-    """Run, check, and write what was seen."""
+    """Run, check, and write the results."""
     parser = argparse.ArgumentParser(description="A cloth in a globe that is kicked about, with CCD or without.")
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--resolution", type=int, default=101, help="vertices along a side of the cloth (default 101)")

@@ -1,19 +1,21 @@
 """A fluid on a trampoline: particles meet a flexible membrane that moves up and down, and none gets to its other side.
 
 The fluid is position-based (an incompressible particle method), the membrane a sheet of springs whose rim follows a
-prescribed motion, up to several edge lengths a step, which throws the fluid up and catches it. Both are float32 arrays
-on the device, one after the other, and ccd_warp works on them where they are:
+prescribed motion, up to several edge lengths a step, which throws the fluid up and catches it. Both are stored in one
+float32 array on the device, and ccd_warp works on it in place:
 
-1. `launch` finds which particles come near which faces on the way that is wished for; each such contact becomes a plane
-   that the particle and the three corners of the face keep to on either side, in proportion to their masses;
-2. `launch_line_search(per="vertex")` shortens what even so would touch. It is the guarantee: every way that is taken
-   has been found free, between the very numbers that the arrays hold. The way of the rim is shortened, too, where fluid
-   is in it, and the rim follows later.
+1. `launch` finds which particles come near which faces on the desired path; each such contact becomes a plane that
+   keeps the particle and the three corners of the face on either side, with corrections according to their masses;
+2. `launch_line_search(per="vertex")` shortens the displacements that would still lead to contact. It gives the
+   guarantee: every accepted path has been found free, between exactly the numbers that the arrays hold. The path of the
+   rim is shortened, too, where fluid is in the way, and the rim catches up later.
 
-Only pairs of points and faces are looked for (`pair_kinds=["vertex_face"]`): others have no search, room or launch.
+Only pairs of points and faces are searched (`pair_kinds=["vertex_face"]`): the others have no search, capacity or
+launch.
 
 An independent check counts particles on the wrong side: the generalised winding number (libigl) of the membrane, closed
-by walls and a lid. With `--no-ccd` contacts are what is close at the end of a step, and nothing is shortened.
+by walls and a lid. With `--no-ccd` the contacts are the pairs that are close at the end of a step, and nothing is
+shortened.
 
     pip install -e '.[examples]' && python examples/fsi_membrane.py --output fsi
 
@@ -45,7 +47,7 @@ STROKE, STROKE_FREQUENCY, FIRST_STROKE = 0.25, 2.0, 30
 REACH = 2.2  # of the fluid's kernel, in spacings
 PASSES, ITERATIONS, SWEEPS = 3, 8, 8
 VISCOSITY = 0.05
-# Distances in spacings of particles: at which contacts act, which they ask for, and the least that is left anywhere.
+# Distances in spacings of particles: that at which contacts act, that at which they aim, and the least that is left.
 ACTIVATION, THICKNESS, SEPARATION = 0.6, 0.3, 0.01
 KEY_FRAMES = (29, 36, 44, 52, 60)
 
@@ -77,7 +79,7 @@ def predict(
     # out
     wished: wp.array[wp.vec3],
 ):
-    """Where inertia and gravity lead; the rim goes where it is told."""
+    """Predict positions by inertia and gravity; the rim follows its prescribed motion."""
     i = wp.tid()
     if inverse_mass[i] > 0.0:
         wished[i] = x[i] + dt * (velocity[i] + dt * GRAVITY)
@@ -96,7 +98,7 @@ def find_multipliers(
     multiplier: wp.array[float],
     compression: wp.array[float],
 ):
-    """What keeps the density of each particle from rising above that at rest."""
+    """Compute the multipliers that keep the density of each particle from rising above the rest density."""
     i = wp.tid()
     density = wp.float32(0.0)
     own = wp.vec3()
@@ -142,7 +144,7 @@ def pull_springs(
     # out
     moved: wp.array[wp.vec3],
 ):
-    """Move each vertex of the membrane by the mean of what its springs ask for."""
+    """Move each vertex of the membrane by the mean of the corrections of its springs."""
     i = wp.tid()
     pull = wp.vec3()
     for k in range(first[i], first[i + 1]):
@@ -197,7 +199,7 @@ def push_contacts(
     push: wp.array[wp.vec3],
     num_pushes: wp.array[int],
 ):
-    """Add up what the planes of contacts ask for: momentum is kept, and nothing bounces."""
+    """Add up the corrections of the contact planes: momentum is conserved, and nothing bounces."""
     c = wp.tid()
     if c >= wp.min(count[0], corners.shape[0]):
         return
@@ -216,7 +218,7 @@ def push_contacts(
 
 @wp.kernel
 def apply_pushes(push: wp.array[wp.vec3], num_pushes: wp.array[int], x: wp.array[wp.vec3]):
-    """Move each vertex by the mean of its pushes, and forget them."""
+    """Move each vertex by the mean of its pushes, and reset these."""
     i = wp.tid()
     if num_pushes[i] > 0:
         x[i] = x[i] + push[i] / float(num_pushes[i])
@@ -226,7 +228,7 @@ def apply_pushes(push: wp.array[wp.vec3], num_pushes: wp.array[int], x: wp.array
 
 @wp.kernel
 def accept(wished: wp.array[wp.vec3], dt: float, x: wp.array[wp.vec3], velocity: wp.array[wp.vec3]):
-    """Take what the line search left, and the velocity that led there."""
+    """Accept the positions of the line search, and the velocity that leads to them."""
     i = wp.tid()
     velocity[i] = (wished[i] - x[i]) / dt
     x[i] = wished[i]
@@ -251,7 +253,7 @@ def smooth_velocity(
 
 
 def sheet(resolution: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """A square sheet of so many cells a side around the origin: vertices and faces."""
+    """A square sheet of ``resolution`` cells on each side around the origin: vertices and faces."""
     k = SIDE * (np.arange(resolution + 1) / resolution - 0.5)
     vertices = np.stack([*np.meshgrid(k, k, indexing="ij"), np.zeros((len(k), len(k)))], axis=-1).reshape(-1, 3)
     a = (np.arange(resolution)[:, None] * len(k) + np.arange(resolution)).ravel()
@@ -260,7 +262,7 @@ def sheet(resolution: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def fluid(num_particles: int, gap: float) -> tuple[NDArray[np.float64], float]:
-    """At least so many particles in layers above the sheet, and the spacing between them."""
+    """At least ``num_particles`` particles in layers above the sheet, and the spacing between them."""
     spacing = (SIDE**2 * DEPTH / num_particles) ** (1 / 3)
     n = int(SIDE / spacing)
     k = spacing * (np.arange(n) - 0.5 * (n - 1))
@@ -284,7 +286,7 @@ def spring_rows(vertices: NDArray[np.float64], resolution: int) -> list[NDArray]
 
 
 def rim_height(frame: int) -> float:
-    """Height of the rim: at rest while the fluid settles, then up and down."""
+    """Height of the rim: constant while the fluid settles, then up and down."""
     t = max(frame - FIRST_STROKE, 0) * FRAME_TIME
     return 0.5 * STROKE * (1.0 - np.cos(2.0 * np.pi * STROKE_FREQUENCY * t))
 
@@ -341,7 +343,7 @@ class Trampoline:
         inputs = [self.x, self.velocity, self.inverse_mass, self.rest, rim_height(frame + 1), FRAME_TIME]
         wp.launch(predict, dim=len(self.x), inputs=inputs, outputs=[self.wished])
         for _ in range(PASSES):
-            # Without CCD all that can be known is what is close at one instant.
+            # Without CCD only the primitives close to each other at one instant are known.
             start = self.x if self.with_ccd else self.wished
             self.finder.launch(start, self.wished)
             found = self.found.contacts
@@ -360,7 +362,7 @@ class Trampoline:
         wp.copy(velocity, self.fluid_part(self.smoothed))
 
     def relax(self) -> None:
-        """The fluid once, springs and contacts in turns."""
+        """Solve the fluid once, then springs and contacts in turn."""
         particles, moved = self.fluid_part(self.wished), self.fluid_part(self.moved)
         shared = [self.grid.id, particles, self.reach, self.rest_density]
         num_particles = len(particles)
@@ -378,16 +380,16 @@ class Trampoline:
             wp.launch(push_contacts, dim=self.max_contacts, inputs=inputs, outputs=pushes)
             wp.launch(apply_pushes, dim=len(self.wished), outputs=[*pushes, self.wished])
 
-    def check_room(self) -> None:
-        """Fail rather than go on without contacts that there was no room for."""
+    def check_capacity(self) -> None:
+        """Raise an error if contacts exceeded the capacity, rather than continue without them."""
         flags = int(self.found.flags.numpy()[0]) | int(self.looked.flags.numpy()[0])
         if flags:
-            raise RuntimeError(f"{ccd.LaunchFlag(flags)!r}; expected room for all pairs and contacts")
+            raise RuntimeError(f"{ccd.LaunchFlag(flags)!r}; expected capacity for all pairs and contacts")
 
 
 def wrong_side(scene: Trampoline, vertices: NDArray[np.float64]) -> int:
     """Number of particles below the membrane: outside of the surface that it makes with four walls and a lid."""
-    from igl import winding_number  # only here, so that the rest runs without it
+    from igl import winding_number  # imported here, so that everything else runs without it
 
     m = scene.num_membrane
     faces = scene.mesh.faces.astype(np.int64)
@@ -442,7 +444,7 @@ def draw(path: Path, scene: Trampoline, pictures: list[tuple[str, NDArray[np.flo
 
 
 def main() -> None:
-    """Run, check, and write what was seen."""
+    """Run, check, and write the results."""
     parser = argparse.ArgumentParser(description="Particles on a membrane that moves, with CCD or without.")
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--particles", type=int, default=4000)
@@ -470,7 +472,7 @@ def main() -> None:
             scene.advance(frame)
             vertices = scene.x.numpy().astype(np.float64)
             seconds.append(time.perf_counter() - begin)
-            scene.check_room()
+            scene.check_capacity()
             counts.append(wrong_side(scene, vertices))
             excess.append(float(np.quantile(scene.compression.numpy(), 0.95)))
             moves = np.linalg.norm(vertices - before, axis=1)

@@ -1,7 +1,7 @@
 """Two deforming meshes approach: when do they touch, where, and how much of the step is safe to take?
 
-A ball that stretches flies at a larger one that is squashed. `mesh_ccd` says all there is to know about the step;
-`collision_free_step` gives only the fraction that is certain to be free, which is what a line search needs.
+A ball that stretches flies at a larger one that is squashed. `mesh_ccd` returns all contacts of the step and their
+times; `collision_free_step` returns only the fraction that is certain to be free, which is what a line search needs.
 
 Run it: python examples/mesh_against_mesh.py
 """
@@ -29,7 +29,7 @@ kind = ccd.PairKind(int(result.contacts.kind[first])).name.lower().replace("_", 
 print(f"first contact  {kind} {result.contacts.primitives[first].tolist()}")
 print(f"  normal       {np.round(result.contacts.normal[first], 6).tolist()}")
 
-# Stop a little before the contact: positions are rounded when they are advanced, and a gap leaves room for that.
+# Stop a little before the contact: positions are rounded when they are advanced, and the gap allows for that.
 step = ccd.collision_free_step(mesh, vertices_t0, vertices_t1, minimum_separation=1e-3)
 vertices = vertices_t0 + step * (vertices_t1 - vertices_t0)
 print(f"free step      {step}")

@@ -1,15 +1,15 @@
 """A newton cloth that is thrown at a ball and a thin plate, ten edge lengths a step, and passes through neither.
 
 newton's SolverVBD moves the cloth; ccd_warp bounds its motion, vertex by vertex, on newton's own float32 arrays. The
-seam is newton's: a solver owns a `newton.CollisionPipeline` and calls its `collide` before every iteration, with the
-positions that the iteration begins from. With Divide-and-Truncate on (`rigid_soft_enable_dat`) it goes on from whatever
-positions it finds after that call. `CCDCollisionPipeline` is such a pipeline. Each call
+interface is newton's: a solver owns a `newton.CollisionPipeline` and calls its `collide` before every iteration, with
+the positions that the iteration begins from. With Divide-and-Truncate enabled (`rigid_soft_enable_dat`) it continues
+from the positions after that call. `CCDCollisionPipeline` is such a pipeline. Each call
 
-1. asks `launch` what comes near on the way to these positions, and hands it to newton as contacts, which become forces;
-2. shortens the way by `launch_line_search(per="vertex")`, in place.
+1. finds by `launch` the contacts on the path to these positions, and passes them to newton, where they become forces;
+2. shortens the path by `launch_line_search(per="vertex")`, in place.
 
-What the last iteration did is bounded after the step. An independent check looks at each step: vertices below the
-plate, and faces that intersect by CGAL's exact arithmetic. docs/newton.md says what the seams do not allow.
+The motion of the last iteration is bounded after the step. Each step is checked independently: for vertices below the
+plate, and for faces that intersect by CGAL's exact arithmetic. docs/newton.md describes the limits of the interface.
 
     pip install -e '.[newton]' && python examples/newton_cloth.py
 """
@@ -32,7 +32,7 @@ STEP_TIME = 1.0 / 30.0
 ITERATIONS = 8
 CLOTH_SIDE, CLOTH_HEIGHT, CLOTH_SPEED = 1.0, 0.55, 12.0
 BALL_RADIUS, PLATE_SIZE, PLATE_TOP = 0.25, (2.0, 2.0, 0.01), -0.35
-# At which distance contacts act, and the least that is left anywhere on any way.
+# The distance at which contacts act, and the least distance along any path.
 THICKNESS, SEPARATION = 8e-3, 5e-4
 STIFFNESS = 2e3  # of contacts, newton per metre
 MAX_CONTACTS = 1 << 16
@@ -56,7 +56,7 @@ def obstacle_meshes() -> list[trimesh.Trimesh]:
 
 
 def cloth_model(resolution: int) -> newton.Model:
-    """A cloth of ``resolution`` cells a side above the obstacles, coloured for VBD, on the CPU."""
+    """A cloth of ``resolution`` cells on each side above the obstacles, coloured for VBD, on the CPU."""
     builder = newton.ModelBuilder()
     cell = CLOTH_SIDE / resolution
     builder.add_cloth_grid(
@@ -93,15 +93,15 @@ def collision_mesh(model: newton.Model) -> ccd.CollisionMesh:
 
 
 class MotionBound:
-    """Particles that go only where the way is certain to be free.
+    """Restricts particles to motions that are certain to be free of collisions.
 
     Attributes:
-        start: Where they were when the bound was last asked, which is where they have to be the next time.
+        start: Positions after the last call of :meth:`apply`, from which the next motion must start.
     """
 
     def __init__(self, model: newton.Model, mesh: ccd.CollisionMesh) -> None:
-        # Every gap that is left is certain to be larger than the separation, by the same options: the next start is
-        # free. The tolerance is small beside it, so that what is close can move.
+        # Every remaining gap is certain to be larger than the separation, with the same options, so the next start is
+        # free. The tolerance is small beside the separation, so that close primitives can move.
         self.pipeline = ccd.CollisionPipeline(
             mesh, minimum_separation=SEPARATION, tolerance=1e-8, length_scale=1.0, device=model.device
         )
@@ -109,10 +109,10 @@ class MotionBound:
         self.start = wp.clone(model.particle_q)
 
     def apply(self, wished: wp.array) -> None:
-        """Shorten the way from ``start`` to the positions wished for, in place: rows of the particles alone."""
+        """Shorten the path from ``start`` to the desired positions in place; the rows are those of the particles."""
         result = self.pipeline.launch_line_search(self.start, wished, per="vertex")
         flags = int(result.flags.numpy()[0])
-        if flags:  # rather than particles that stand still for no reason that is seen
+        if flags:  # rather than particles that stop for no visible reason
             raise RuntimeError(f"{ccd.LaunchFlag(flags)!r}; reserve more")
         wp.copy(self.start, wished)
 
@@ -130,7 +130,7 @@ def report_contacts(
     faces: wp.array[wp.vec3i],
     vertex_body: wp.array[wp.int32],
     rest: wp.array[wp.vec3f],
-    # in: the way that was looked at
+    # in: the path that was checked
     start: wp.array[wp.vec3f],
     wished: wp.array[wp.vec3f],
     # out: newton's soft contacts
@@ -182,7 +182,7 @@ def report_contacts(
             shape = vertex_body[c] - 1
     gap = on_particles - on_obstacle
     if n == 4 or wp.length(gap) == 0.0:
-        return  # cloth with cloth has no record of this kind
+        return  # newton has no contact of this kind for cloth with cloth
     slot = wp.atomic_add(soft_count, 0, 1)
     soft_indices[slot] = indices
     soft_particle[slot] = wp.where(n == 1, indices[0], -1)
@@ -214,12 +214,12 @@ class CCDCollisionPipeline(newton.CollisionPipeline):
         self.begin_q = wp.clone(model.particle_q)
 
     def begin(self, state: newton.State) -> None:
-        """Take note of where a step starts; newton changes its input state during the step."""
+        """Store the start positions of a step, because newton changes its input state during the step."""
         wp.copy(self.bound.start, state.particle_q)
         wp.copy(self.begin_q, state.particle_q)
 
     def collide(self, state: newton.State, contacts: newton.Contacts, **_) -> None:
-        """Find the contacts on the way to the iterate, and bound it, in place."""
+        """Find the contacts on the path to the iterate, and bound the iterate in place."""
         found = self.finder.launch(self.bound.start, state.particle_q).contacts
         contacts.clear()
         wp.launch(
@@ -241,7 +241,7 @@ class CCDCollisionPipeline(newton.CollisionPipeline):
         self.bound.apply(state.particle_q)
 
     def finish(self, state: newton.State, dt: float) -> None:
-        """Bound what the last iteration did, and give the output state its velocities."""
+        """Bound the motion of the last iteration, and set the velocities of the output state."""
         self.bound.apply(state.particle_q)
         set_velocities(self.begin_q, state, dt)
 
@@ -253,7 +253,7 @@ def divide_difference(a: wp.array[wp.vec3f], b: wp.array[wp.vec3f], dt: float, o
 
 
 def set_velocities(start: wp.array, state: newton.State, dt: float) -> None:
-    """Velocities of a state that was reached from a start in one step."""
+    """Set the velocities of a state that was reached from a start in one step."""
     arrays = [start, state.particle_q, dt, state.particle_qd]
     wp.launch(divide_difference, dim=len(start), inputs=arrays, device=start.device)
 
@@ -316,21 +316,21 @@ def vertices_below_plate(mesh: ccd.CollisionMesh, vertices: NDArray[np.float64])
 
 def intersecting_pairs(mesh: ccd.CollisionMesh, vertices: NDArray[np.float64]) -> int:
     """Number of pairs of faces that intersect beyond a vertex or an edge that they share, by CGAL's exact kernel."""
-    from igl.copyleft import cgal  # only here, so that the rest runs without it
+    from igl.copyleft import cgal  # imported here, so that everything else runs without it
 
     found = cgal.remesh_self_intersections(vertices, mesh.faces.astype(np.int64), detect_only=True)
     return len(found[2])
 
 
 def stretch(mesh: ccd.CollisionMesh, vertices: NDArray[np.float64]) -> float:
-    """Length of an edge of the cloth as a multiple of that at rest: of 99 in 100 at most."""
+    """The 99th percentile of the lengths of the cloth's edges, as multiples of their rest lengths."""
     edges = mesh.edges[mesh.edge_body == 0]
     lengths = [np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) for x in (mesh.vertices, vertices)]
     return float(np.quantile(lengths[1] / lengths[0], 0.99))
 
 
 def main() -> None:
-    """Run one mode and print what the check saw."""
+    """Run one mode and print the results of the check."""
     parser = argparse.ArgumentParser(
         description="A newton cloth thrown at obstacles, with ccd_warp or without.",
         epilog="; ".join(f"{name}: {meaning}" for name, meaning in MODES.items()),

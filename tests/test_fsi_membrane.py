@@ -22,7 +22,7 @@ def run(module, with_ccd):
     counts, heights = [], []
     for frame in range(NUM_FRAMES):
         scene.advance(frame)
-        scene.check_room()
+        scene.check_capacity()
         counts.append(module.wrong_side(scene, scene.x.numpy().astype(np.float64)))
         heights.append(scene.x.numpy()[: scene.num_membrane, 2].copy())
     return scene, counts, np.array(heights)

@@ -201,7 +201,7 @@ def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone(device):
 
 
 def worlds_of(scenes):
-    """Scenes of several meshes as worlds of one mesh: the mesh, start and end positions, and where the vertices of each begin."""
+    """Scenes as worlds of one mesh: the mesh, start and end positions, and where the vertices of each world begin."""
     bodies = [(mesh.vertices, mesh.faces) for mesh, _, _ in scenes]
     counts = [mesh.num_vertices for mesh, _, _ in scenes]
     mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(len(scenes)), counts))

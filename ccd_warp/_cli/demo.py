@@ -18,7 +18,7 @@ class DemoScene:
         title: What it shows.
         bodies: Moving and static bodies.
         self_collision: Whether a body may touch itself.
-        compare_static_test: Whether to show what a test at both ends of the step says.
+        compare_static_test: Whether to show the result of a test at both ends of the step.
     """
 
     name: str
@@ -76,10 +76,10 @@ def cloth_scene(cells: int = 71) -> DemoScene:
 
 
 def surfaces_intersect(a_vertices, a_faces, b_vertices, b_faces) -> bool:
-    """Whether two resting surfaces cross: does an edge of one pass through a face of the other?
+    """Whether two surfaces cross at one instant: does an edge of one pass through a face of the other?
 
-    This is the test at one instant that a simulation makes when it has no CCD. It takes every edge with every face,
-    which small meshes can afford.
+    This is the test that a simulation without CCD makes. It tests every edge against every face, which is affordable
+    for small meshes.
     """
     a_vertices, b_vertices = np.asarray(a_vertices), np.asarray(b_vertices)
     return _edges_cross_faces(a_vertices, a_faces, b_vertices, b_faces) or _edges_cross_faces(

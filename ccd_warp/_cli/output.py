@@ -19,7 +19,7 @@ RESULT_SUFFIXES = (".npz", ".json", ".csv")
 
 
 def check_output_path(path: Path) -> None:
-    """Refuse a result file that cannot be written, before the work is done."""
+    """Reject a result file that cannot be written, before the computation."""
     if path.suffix.lower() not in RESULT_SUFFIXES:
         raise InputError(f"--output {path}: the name must end in {', '.join(RESULT_SUFFIXES)}")
     if not path.parent.is_dir():
@@ -29,15 +29,16 @@ def check_output_path(path: Path) -> None:
 def write_result(path: Path, bodies: list[Body], mesh, result) -> list[Path]:
     """Write a run's result: contacts, and the toi of every vertex, of every body and of the scene.
 
-    Vertices and faces are numbered through all bodies in their order; edges as ``CollisionMesh.edges``. Floats are
-    written so that they read back bit for bit; "no collision" is ``inf``, and null in JSON, which has no infinity.
+    Vertices and faces are numbered consecutively over all bodies in their order, and edges as in
+    ``CollisionMesh.edges``. Floats are written so that they read back bit for bit; "no collision" is ``inf``, and null
+    in JSON, which has no infinity.
 
     Args:
         path: ``.npz`` (everything), ``.json`` (all but the mesh) or ``.csv`` (contacts; the vertices' toi go to a
             second file whose name ends in ``_vertices.csv``).
         bodies: The scene.
         mesh: Its ``CollisionMesh``.
-        result: Of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``.
 
     Returns:
         The files written.

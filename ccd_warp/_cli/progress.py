@@ -1,16 +1,16 @@
-"""A line on the terminal that says how far a run is and how long it will take."""
+"""A line on the terminal that shows the progress of a run and how long it will take."""
 
 import sys
 import time
 
 from ccd_warp._runtime.progress import Progress
 
-_PATIENCE = 2.0  # seconds for which a run may be silent
+_PATIENCE = 2.0  # seconds before the line appears
 _WIDTH = 24
 
 
 class ProgressLine:
-    """The stage of a run, a bar, and the time that the stage may take yet; on stderr, where that is a terminal."""
+    """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
 
     def __init__(self, is_quiet: bool) -> None:
         self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
@@ -19,7 +19,7 @@ class ProgressLine:
         self._length = 0
 
     def show(self, progress: Progress) -> None:
-        """Write the line anew, once the run has taken two seconds."""
+        """Rewrite the line, once the run has taken two seconds."""
         now = time.monotonic()
         if progress.stage != self._stage:
             self._stage, self._stage_begin = progress.stage, now
@@ -28,7 +28,7 @@ class ProgressLine:
         self._write(line_of(progress, now - self._stage_begin))
 
     def clear(self) -> None:
-        """Leave an empty line."""
+        """Clear the line."""
         if self._length:
             self._write("")
             sys.stderr.write("\r")
@@ -43,7 +43,7 @@ class ProgressLine:
 
 
 def line_of(progress: Progress, seconds: float) -> str:
-    """The line of a stage that has taken so many seconds."""
+    """The line of a stage that has taken ``seconds`` so far."""
     share = min(1.0, progress.done / max(progress.total, 1))
     bar = f"{'#' * int(share * _WIDTH):{_WIDTH}}"
     left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "…"

@@ -1,1 +1,1 @@
-"""The stages of a step, and its two drivers: the host's, which decides, and the device's, which is recorded."""
+"""The stages of a step, and its two drivers: the host step, controlled by Python, and the recorded device step."""

@@ -1,4 +1,4 @@
-"""The trees of the swept boxes of one step, built where they are asked for, in buffers that stay."""
+"""The trees of the swept boxes of one step, built on demand in persistent buffers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,15 +23,15 @@ from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp.kernels import box_tree as kernels
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
-# A block whose longest side is beyond this multiple of a typical primitive's is no longer one of neighbours.
+# A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
-# Boxes of a level that are united in one launch with all levels above.
+# A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
-# Boxes of all trees from which on they are built by several threads.
+# Number of boxes in all trees from which on several threads build them.
 _WORTH_THREADS = 100_000
 _NO_END = 1.0
-# Share of the step below which making the boxes of what is left of it pays.
+# Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
 
 
@@ -44,21 +44,21 @@ class Tree:
     levels: tuple[int, ...]  # blocks of each level
 
     def level_boxes(self, level: int) -> NDArray[np.float32]:
-        """Lower and upper corners of a level, by block, quantization, corner, axis and lane; on the CPU."""
+        """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
         size = self.arrays.num_aabbs * BLOCK_FLOATS
         first = sum(self.levels[:level])
         floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
         return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
 
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The box around the tree, in the image; on the CPU."""
+        """The box around the tree, in quantized coordinates; on the CPU."""
         block = self.level_boxes(len(self.levels) - 1)[0]
         return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
 
 
 @dataclass(frozen=True)
 class _StaticKey:
-    """What the boxes of resting bodies depend on."""
+    """The values on which the boxes of static bodies depend."""
 
     positions: list[NDArray[np.float64]]
     quantization: tuple[float, ...]
@@ -75,7 +75,7 @@ class _StaticKey:
 
 
 def level_sizes(count: int) -> tuple[int, ...]:
-    """Blocks of each level of a tree over ``count`` boxes: at least two levels."""
+    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
     sizes = [-(-count // WIDTH)]
     while len(sizes) < 2 or sizes[-1] > 1:
         sizes.append(-(-sizes[-1] // WIDTH))
@@ -83,7 +83,7 @@ def level_sizes(count: int) -> tuple[int, ...]:
 
 
 def new_tree(primitives: PrimitiveSet, num_aabbs: int, allocate: Callable[[int], wp.array]) -> Tree:
-    """A tree without an order or boxes yet; ``allocate`` gives it so many numbers."""
+    """A tree that has no order and no boxes yet; ``allocate`` returns an array of the given length."""
     levels = level_sizes(primitives.count)
     first = np.concatenate([[0], np.cumsum(levels)])
     size = int(first[-1]) * BLOCK_FLOATS * num_aabbs
@@ -99,7 +99,7 @@ def new_tree(primitives: PrimitiveSet, num_aabbs: int, allocate: Callable[[int],
 
 
 def fill_tree(tree: Tree, vertex_aabbs: wp.array, execution: Execution | Recording) -> None:
-    """The boxes of every level, from the vertex_aabbs."""
+    """Compute the boxes of every level from the vertex AABBs."""
     inputs = [vertex_aabbs, tree.primitives.num_corners]
     execution.launch(kernels.fill_blocks, tree.levels[0], inputs=inputs, outputs=[tree.arrays], grain=2048)
     level, last = 2, len(tree.levels)
@@ -112,11 +112,11 @@ def fill_tree(tree: Tree, vertex_aabbs: wp.array, execution: Execution | Recordi
 
 
 class StepBoxes:
-    """Swept boxes of a mesh: held between steps, filled anew by each.
+    """Swept boxes of a mesh, kept between steps and recomputed by each.
 
     Attributes:
-        num_boxes: Boxes made in this step; those of static bodies count in the step that makes them.
-        num_sorted: Sets that had to be sorted anew in this step.
+        num_boxes: Boxes computed in this step; those of static bodies count only in the step that computes them.
+        num_sorted: Sets of primitives that had to be sorted again in this step.
     """
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
@@ -141,7 +141,7 @@ class StepBoxes:
         num_aabbs: int,
         active: wp.array | None = None,
     ) -> None:
-        """Start a step: its positions, the share of it that counts, frames of a box, and the bodies that matter."""
+        """Start a step, given its positions, its end time, the number of AABBs of a box and the active bodies."""
         start, end = host
         self.execution = execution
         self.vertices_t0, self.vertices_t1, self.inflation = vertices_t0, vertices_t1, inflation
@@ -152,19 +152,19 @@ class StepBoxes:
         self._trees.clear()
         if self.topology.mesh.static_vertex_ranges:
             quantization = (*self.quantization.origin, self.quantization.scale)
-            at_rest = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
-            key = _StaticKey(at_rest, quantization, inflation, num_aabbs)
+            static_positions = [start[begin:end] for begin, end in self.topology.mesh.static_vertex_ranges]
+            key = _StaticKey(static_positions, quantization, inflation, num_aabbs)
             if not key.same(self._static_key):
                 self._static_key = None
                 self._static_trees.clear()
                 self._static_quantization = choose_static_quantization(self.topology.mesh, start, self.quantization)
                 self._fill_vertex_aabbs(self.topology.static_vertices, self._all_active, _NO_END)
-                self._static_key = replace(key, positions=[positions.copy() for positions in at_rest])
+                self._static_key = replace(key, positions=[positions.copy() for positions in static_positions])
         self.t_end = t_end
         self._fill_vertex_aabbs(self.topology.moving_vertices, self.active, t_end)
 
     def shorten(self, t_end: float) -> None:
-        """Take the boxes over [0, t_end] only, where that is worth while; the order of the trees stays."""
+        """Recompute the boxes over [0, t_end] only, where this pays; the order of the trees stays."""
         if t_end > _WORTH_SHORTENING * self.t_end:
             return
         self.t_end = t_end
@@ -174,13 +174,13 @@ class StepBoxes:
         self._at_once(fills, [t.primitives for t in trees])
 
     def _at_once(self, tasks: Sequence[Callable[[], Any]], sets: list[PrimitiveSet]) -> list[Any]:
-        """Run one task a set on threads, unless there is less to do than waking them takes."""
+        """Run one task for each set on threads, unless there is too little work to wake them."""
         if sum(primitives.count for primitives in sets) < _WORTH_THREADS:
             return [task() for task in tasks]
         return self.execution.run(tasks)
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
-        """Make trees, at the same time: kinds of primitives, and whether they rest."""
+        """Build trees concurrently, each given by the kind of its primitives and whether they are static."""
         sets = [(self.topology.primitives(kind, is_static), is_static) for kind, is_static in dict.fromkeys(wanted)]
         new = [(p, s) for p, s in sets if p.count and p.name not in (self._static_trees if s else self._trees)]
         built = self._at_once([lambda p=p: self._build(p) for p, _ in new], [p for p, _ in new])  # type: ignore[misc]
@@ -189,13 +189,13 @@ class StepBoxes:
             self.num_boxes += primitives.count
 
     def tree(self, kind: str, is_static: bool) -> Tree | None:
-        """The tree of the primitives of a kind that move, or rest; None if there are none."""
+        """The tree of the moving or static primitives of a kind; None if there are none."""
         self.build([(kind, is_static)])
         trees = self._static_trees if is_static else self._trees
         return trees.get(self.topology.primitives(kind, is_static).name)
 
     def may_meet(self, a: Tree, b: Tree) -> bool:
-        """Whether the boxes around two trees overlap; on CUDA that is for the search to find."""
+        """Whether the boxes around two trees overlap; on CUDA the search has to find this out."""
         if a is b or self.execution.is_cuda:
             return True
         low_a, high_a = a.bounds()
@@ -240,7 +240,7 @@ class StepBoxes:
         return tree
 
     def _sort(self, primitives: PrimitiveSet, arrays: Any) -> None:
-        """Order the primitives by where they are now."""
+        """Order the primitives by their current positions."""
         self.num_sorted += 1
         quantization = self._quantization_of(primitives)
         keys = sorted_keys(primitives, self.vertex_aabbs, self.num_aabbs, quantization, self.buffers, self.execution)
@@ -256,15 +256,15 @@ class StepBoxes:
         )
 
     def _quantization_of(self, primitives: PrimitiveSet) -> Any:
-        """What the order of a set is judged and made by.
+        """The quantization by which the order of a set is checked and made.
 
-        The trees of static bodies stay while steps with other frames come and go, so their order must not depend on
-        what moves in the step that happens to make them.
+        The trees of static bodies are kept for steps with other positions, so their order must not depend on what moves
+        in the step that happens to build them.
         """
         return self._static_quantization if primitives.is_static else self.quantization
 
     def _is_in_order(self, tree: Tree, quantization: Any) -> bool:
-        """Whether most of the blocks are no longer than neighbours are together."""
+        """Whether most of the blocks are small enough to consist of neighbours."""
         count = tree.levels[0]
         if count <= 4:
             return True

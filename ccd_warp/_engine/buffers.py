@@ -1,4 +1,4 @@
-"""Device arrays that stay for the next step, and the count of what they take."""
+"""Device arrays that are kept for the next step, and the memory they occupy."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ _GROWTH = 1.25
 
 
 class Buffers:
-    """Arrays by name, which only ever grow: a step of the same size allocates nothing.
+    """Named arrays that only grow: a step of the same size allocates nothing.
 
     Attributes:
-        num_allocations: Arrays that were allocated so far.
-        capacities: Pairs that a search is to have capacity for, by whether it culls; what steps before came to need.
+        num_allocations: Number of arrays allocated so far.
+        capacities: Pairs for which a search allocates capacity, by whether it culls, as learned from earlier steps.
     """
 
     def __init__(self, device: Any) -> None:
@@ -22,7 +22,7 @@ class Buffers:
         self._arrays: dict[str, wp.array] = {}
 
     def get(self, name: str, count: int, dtype: Any) -> wp.array:
-        """An array of at least ``count`` elements, with whatever it held before; it is shared by all who ask for it."""
+        """An array of at least ``count`` elements with arbitrary contents; every caller with this name shares it."""
         array = self._arrays.get(name)
         if array is None or len(array) < count:
             size = count if array is None else max(count, int(_GROWTH * len(array)))
@@ -32,7 +32,7 @@ class Buffers:
         return array
 
     def rows(self, name: str, count: int, width: int, dtype: Any) -> wp.array:
-        """An array of at least ``count`` rows; a row of eight 64-bit numbers is a cache line, so threads share none."""
+        """An array of at least ``count`` rows; a row of eight 64-bit numbers fills a cache line of its own."""
         array = self.get(name, -(-count // 64) * 64 * width, dtype)
         return array[: len(array) // width * width].reshape((-1, width))
 
@@ -48,7 +48,7 @@ class Buffers:
         return new
 
     def num_bytes_but(self, *words: str) -> int:
-        """Bytes of all arrays whose name holds none of the words."""
+        """Bytes of all arrays whose names contain none of the words."""
         return sum(
             array.capacity for name, array in self._arrays.items() if not any(word in name.split() for word in words)
         )

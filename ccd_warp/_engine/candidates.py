@@ -15,11 +15,11 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import default_num_threads, run
 from ccd_warp._status import PairKind
 
-# Pairs of a kind from which on threads sort them together.
+# Number of pairs of a kind from which on several threads sort them.
 _WORTH_RANGES = 100_000
-# Pairs that are copied at a time: both sides stay in the cache between the two columns.
+# Pairs copied at a time: source and target stay in the cache between the two columns.
 _CHUNK = 1 << 14
-# Pairs that are worth a task on a thread.
+# Number of pairs that is worth a task on a thread.
 _TASK = 1 << 17
 # The first index is the upper half of a key.
 _COLUMNS = slice(None, None, -1 if sys.byteorder == "little" else 1)
@@ -29,17 +29,17 @@ _COLUMNS = slice(None, None, -1 if sys.byteorder == "little" else 1)
 class Candidates:
     """Pairs that may collide in the step, each once.
 
-    On the CPU pairs come in the order of the search: by the place of the first box and then of the second in trees of
-    boxes that are near each other, sixteen at a time. That order depends on the mesh, the two frames, the inflation and
-    the version of this library alone, not on the number of threads, the memory limit or earlier calls. On CUDA pairs
-    are in lexicographic order.
+    On the CPU pairs are in the order of the search: by the position of the first box and then of the second in trees
+    that group neighbouring boxes in blocks of sixteen. This order depends only on the mesh, the positions, the
+    inflation and the version of this library, not on the number of threads, the memory limit or earlier calls. On CUDA
+    pairs are in lexicographic order.
 
     Attributes:
         vertex_face: Vertex and face indices, int32, shape [m, 2].
         edge_edge: Edge indices, first < second, int32, shape [k, 2].
-        point_segment: Indices of codimensional points among the vertices and of codimensional edges among the edges, int32,
-            shape [n, 2]; empty where the mesh has none.
-        point_point: Indices of codimensional points among the vertices, first < second, int32, shape [l, 2]; likewise.
+        point_segment: Vertex indices of codimensional points and edge indices of codimensional edges, int32, shape
+            [n, 2]; empty where the mesh has none.
+        point_point: Vertex indices of codimensional points, first < second, int32, shape [l, 2]; likewise.
     """
 
     vertex_face: NDArray[np.int32]
@@ -48,20 +48,20 @@ class Candidates:
     point_point: NDArray[np.int32]
 
     def sorted(self) -> "Candidates":
-        """The same pairs in lexicographic order, in arrays of their own."""
+        """The same pairs in lexicographic order, in new arrays."""
         return Candidates(*map(_sorted_pairs, (self.vertex_face, self.edge_edge, self.point_segment, self.point_point)))
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Pairs that one part of a search has found, and what they are a part of."""
+    """Pairs found by one part of a search, and the range of keys they come from."""
 
     found: Found
     pairs: NDArray[np.int32]
 
 
 class _Collector:
-    """Takes what a search finds batch by batch, and lays it out in the order of the trees."""
+    """Collects the pairs of a search batch by batch, and puts them in the order of the trees."""
 
     def __init__(self, execution: Execution) -> None:
         self._execution = execution
@@ -85,7 +85,7 @@ class _Collector:
         self._copy(copies)
 
     def pairs(self) -> Candidates:
-        """All that was taken, in order."""
+        """All collected pairs, in order."""
         return Candidates(*map(self._pairs_of, PairKind))
 
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
@@ -105,7 +105,7 @@ class _Collector:
         return pairs
 
     def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
-        """Copy pairs to where they belong, target and source, on all threads where there are many."""
+        """Copy pairs, given as (target, source), on all threads where there are many."""
         parts = [
             (target[k : k + _TASK], source[k : k + _TASK])
             for target, source in copies
@@ -119,12 +119,12 @@ class _Collector:
 
 
 def candidates_of(step: Any, inflation: float) -> Candidates:
-    """All pairs whose boxes overlap; of a `host_step.Step`, which is above this module."""
+    """All pairs of a `host_step.Step` whose boxes overlap; that module imports this one, hence the type."""
     collector = _Collector(step.execution)
     step.candidates(inflation, collector.take)
     with step.timed("copy"):
         found = collector.pairs()
-        # threads of a GPU write as they come
+        # the threads of a GPU write in arbitrary order
         return found.sorted() if step.execution.is_cuda else found
 
 
@@ -138,16 +138,17 @@ def _place(found: Found) -> tuple[int, int, int]:
 
 
 def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
-    """Copy pairs column by column, which NumPy does four times as fast as row by row, a stretch in the cache each."""
+    """Copy pairs column by column in chunks that fit the cache, which NumPy does four times as fast as by rows."""
     for k in range(0, len(target), _CHUNK):
         for column in range(2):
             target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
 
 
 def _as_one_block(tree_pair: TreePair | None, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Pairs of a query block, found query by query, in the order in which the whole block finds them.
+    """Put pairs of a query block that were found query by query into the order in which the whole block finds them.
 
-    That is by target block, then by query, then by target: a walk goes through the targets in the order of the tree.
+    This order is by target block, then by query, then by target: a traversal visits the targets in the order of the
+    tree.
     """
     assert tree_pair
     sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (tree_pair.query, tree_pair.target)]
@@ -157,22 +158,23 @@ def _as_one_block(tree_pair: TreePair | None, pairs: NDArray[np.int32]) -> NDArr
     query_place, target_place = places
     query, target = pairs.T[::-1] if tree_pair.swapped else pairs.T
     if tree_pair.is_symmetric:
-        # the lower index comes first, whichever of the two asked; within a set the first in the tree asks
+        # The lower index comes first, whichever of the two was the query; within a set the query is the one that comes
+        # first in the tree.
         is_turned = query_place[query] > query_place[target] if tree_pair.within else query_place[query] < 0
         query, target = np.where(is_turned, target, query), np.where(is_turned, query, target)
-    asking, found = query_place[query], target_place[target]
-    return pairs[np.lexsort((found % WIDTH, asking % WIDTH, found // WIDTH))]
+    query_at, target_at = query_place[query], target_place[target]
+    return pairs[np.lexsort((target_at % WIDTH, query_at % WIDTH, target_at // WIDTH))]
 
 
 def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Pairs in lexicographic order, in an array of their own."""
+    """Pairs in lexicographic order, in a new array."""
     result = np.empty_like(pairs, order="C")
     keys: NDArray[np.int64] = np.empty(len(pairs), dtype=np.int64)
     keys.view(np.int32).reshape(-1, 2)[:, _COLUMNS] = pairs
     threads = default_num_threads() if len(pairs) > _WORTH_RANGES else 1
     cuts = [len(keys) * k // threads for k in range(threads + 1)]
     if threads > 1:
-        # so that ranges between cuts can be sorted apart
+        # so that the ranges between cuts can be sorted independently
         keys.partition(cuts[1:-1])
 
     def finish(low: int, high: int) -> None:

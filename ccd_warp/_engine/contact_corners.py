@@ -1,4 +1,4 @@
-"""Which vertices a contact is of."""
+"""The vertices of a contact."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts
 from ccd_warp._status import PairKind
 
-# Columns that make four of the vertices of both primitives, by how many those are.
+# Columns that repeat the vertices of both primitives to make four, by the number of vertices.
 _FOUR = {4: [0, 1, 2, 3], 3: [0, 0, 1, 2], 2: [0, 0, 1, 1]}
 
 

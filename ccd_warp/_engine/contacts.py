@@ -1,4 +1,4 @@
-"""Contacts and minima of a step: solved batch by batch into one list, and put in order at the end."""
+"""Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
 from collections.abc import Mapping
@@ -27,18 +27,18 @@ CONTACT_DTYPES = {
     "normal": wp.vec3d,
 }
 _BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
-# Bytes of a place in the list; and of a contact at most: in the list, while that is copied to one of twice the size, or
-# in the list and in the result, and its key and its place in the order.
+# Bytes of an entry of the list; and the most that a contact takes: an entry of the list while it is copied to one of
+# twice the size, or an entry of the list and one of the result, with its key and its position in the order.
 BYTES_PER_CONTACT = _BYTES
 BYTES_KEPT = 3 * _BYTES + 16
 _LAST = np.iinfo(np.int32).max
-# Contacts from which on threads share the sorting.
+# Number of contacts from which on threads share the sorting.
 _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
-    """The struct that kernels lower: toi as bits, of numbers that are not negative, and flags."""
+    """The struct of atomic minima: toi as bits, which order like the non-negative numbers, and flags."""
     minima = Minima()
     minima.vertex_body, minima.vertex_world = topology.vertex_body, topology.vertex_world
     for name, array in arrays.items():
@@ -56,7 +56,7 @@ def new_contact_list(arrays: Mapping[str, wp.array]) -> Any:
 
 @dataclass(frozen=True)
 class Gathered:
-    """Contacts in order, and the earliest of every vertex and body."""
+    """Sorted contacts, and the earliest of every vertex and body."""
 
     contacts: Contacts
     toi: float
@@ -71,8 +71,8 @@ class ContactStore:
     """Contacts of the batches of a step, and the minima over them; its arrays stay for the next step.
 
     Attributes:
-        minima: What the narrow phase lowers.
-        total: Contacts that were found.
+        minima: The minima that the narrow phase updates.
+        total: Number of contacts found.
     """
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
@@ -122,7 +122,7 @@ class ContactStore:
         self.total += int(self._counter.numpy()[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
-        """All contacts, by kind and pair, and whose they are."""
+        """All contacts, sorted by kind and pair, and the first contact of every vertex and body."""
         mesh, topology = self._topology.mesh, self._topology
         device, count = topology.device, self.total
         arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
@@ -151,7 +151,7 @@ class ContactStore:
         )
 
     def _order(self, found: Any) -> wp.array:
-        """Places of the contacts by ascending kind and pair."""
+        """Positions of the contacts in the list, by ascending kind and pair."""
         device, count = self._execution.device, self.total
         keys = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
         self._execution.launch(kernels.contact_keys, count, inputs=[found], outputs=[keys])
@@ -162,7 +162,7 @@ class ContactStore:
         return places
 
     def _sorted_places(self, keys: NDArray[np.int64]) -> NDArray[np.int32]:
-        """What sorts the keys; threads sort ranges of them that a sample parts."""
+        """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""
         if len(keys) < _WORTH_THREADS or self._execution.num_threads == 1:
             return np.argsort(keys).astype(np.int32)
         sample = np.sort(keys[:: len(keys) // _SAMPLES])

@@ -1,4 +1,4 @@
-"""A step whose input and results stay on the device: launches of known sizes, recorded once, and repeated."""
+"""A step whose input and results stay on the device: launches of fixed sizes, recorded once and replayed."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -29,13 +29,13 @@ MOST_CONTACTS = np.iinfo(np.int32).max
 _LEAST_CAPACITY = 1 << 12
 _NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
-# Threads of CUDA that share the pairs of a kind, and parts of a search for each thread of the CPU.
+# Largest number of CUDA threads that share the pairs of a kind, and parts of a search for each CPU thread.
 _MOST_SOLVERS = 1 << 17
 _PARTS_PER_THREAD = 8
 _SMALLEST_SEARCH = 64
-# Flags that a look of a line search passes on: what one did not see, the others do not undo.
+# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed.
 _KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
-# Vertices from which on waking threads for the narrow phase costs less than they save.
+# Number of vertices from which on threads for the narrow phase save more than waking them costs.
 _WORTH_THREADS = 1 << 11
 _PER = {
     "scene": int(device_step.PER_SCENE),
@@ -44,38 +44,38 @@ _PER = {
     "vertex": int(device_step.PER_VERTEX),
 }
 _SAFETY = Slot("safety")
-# In place of a number of pairs: as many as the device finds.
+# In place of a number of pairs: the number that the device finds.
 _AS_FOUND = -1
-# Recordings that are kept, as many as a loop has kinds of calls.
+# Recordings that are kept, enough for the different kinds of calls in a loop.
 _MOST_RECORDINGS = 16
-# Rounds of a line search that shorten by toi; in those after them what touches again stays where it is.
+# Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
 _ROUNDS_BY_TOI = 2
-# Share of its gap that a pair may move by where the first of these rounds finds toi 0, as the gap may be lost beside so
-# long a motion alone; what has toi 0 in the second stays. Of a half, a quarter and an eighth only this one let all
-# of the draped cloths in float32 move.
+# Fraction of its gap by which a pair may move where the first of these rounds finds toi 0, because the gap may only be
+# lost in the rounding of a long motion; vertices with toi 0 in the second round stay where they are. Of a half, a
+# quarter and an eighth, only an eighth let all the draped cloths in float32 move.
 _GAPS_MOVED = 0.125
 
 
 @dataclass(frozen=True)
 class Capacities:
-    """Room of a device step; see :meth:`ccd_warp.CollisionPipeline.reserve`."""
+    """Capacities of a device step; see :meth:`ccd_warp.CollisionPipeline.reserve`."""
 
     max_pairs: int
     max_contacts: int
 
     @staticmethod
     def default(mesh: CollisionMesh) -> "Capacities":
-        """A pair of each kind a primitive, a contact a vertex: less than the boxes take."""
+        """One pair of each kind for each primitive and one contact for each vertex, less memory than the boxes take."""
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         return Capacities(min(max(_LEAST_CAPACITY, primitives), MOST_PAIRS), max(_LEAST_CAPACITY, mesh.num_vertices))
 
 
 @dataclass(frozen=True)
 class LineSearch:
-    """Which launches a line search consists of; ``safety`` is an argument of theirs."""
+    """The kind of a line search, which determines its launches; ``safety`` is an argument of the launches."""
 
     per: str
-    num_rounds: int  # 0 where it does not count
+    num_rounds: int  # 0 where it is not used
 
     @staticmethod
     def of(per: str, num_rounds: int) -> "LineSearch":
@@ -83,17 +83,17 @@ class LineSearch:
         return LineSearch(per, 0 if per in ("scene", "world") else num_rounds)
 
     def stages(self) -> list[tuple[str, Any]]:
-        """What a vertex may move by after each check: whose toi, and the share of it."""
+        """For each pass, whose toi then limits the motion of a vertex, and the fraction of that toi it may move."""
         if self.per in ("scene", "world"):
             return [(self.per, _SAFETY)] * _ROUNDS_BY_TOI + [("world", 0.0)]
-        # what is stopped may stop others in turn; what is left one fraction of the world settles
+        # Stopped vertices may stop others in turn; one fraction for the world settles the contacts that remain.
         by_toi = min(_ROUNDS_BY_TOI, self.num_rounds)
         shares = [_SAFETY] * by_toi + [0.0] * (self.num_rounds - by_toi)
         return [*((self.per, share) for share in shares), ("world", _SAFETY), ("world", 0.0)]
 
 
 class _Form(NamedTuple):
-    """What a recording depends on, beside the arrays."""
+    """What a recording depends on besides the arrays."""
 
     real: Any
     t0_by_vertex: bool
@@ -106,11 +106,11 @@ class PreparedLaunch(NamedTuple):
     """The checked arguments of a launch.
 
     Attributes:
-        form: Which launches it consists of.
+        form: The form of the launch, which selects the recording.
         vertices_t0: Start positions.
         vertices_t1: End positions, or displacements.
-        safety: Share of a toi that a line search keeps.
-        places_static: Whether it says where static bodies are.
+        safety: Fraction of a toi that a line search keeps.
+        places_static: Whether it sets the positions of static bodies.
     """
 
     form: _Form
@@ -121,10 +121,10 @@ class PreparedLaunch(NamedTuple):
 
 
 class DeviceStep:
-    """Everything that a step on the device writes to, and its launches.
+    """All arrays to which a step on the device writes, and its launches.
 
     Attributes:
-        result: Where they write.
+        result: The arrays of the result.
     """
 
     def __init__(
@@ -133,13 +133,13 @@ class DeviceStep:
         options: Options,
         capacities: Capacities,
         vertices: NDArray[np.float64],
-        at_rest: NDArray[np.float64],
+        static_positions: NDArray[np.float64],
     ) -> None:
-        """Allocate everything; ``vertices`` are where the trees are laid out, rows of ``at_rest`` static bodies."""
+        """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``."""
         self.topology = topology
         self._mesh = mesh = topology.mesh
         self._has_static = bool(mesh.static.any())
-        _ = topology.corners, topology.collision_filter  # made now, not when a graph is captured
+        _ = topology.corners, topology.collision_filter  # computed now, not during a capture
         self._options = options
         self._flag = StopFlag(topology.device)
         self._execution = Execution(topology.device, options.threads, self._flag)
@@ -155,13 +155,13 @@ class DeviceStep:
         self._trees: dict[str, Tree] = {}
         self._start = self._end = self._empty(0, wp.vec3d)
         if self._has_static:
-            self._place(at_rest)
+            self._place_static(static_positions)
         self._tree_pairs = tree_pairs_of(self, possible_kinds(mesh, options), moves_alone(mesh))
         self._keys = {
             kind: self._empty(capacities.max_pairs, wp.int64)
             for kind in {tree_pair.kind for tree_pair in self._tree_pairs}
         }
-        self._recordings: dict[_Form, Recording] = {}  # the one made last is the last
+        self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
         self._minima = new_minima(
@@ -181,17 +181,17 @@ class DeviceStep:
     def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
         return wp.full(count, value=value, dtype=dtype, device=self.topology.device)
 
-    def _place(self, at_rest: NDArray[np.float64]) -> None:
-        """Positions of its own, which begin with the static bodies where they are."""
-        rest: wp.array = wp.array(at_rest, dtype=wp.vec3d, device=self.topology.device)
-        self._start, self._end = rest, wp.clone(rest)
+    def _place_static(self, static_positions: NDArray[np.float64]) -> None:
+        """Allocate float64 positions, with the static bodies at the given ones."""
+        start: wp.array = wp.array(static_positions, dtype=wp.vec3d, device=self.topology.device)
+        self._start, self._end = start, wp.clone(start)
 
-    def at_rest(self) -> NDArray[np.float64]:
-        """Positions whose static rows are where these bodies rest by now; this waits for the device."""
+    def static_positions(self) -> NDArray[np.float64]:
+        """Positions whose static rows are the current positions of these bodies; this waits for the device."""
         return self._start.numpy().copy() if self._has_static else self._vertices
 
     def _new_result(self, max_contacts: int) -> LaunchResult:
-        """Arrays that say, before the first launch, that nothing may move."""
+        """The arrays of the result; until the first launch every toi is 0, so that nothing may move."""
         mesh = self._mesh
         sizes = {"toi": 1, "body_toi": mesh.num_bodies, "vertex_toi": mesh.num_vertices}
         arrays = {name: self._full(count, 0.0, wp.float64) for name, count in sizes.items()}
@@ -200,19 +200,21 @@ class DeviceStep:
         if mesh.num_worlds > 1:
             arrays["world_toi"] = self._full(mesh.num_worlds, 0.0, wp.float64)
             arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
-        capacity = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
+        contact_arrays = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
         count = self._full(1, 0, wp.int32)
-        contacts = DeviceContacts(count=count, **capacity)
+        contacts = DeviceContacts(count=count, **contact_arrays)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
-        """Lay trees out, and fill those of static bodies: kinds of primitives, and whether they rest."""
+        """Lay out trees, given by the kind of primitives and whether they are static, and fill the static ones."""
         sets = [self.topology.primitives(*end) for end in dict.fromkeys(wanted)]
         if any(primitives.is_static for primitives in sets):
             self._execution.launch(
                 box_tree.fill_vertex_aabbs,
                 len(self.topology.static_vertices),
-                inputs=self._record_inputs(self.topology.static_vertices, self._active, self._start, self._end, 1.0),
+                inputs=self._vertex_aabb_inputs(
+                    self.topology.static_vertices, self._active, self._start, self._end, 1.0
+                ),
                 outputs=[self._vertex_aabbs],
             )
         for primitives in sets:
@@ -228,14 +230,14 @@ class DeviceStep:
         return self.topology.order_at(self._vertices, primitives, self._execution)
 
     def tree(self, kind: str, is_static: bool) -> Tree | None:
-        """The tree of the primitives of a kind that move, or rest; None if there are none."""
+        """The tree of the moving or static primitives of a kind; None if there are none."""
         return self._trees.get(self.topology.primitives(kind, is_static).name)
 
     def may_meet(self, a: Tree, b: Tree) -> bool:
-        """What the device alone could tell."""
+        """Always true: only the device could tell."""
         return True
 
-    def _record_inputs(self, vertices: wp.array, active: wp.array, start: Any, end: Any, t_end: float) -> list:
+    def _vertex_aabb_inputs(self, vertices: wp.array, active: wp.array, start: Any, end: Any, t_end: float) -> list:
         of_vertices = self.topology.of_vertices(active)
         return [vertices, *of_vertices, start, end, t_end, self._inflation, self._quantization, _NUM_AABBS]
 
@@ -268,7 +270,7 @@ class DeviceStep:
         return PreparedLaunch(form, start, end, safety, form.t0_by_vertex and self._has_static)
 
     def launch(self, prepared: "PreparedLaunch") -> None:
-        """Launch a step. If this raises, the step is half-made and is not to be used again."""
+        """Launch a step. If this raises, the device step is in an inconsistent state and must not be used again."""
         form, start, end = prepared.form, prepared.vertices_t0, prepared.vertices_t1
         recording = self._recordings.get(form)
         if recording is None:
@@ -282,7 +284,7 @@ class DeviceStep:
         recording.play()
 
     def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
-        """All launches of a step, or of as many as a line search looks at."""
+        """All launches of a step, or of all passes of a line search."""
         recording = Recording(
             self._execution, {"vertices_t0": vertices_t0, "vertices_t1": vertices_t1, _SAFETY.name: 1.0}
         )
@@ -294,12 +296,12 @@ class DeviceStep:
         by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(self._mesh))
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
         stages = form.line_search.stages()
-        for look, (per, share) in enumerate(stages):
-            # only where the next look stops the same bodies or vertices, and not their world, if it was in vain
-            may_cut = look == 0 and stages[1][0] == per
-            self._record_step(recording, form, _KEPT_FLAGS if look > 0 else 0, _GAPS_MOVED if may_cut else 0.0)
-            if look < len(stages) - 1:
-                # what a look has found free is so until something in its world is shortened
+        for number, (per, share) in enumerate(stages):
+            # only where the next pass, if this was in vain, stops the same bodies or vertices and not their world
+            may_cut = number == 0 and stages[1][0] == per
+            self._record_step(recording, form, _KEPT_FLAGS if number > 0 else 0, _GAPS_MOVED if may_cut else 0.0)
+            if number < len(stages) - 1:
+                # a world found free of contacts stays so until something in it is shortened
                 recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
                 recording.launch(
                     device_step.keep_touched,
@@ -324,20 +326,20 @@ class DeviceStep:
         return recording
 
     def _record_step(self, recording: Recording, form: _Form, kept_flags: int = 0, gaps_moved: float = 0.0) -> None:
-        """The launches of a look at a step."""
+        """Record the launches of one pass over a step."""
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
-        is_kept = form.real is not wp.float64 or form.is_displacement or self._has_static
-        if is_kept:
+        is_copied = form.real is not wp.float64 or form.is_displacement or self._has_static
+        if is_copied:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
             start, end = self._start, self._end
-        self._record_input(recording, form, is_kept, kept_flags)
+        self._record_input(recording, form, is_copied, kept_flags)
         recording.launch(
             box_tree.fill_vertex_aabbs,
             len(topology.moving_vertices),
-            inputs=self._record_inputs(
+            inputs=self._vertex_aabb_inputs(
                 topology.moving_vertices,
                 self._active if form.line_search is None else self._touched,
                 start,
@@ -354,8 +356,8 @@ class DeviceStep:
         for kind in self._keys:
             self._record_narrow_phase(recording, kind, start, end, form.line_search is not None, gaps_moved)
 
-    def _record_input(self, recording: Recording, form: _Form, is_kept: bool, kept_flags: int) -> None:
-        """Read positions, and reset the results."""
+    def _record_input(self, recording: Recording, form: _Form, is_copied: bool, kept_flags: int) -> None:
+        """Record the launches that read positions and reset the results."""
         mesh, topology, minima = self._mesh, self.topology, self._minima
         read = device_step.make_input(form.real)
         recording.launch(
@@ -382,16 +384,16 @@ class DeviceStep:
                 Slot("vertices_t1"),
                 *by_vertex,
                 int(form.is_displacement),
-                int(is_kept),
+                int(is_copied),
             ],
             outputs=[self._start, self._end, minima],
         )
         recording.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[minima])
-        # an earlier launch may have been interrupted after it read where they are
+        # also if static bodies are not read here: an earlier launch may have been interrupted after it read them
         self._record_refresh(recording)
 
     def _record_refresh(self, recording: Recording) -> None:
-        """Make the boxes of static bodies anew, where they are not those of the positions."""
+        """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
         topology = self.topology
         trees = [tree for tree in self._trees.values() if tree.primitives.is_static]
         if not trees:
@@ -427,7 +429,7 @@ class DeviceStep:
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
 
     def _record_search(self, recording: Recording, tree_pair: TreePair, start: Any, end: Any) -> None:
-        """Look for the pairs of a tree_pair, a block of queries an item, on CUDA a query."""
+        """Record the search of a tree pair; an item is a block of queries, on CUDA a query."""
         level = 0 if recording.is_cuda else 1
         count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
         num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
@@ -453,14 +455,14 @@ class DeviceStep:
     def _record_narrow_phase(
         self, recording: Recording, kind: PairKind, start: Any, end: Any, only_moving: bool, gaps_moved: float
     ) -> None:
-        """Solve the pairs of a kind."""
+        """Record the two rounds of the narrow phase for the pairs of a kind."""
         keys = self._keys[kind]
         solvers = min(len(keys), _MOST_SOLVERS)
         if not recording.is_cuda:
             solvers = self._execution.num_threads if self._mesh.num_vertices > _WORTH_THREADS else 1
         corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
         options = self._options.for_kernel(self._length_scale, stop=self._flag.array)
-        found = self._counts.numpy()[kind]  # on the CPU what a launch has found by then
+        found = self._counts.numpy()[kind]  # on the CPU a view of what the launch has found
 
         for is_second in (False, True):
             recording.launch(
@@ -495,7 +497,7 @@ def _worlds_are_apart(mesh: CollisionMesh) -> bool:
 
 
 def _longest_side(vertices: NDArray[np.float64]) -> float:
-    """Longest side of the box around positions, which tolerance and separation refer to."""
+    """Longest side of the box around positions, the unit of tolerance and separation."""
     with np.errstate(over="ignore"):
         side = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 1.0
     if not 0.0 < side <= np.finfo(np.float64).max:

@@ -32,14 +32,14 @@ from ccd_warp.kernels.minima import OPEN
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import NUM_COUNTS
 
-# Room for pairs where the user sets no limit.
+# Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
-# The search for a bound looks at every so many blocks first, and then at all of them over what is left of the step.
+# The search for a bound first samples every so many blocks, and then checks all of them over the rest of the step.
 _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
-# Pairs of a part at most, so that threads end together, and progress is seen.
+# Largest number of pairs in a part, so that threads end at about the same time and progress is visible.
 _LARGEST_PART = 1 << 14
-# Pairs left by the cull, in all and for each primitive, from which on overlaps have exploded.
+# Pairs left by the cull, in total and for each primitive, from which on there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
 _LARGEST = float(np.finfo(np.float64).max)
@@ -51,8 +51,8 @@ class OpenPairs:
     """Pairs of a step that the first round of the narrow phase leaves open.
 
     Attributes:
-        marked: Complements of their keys by kind of pair, where contacts are looked for.
-        arrays: Their keys, and the toi that they have by then, where the least toi is.
+        marked: The complements of their keys, by kind of pair, in a search for contacts.
+        arrays: Their keys and their toi so far, by kind of pair, in a search for the least toi.
     """
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class OpenPairs:
         self.arrays: dict[PairKind, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
 
     def take(self, found: Found) -> None:
-        """Copy what is marked among the keys of a batch."""
+        """Copy the marked keys of a batch."""
         keys = found.keys.numpy()[found.begin : found.begin + found.count]
         marked = keys[keys < 0]
         self.marked[found.kind] = np.concatenate([self.marked.get(found.kind, marked[:0]), marked])
@@ -113,7 +113,7 @@ class _OpenList:
 
 @dataclass(frozen=True)
 class _PairPart:
-    """Pairs first, first + 1, … of those found."""
+    """``count`` of the found pairs, from ``first`` on."""
 
     found: Found
     first: int
@@ -121,7 +121,7 @@ class _PairPart:
 
 
 class Step:
-    """One step."""
+    """One step on the host: it runs the stages and collects counts and timings."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class Step:
         checking_seconds: float = 0.0,
         show: Callable[[Progress], None] | None = None,
     ) -> None:
-        """Begin a step between two frames, which checking has taken some time for; ``show`` is told how far it is."""
+        """Begin a step; ``checking_seconds`` went into checking its positions, and ``show`` displays its progress."""
         self.timings: dict[str, float] = {"input": checking_seconds}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.options = options
@@ -156,7 +156,7 @@ class Step:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of a stage; on CUDA by events, which are read when the result is there anyway."""
+        """Add the time of a stage; on CUDA by events, which are read once the result is available."""
         if self.execution.device.is_cuda:
             begin_event, end_event = (wp.Event(self.execution.device, enable_timing=True) for _ in range(2))
             stream = wp.get_stream(self.execution.device)
@@ -193,11 +193,11 @@ class Step:
 
     @property
     def inflation(self) -> float:
-        """Growth of the boxes for the separation."""
+        """Enlargement of the boxes for the separation."""
         return half_up(self.separation)
 
     def begin_boxes(self, inflation: float, t_end: float, num_aabbs: int) -> None:
-        """The swept boxes of what may collide: a body that no other comes near costs its own box alone."""
+        """Compute the swept boxes of bodies that may collide; a body that none comes near costs only its own box."""
         mesh = self.mesh
         active = None
         if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
@@ -211,7 +211,7 @@ class Step:
         self.tree_pairs = tree_pairs_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
 
     def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
-        """A search with the capacity that the memory limit leaves."""
+        """A search with the capacity that the memory limit allows."""
         search = PairSearch(
             self.boxes,
             self.execution,
@@ -221,11 +221,11 @@ class Step:
             separation=self.separation,
             progress=self.progress,
         )
-        search.largest_capacity = self.capacity(bytes_per_pair)  # which counts what the search has just allocated
+        search.largest_capacity = self.capacity(bytes_per_pair)  # counts what the search has just allocated
         return search
 
     def capacity(self, bytes_per_pair: int) -> int:
-        """Pairs that the memory limit has capacity for at a time."""
+        """Largest number of pairs at a time within the memory limit."""
         least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.tree_pairs)])
         least *= 1 if self.execution.is_cuda else self.execution.num_threads
         limit = self.options.memory_limit
@@ -246,13 +246,13 @@ class Step:
         return self.topology.num_bytes + self.buffers.num_bytes_but("keys", "contact", "pair")
 
     def largest_contacts(self) -> int:
-        """Contacts that the memory limit has capacity for."""
+        """Largest number of contacts within the memory limit."""
         if self.options.memory_limit is None:
             return np.iinfo(np.int32).max
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
     def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
-        """Hand the keys of all pairs whose boxes overlap to ``take``, a batch at a time, which the next overwrites."""
+        """Pass the keys of all pairs whose boxes overlap to ``take`` in batches; each overwrites the previous one."""
         with self.timed("boxes"):
             self.begin_boxes(inflation, 1.0, num_aabbs=1)
         with self.timed("pairs"):
@@ -269,7 +269,7 @@ class Step:
         self.finish_counts()
 
     def pair_inputs(self, found: Found, first: int) -> list:
-        """Inputs that every kernel over pairs begins with, for those from ``first`` on."""
+        """The inputs with which every kernel over pairs begins, for the pairs from ``first`` on."""
         a, b = CORNER_ARRAYS[found.kind]
         corners = self.topology.corners
         return [
@@ -283,7 +283,7 @@ class Step:
         ]
 
     def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
-        """A batch in parts that are worth a launch each, some for every thread, and many of a large one."""
+        """Split a batch into parts that are worth a launch each: several for every thread, more of a large batch."""
         parts = []
         total = sum(found.count for found in batch)
         for found in batch:
@@ -312,9 +312,9 @@ class Step:
     def bound(self) -> float:
         """Earliest toi of all pairs, or t_max.
 
-        A sample of the queries comes first. Where it finds a contact, the rest looks only at the part of the step
-        before it: boxes are shorter, and the cull stops there. The bound of each round is the least toi of the pairs of
-        the round before, which depends on the input alone, and so does the result.
+        A sample of the queries comes first. Where it finds a contact, the full search covers only the part of the step
+        before it: the boxes are shorter, and the cull ends there. The bound of each round is the least toi of the pairs
+        of the previous round. It depends only on the input, and so does the result.
         """
         best = self.options.t_max
         with self.timed("boxes"):
@@ -352,8 +352,8 @@ class Step:
 
         Args:
             batch: The pairs.
-            bound: A toi that was found before, or the end of the step.
-            open_pairs: Where those go that the first round leaves open; None in the second round.
+            bound: A toi found earlier, or the end of the step.
+            open_pairs: Collects the pairs that the first round leaves open; None in the second round.
         """
         if not batch:
             return bound
@@ -362,7 +362,7 @@ class Step:
         if open_pairs is None:
             cap = self.options.share_of_work(sum(found.count for found in batch))
         options = self.workspace.packed(self.options, self.length_scale, cap)
-        # at the limit of the pair itself there is no other round
+        # a pair that reaches its own limit gets no second round
         is_first = int(open_pairs is not None and cap < self.options.max_iterations)
         parts = self.parts_of(batch, grain=256 if is_first else 16)
         bits = self.buffers.get("pair bits", 1, wp.int64)
@@ -390,7 +390,8 @@ class Step:
         """The second round: earliest toi of the pairs that the first has left open, or the bound."""
         closed = bound
         for kind, (keys, toi) in open_pairs.arrays.items():
-            # which are earlier than all closed ones depends on the pairs alone, and so does their share of the work
+            # which pairs are earlier than all closed ones depends only on the pairs, and so does their share of the
+            # work
             is_earlier = toi < closed
             keys, toi = keys[is_earlier], toi[is_earlier]
             if len(keys) == 0:
@@ -439,7 +440,7 @@ class Step:
         self.counts = counts
 
     def contacts(self) -> MeshResult:
-        """The toi of every pair that the cull leaves open, and what follows from them."""
+        """Compute the toi of every pair that the cull leaves, and gather the result."""
         t_max = self.options.t_max
         survivors: Counter[PairKind] = Counter()
         with self.timed("boxes"):
@@ -474,7 +475,7 @@ class Step:
         return self.result(gathered, search, survivors)
 
     def solve(self, batch: list[Found], store: ContactStore, open_pairs: "OpenPairs | None") -> None:
-        """Run the narrow phase on a batch: the first round, or without ``open_pairs`` the second, of marked keys."""
+        """Run the narrow phase on a batch: the first round or, without ``open_pairs``, the second on marked keys."""
         contacts = store.begin_batch(sum(found.count for found in batch))
         counts = self.buffers.rows("pair counts", len(PairKind), NUM_COUNTS, wp.int64)
         counts.zero_()
@@ -529,7 +530,7 @@ class Step:
             self.solve([Found(kind, pairs, 0, len(keys))], store, None)
 
     def warn_of_overlaps(self, num_pairs: int) -> None:
-        """Say once where so many pairs are left that parts of the scene must lie in each other."""
+        """Warn once if so many pairs are left that parts of the scene seem to overlap."""
         mesh = self.mesh
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         if self.is_warned or num_pairs < _MANY_PAIRS or num_pairs < _MANY_PAIRS_EACH * primitives:
@@ -561,7 +562,7 @@ class Step:
 
 
 def _level_of_caller() -> int:
-    """Frames from the function that warns to the first outside the package."""
+    """Number of stack frames from the function that warns to the first one outside the package."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
         frame, level = frame.f_back, level + 1
@@ -577,7 +578,7 @@ def _kinds(mesh: CollisionMesh) -> list[PairKind]:
 
 
 def longest_side(vertices_t0: wp.array, vertices_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
-    """Longest side of the box around both frames."""
+    """Longest side of the box around the start and end positions."""
     if len(vertices_t0) == 0:
         return 0.0
     chunk = 64 if execution.is_cuda else 2048

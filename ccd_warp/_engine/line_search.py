@@ -1,4 +1,4 @@
-"""From times of impact to a step that can be taken: one for the scene, for each body, or for each vertex."""
+"""Line search: the largest safe step of the scene, of each world, body or vertex, from times of impact."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from ccd_warp._results import Contacts, MeshResult
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
-# What moves by one fraction of its displacement.
+# The sets of vertices that move by one fraction of their displacements.
 Per = Literal["scene", "world", "body", "vertex"]
 EVERY_PER: tuple[Per, ...] = get_args(Per)
-# A pair that has toi 0 but does not touch where nothing moves is looked at again over a motion of so many of its gaps,
-# and over this share of what it was at most. Of 2 to 64 gaps and shares of 1/64 to 1/4 these gave the most even steps:
-# on draped cloths in float32 a sixth of the exact one at least, in five rounds or fewer.
+# A pair that has toi 0 but does not touch at the start is checked again over a motion of this many of its gaps, but at
+# most this fraction of its previous motion. Among 2 to 64 gaps and fractions of 1/64 to 1/4, these gave the most even
+# steps: on draped cloths in float32 at least a sixth of the exact one, in at most five rounds.
 _GAPS = 4.0
 _LARGEST_CUT = 2.0**-3
-# Fraction of a displacement at which this ends: a pair that has toi 0 even then stops its vertices.
+# Fraction of a displacement at which this ends: the vertices of a pair that has toi 0 even then are stopped.
 _LEAST_FRACTION = 2.0**-30
-# Rounds that a search which takes too long ends with: one fraction for each world, then none.
+# Final rounds of a search that takes too long: one with one fraction for each world, then one that stops.
 _ROUNDS_BY_WORLD = 2
-# Rounds that are to be left where bodies or vertices of toi 0 are looked at again.
+# Rounds that must be left for bodies or vertices of toi 0 to be checked again.
 _ROUNDS_TO_SHORTEN = 6
 
 
@@ -34,17 +34,20 @@ class LineSearchResult:
     """A step that is certain to be free of collisions.
 
     Attributes:
-        vertices: Positions at its end, an array of its own, float64, shape [V, 3].
-        vertex_fraction: Share of its own displacement that each vertex moves, in [0, 1], shape [V]; 1 at static ones.
-        fraction: The least of them among vertices that move.
-        touching: Pairs that keep vertices where they are, in the order of :class:`ccd_warp.Contacts`, each once; none
-            of their vertices moves. They touch at the start, or come within the minimum separation, or their gap is too
-            small for the precision over however short a step, or what is left of the step is lost in the rounding of
-            positions. Each is as it was found in the last round in which it had a vertex that was still to move: toi
-            and all else are of the step of that round. Where a search that takes too long stops a world, they are all
-            the pairs of this world that touched in its last step, so that their toi may be above 0.
-        num_rounds: Calls of ``mesh_ccd`` that were made.
-        is_limited: Whether fractions of their own took too many rounds, and all of a world move by one, or not at all.
+        vertices: Positions at its end, a new array, float64, shape [V, 3].
+        vertex_fraction: Fraction of its displacement by which each vertex moves, in [0, 1], shape [V]; 1 for static
+            vertices.
+        fraction: The least fraction of the vertices of moving bodies.
+        touching: Pairs that keep their vertices from moving, in the order of :class:`ccd_warp.Contacts`, each once;
+            none of their vertices moves. Such a pair touches at the start, or comes within the minimum separation, or
+            its gap is too small for the precision over any step however short, or the rest of the step is lost in the
+            rounding of positions. Each pair is reported as found in the last round in which one of its vertices was
+            still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
+            long stops a world, these are all pairs of this world that touched in its last step, so that their toi may
+            be above 0.
+        num_rounds: Number of calls of ``mesh_ccd``.
+        is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
+            fraction, or not at all.
     """
 
     vertices: NDArray[np.float64]
@@ -56,13 +59,13 @@ class LineSearchResult:
 
 
 def check_step_is_whole(t_max: float) -> None:
-    """Check that a line search looks at all of the step.
+    """Check that a line search covers the whole step.
 
     Raises:
         ValueError: If not.
     """
     if t_max != 1.0:
-        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search looks at the whole step")
+        raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search covers the whole step")
 
 
 def search_step(
@@ -90,18 +93,18 @@ def search_step(
         contacts = solve(start, vertices).contacts
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
-        is_held = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
-        if is_held.all():
+        is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
+        if is_stopped.all():
             stopping.append(contacts)
             break
-        contacts, corners = _chosen(contacts, ~is_held), corners[~is_held]
+        contacts, corners = _chosen(contacts, ~is_stopped), corners[~is_stopped]
         toi = contacts.toi
         if not toi.all():
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
                 at_start = _keys(solve(start, start).contacts)
                 num_rounds += 1
-            # with too few rounds left, trying would in the end stop others of the world, too
+            # with too few rounds left, a further attempt could stop other vertices of the world, too
             can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_common.all())
             if at_start is not None:
                 can_be_shorter &= ~np.isin(_keys(contacts), at_start)
@@ -120,8 +123,8 @@ def search_step(
             touched = np.isfinite(bound)
             fraction[touched] *= safety * bound[touched]
         else:
-            # one fraction for each world that touches, and none in the end; other worlds stay as this round has found
-            # them free, so that even the last round needs none after it
+            # Worlds that touch move by one fraction each, and in the end not at all. The other worlds stay as this
+            # round has found them free, so that even the last round needs no further one.
             is_limited = True
             touched = np.isfinite(of_world)
             shorter = fraction[touched] * safety * of_world[touched]
@@ -135,40 +138,41 @@ def search_step(
         vertices=vertices,
         vertex_fraction=fraction,
         fraction=float(fraction[moves].min(initial=1.0)),
-        touching=_of_resting(mesh, stopping, (vertices == start).all(axis=1)),
+        touching=_stationary_contacts(mesh, stopping, (vertices == start).all(axis=1)),
         num_rounds=num_rounds,
         is_limited=is_limited,
     )
 
 
 def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Share of a contact's motion beside which its gap is no longer lost in rounding, shape [m]; of its four vertices.
+    """Fraction of a contact's motion over which its gap is not lost in rounding, shape [m]; from its four vertices.
 
-    The gap of a contact with toi 0 is no less than that at the start, so a pair that closes it head-on does so within a
-    quarter of the share, unless rounding is most of that gap; then the next round shortens it again.
+    The reported gap of a contact with toi 0 is no less than the gap at the start, so a pair that closes it head-on
+    touches within a quarter of this motion, unless rounding makes up most of the gap; then the next round shortens the
+    motion again.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         share = _GAPS * contacts.gap / np.ptp(end - start, axis=1).max(axis=1, initial=0.0)
-    return np.where(share < _LARGEST_CUT, share, _LARGEST_CUT)  # also where there is no number
+    return np.where(share < _LARGEST_CUT, share, _LARGEST_CUT)  # also where the share is NaN
 
 
 def _keys(contacts: Contacts) -> NDArray[np.uint64]:
-    """Each pair as one number; ascending keys are contacts in their order."""
+    """Each pair as one number; ascending keys give the order of :class:`ccd_warp.Contacts`."""
     first, second = contacts.primitives.astype(np.uint64).T
     return contacts.kind.astype(np.uint64) << np.uint64(62) | first << np.uint64(31) | second
 
 
-def _of_resting(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
-    """Contacts of all rounds whose vertices all are where they began, each pair once, as it was found last."""
+def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
+    """Contacts of all rounds whose vertices are all at their start positions, each pair once, as found last."""
     names = vars(stopping[0])
     contacts = Contacts(**{name: np.concatenate([vars(c)[name] for c in reversed(stopping)]) for name in names})
-    rests: NDArray[np.bool_] = is_at_start[contact_vertices(mesh, contacts)]
-    contacts = _chosen(contacts, np.flatnonzero(rests.all(axis=1)))
+    is_stationary: NDArray[np.bool_] = is_at_start[contact_vertices(mesh, contacts)]
+    contacts = _chosen(contacts, np.flatnonzero(is_stationary.all(axis=1)))
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
 
 
 def _least(toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str) -> NDArray[np.float64]:
-    """For each vertex the least toi of all contacts of the vertices that it moves with, inf if there is none."""
+    """For each vertex the least toi of all contacts of vertices that share its fraction, inf if there is none."""
     least = np.full(mesh.num_vertices, np.inf)
     np.minimum.at(least, corners, toi[:, None])
     if per == "scene":
@@ -184,7 +188,8 @@ def _least(toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: Collision
 def _moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
     f = fraction[..., None]
-    # no difference of two far positions is formed, which could overflow; what rests is not to move by a rounding
+    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
+    # rounding.
     return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 

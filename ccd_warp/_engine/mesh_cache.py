@@ -1,4 +1,4 @@
-"""What calls keep with a mesh, so that the next one finds it: its topology and idle workspaces, by device."""
+"""The cache that calls attach to a mesh for later calls: its topology and idle workspaces, by device."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,11 +8,11 @@ from typing import Any
 class MeshCache:
     """The cache of one mesh.
 
-    Threads share it: each access is a single operation of a dictionary or a list, and these are atomic. What it holds
-    is made by modules above this one, which know its types.
+    Threads share the cache: each access is a single operation on a dictionary or a list, and these are atomic. Its
+    contents are made by modules that import this one and know their types.
 
     Attributes:
-        topologies: Topology by name of the device.
+        topologies: Topologies by name of the device.
         idle_workspaces: Workspaces that no call uses, by name of the device.
     """
 
@@ -21,8 +21,9 @@ class MeshCache:
 
     @staticmethod
     def of(mesh: Any) -> "MeshCache":
-        """The cache of a mesh, which lives as long as the mesh and is in no copy and no pickle of it.
+        """The cache of a mesh, which lives as long as the mesh and is part of no copy or pickle of it.
 
-        It stands in the mesh's dictionary, not in a weak one: a topology refers to its mesh, which would then never go.
+        It is stored in the mesh's own dictionary, not in a weak one: a topology refers to its mesh, which would then
+        never be freed.
         """
         return vars(mesh).setdefault("_cache", MeshCache())

@@ -1,17 +1,17 @@
-"""The vertices that few edges lead to from each vertex, for the pairs that ``exclusion_rings`` leaves out."""
+"""The vertices within a few edges of each vertex, for the pairs that ``exclusion_rings`` excludes."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Vertices whose rings are walked at a time, and most vertices of all rings: half a gigabyte on the device.
+# Vertices whose rings are computed at a time, and the most vertices in all rings: half a gigabyte on the device.
 _SOURCES = 256
 _MOST_VERTICES = 1 << 27
 
 
 def vertex_rings(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Where the row of each vertex begins, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending.
+    """The begin of each vertex's row, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending.
 
     Raises:
         ValueError: If the rows hold more than 2²⁷ vertices in all.
@@ -42,15 +42,15 @@ def _walked_rings(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
             degree = begin[at + 1] - begin[at]
             within = np.arange(degree.sum()) - np.repeat(np.cumsum(degree) - degree, degree)
             reached = np.repeat(vertex, degree) * count + target[np.repeat(begin[at], degree) + within]
-            # A neighbour of a ring is in the ring before, in this one, or in the next. The lowest bit tells what is
-            # reached from what is known, which comes first among equals.
+            # A neighbour of a ring is in the previous ring, in this one, or in the next. The lowest bit distinguishes
+            # reached vertices from known ones, which come first among equals.
             keys = np.concatenate([reached << 1 | 1, rings[-2] << 1, rings[-1] << 1])
             keys.sort()
             is_first = np.ones(len(keys), dtype=bool)
             is_first[1:] = keys[1:] >> 1 != keys[:-1] >> 1
             fresh = keys[is_first & (keys & 1 == 1)] >> 1
             if len(fresh) == 0:
-                break  # all that edges lead to is listed
+                break  # all reachable vertices are listed
             total += len(fresh)
             _check_total(mesh, total)
             rings.append(fresh)
@@ -61,7 +61,7 @@ def _walked_rings(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 
 
 def _whole_components(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """The length of each row, and the rows, where each is all that any number of edges leads to."""
+    """The length of each row, and the rows, each of which is a whole connected component."""
     label = _components(mesh)
     order = np.argsort(label, kind="stable")
     size = np.bincount(label, minlength=mesh.num_vertices)
@@ -72,7 +72,7 @@ def _whole_components(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 
 
 def _components(mesh: Any) -> NDArray[np.int64]:
-    """The lowest vertex that edges lead to from each vertex."""
+    """The lowest vertex of the connected component of each vertex."""
     label = np.arange(mesh.num_vertices)
     a, b = mesh.edges.T
     while True:

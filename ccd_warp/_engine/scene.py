@@ -1,4 +1,4 @@
-"""What of a step a scene needs at all: kinds of pairs, and by how much boxes grow."""
+"""Which stages a scene needs: kinds of pairs, pairs of moving bodies, and the enlargement of boxes."""
 
 import math
 import sys
@@ -9,7 +9,7 @@ from ccd_warp._status import PairKind
 
 
 def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
-    """Kinds of pairs that the primitives of a mesh can form and the options ask for."""
+    """Kinds of pairs that the primitives of a mesh can form and the options select."""
     possible = {
         PairKind.VERTEX_FACE: mesh.num_faces > 0,
         PairKind.EDGE_EDGE: mesh.num_edges > 0,
@@ -20,7 +20,7 @@ def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...
 
 
 def moves_alone(mesh: CollisionMesh) -> bool:
-    """Whether one body moves, and does not collide with itself."""
+    """Whether exactly one body moves, and it does not collide with itself."""
     moving = mesh.self_collision[~mesh.static]
     return len(moving) == 1 and not moving.any()
 

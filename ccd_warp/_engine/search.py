@@ -1,4 +1,4 @@
-"""Runs the search for pairs in parts, so that what it finds fits the capacity there is."""
+"""Runs the search for pairs in parts, so that its results fit the available capacity."""
 
 import threading
 from collections import Counter, deque
@@ -24,35 +24,35 @@ from ccd_warp.kernels.pair_search import make_pair_search
 _CANDIDATES = int(kernels.CANDIDATES)
 _FOUND = int(kernels.FOUND)
 _NUM_COUNTS = int(kernels.NUM_COUNTS)
-# Parts of a search for each thread, so that none waits long for another, and the fewest blocks worth a part.
+# Parts of a search for each thread, so that no thread waits long for another, and the fewest blocks in a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
 _MOST_PAIRS = int(np.iinfo(np.int32).max)
-# Tests of pairs of boxes from which on a part of a search may take long: some 0.3 s if all of them meet.
+# Box tests from which on a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
-# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all of them reach their first limit.
+# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all reach the limit of the first round.
 LONG_PART = 1 << 10
 
 
 class Trees(Protocol):
-    """Where the trees of a step come from."""
+    """A source of the trees of a step."""
 
     topology: Topology
 
     def build(self, wanted: list[tuple[str, bool]]) -> None:
-        """Make trees: kinds of primitives, and whether they rest."""
+        """Build trees, each given by the kind of its primitives and whether they are static."""
 
     def tree(self, kind: str, is_static: bool) -> Tree | None:
-        """One of them."""
+        """The tree of the moving or static primitives of a kind; None if there are none."""
 
     def may_meet(self, a: Tree, b: Tree) -> bool:
-        """False where two trees certainly do not."""
+        """False only if no boxes of the two trees overlap."""
 
 
 @dataclass(frozen=True)
 class TreePair:
-    """Two trees whose boxes may overlap; the same one twice for pairs within a set."""
+    """Two trees whose boxes may overlap; the same tree twice for pairs within a set."""
 
     kind: PairKind
     query: Tree
@@ -72,7 +72,7 @@ class TreePair:
     def search_inputs(
         self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
     ) -> list[Any]:
-        """What a search of the two trees takes, after the range and before the positions."""
+        """The inputs of a search of the two trees, between the range and the positions."""
         packed = kernels.TreePair()
         packed.kind = int(self.kind)
         packed.within = int(self.within)
@@ -88,7 +88,7 @@ class TreePair:
 def search_range(
     level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
 ) -> Any:
-    """Which items a launch searches, and where what it finds goes, as the kernel takes it."""
+    """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
     part = kernels.SearchRange()
     part.first, part.stride, part.level = first, stride, level
     part.row, part.first_key, part.capacity = row, first_key, capacity
@@ -98,10 +98,10 @@ def search_range(
 
 @dataclass(frozen=True)
 class _Part:
-    """Items first, first + stride, … of a tree_pair: blocks of queries (level 1) or single queries (level 0)."""
+    """Items first, first + stride, … of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
 
     tree_pair: TreePair
-    number: int  # of the tree_pair
+    number: int  # of the tree pair
     level: int
     first: int
     stride: int
@@ -109,17 +109,17 @@ class _Part:
 
     @property
     def num_queries(self) -> int:
-        """Query boxes."""
+        """Number of query boxes."""
         return self.count * WIDTH**self.level
 
     @property
     def place(self) -> tuple[int, int, int]:
-        """Where the part begins: the tree_pair, the query block, and the query in it."""
+        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
         return (self.number, self.first, 0) if self.level else (self.number, *divmod(self.first, WIDTH))
 
     @property
     def num_tests(self) -> int:
-        """Pairs of boxes, most of which the tree parts at once."""
+        """Number of pairs of boxes, most of which the tree rejects early."""
         return self.num_queries * self.tree_pair.target.primitives.count
 
     def split(self) -> list["_Part"]:
@@ -144,12 +144,12 @@ class Found:
 
     Attributes:
         kind: Kind of the pairs.
-        keys: The capacity that the search has filled.
+        keys: The array that the search has filled.
         begin: The first key.
         count: Number of keys.
         tree_pair: The trees that were searched; None where the keys come from several parts.
-        place: The number of the tree_pair, the query block and the query in it that the keys begin with.
-        is_cut: Whether a block of queries was cut, so that keys come query by query.
+        place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
+        is_cut: Whether a block of queries was split, so that keys are ordered query by query.
     """
 
     kind: PairKind
@@ -161,7 +161,7 @@ class Found:
     is_cut: bool = False
 
     def host_keys(self) -> NDArray[np.int64]:
-        """The keys; on the CPU where they are, which the next batch overwrites."""
+        """The keys; on the CPU a view, which the next batch overwrites."""
         assert self.keys.device
         if self.keys.device.is_cuda:
             return self.keys[self.begin : self.begin + self.count].numpy()
@@ -180,7 +180,7 @@ class _Region:
 
 
 def tree_pairs_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[TreePair]:
-    """What has to be searched: pairs of two static primitives never, of two moving ones unless told to skip them."""
+    """The tree pairs to search: never two static trees, and two moving ones unless ``skip_moving`` is set."""
     wanted = []
     for kind in kinds:
         first, second = PRIMITIVES[kind]
@@ -194,7 +194,7 @@ def tree_pairs_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) 
     tree_pairs = []
     for kind, a, b in wanted:
         tree_a, tree_b = boxes.tree(*a), boxes.tree(*b)
-        # what moves asks, so that the tree of what rests is only looked up
+        # the moving primitives are the queries, so that the tree of the static ones is only traversed
         is_swapped = a[1]
         assert tree_a and tree_b
         tree_pair = TreePair(kind, tree_b, tree_a, swapped=True) if is_swapped else TreePair(kind, tree_a, tree_b)
@@ -204,7 +204,7 @@ def tree_pairs_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) 
 
 
 def _merged(ranges: list[Found]) -> list[Found]:
-    """The same keys in as few ranges as hold them."""
+    """The same keys in as few ranges as possible."""
     merged: list[Found] = []
     for found in ranges:
         last = merged[-1] if merged else None
@@ -216,14 +216,14 @@ def _merged(ranges: list[Found]) -> list[Found]:
 
 
 class PairSearch:
-    """A search over all tree_pairs of a step.
+    """A search over all tree pairs of a step.
 
     Attributes:
-        candidates: Pairs of each kind that passed the boxes and the mesh's filter.
-        num_batches: Times that the capacity was filled.
+        candidates: Pairs of each kind that passed the box test and the mesh's filter.
+        num_batches: Number of batches.
         num_launches: Launches of the search, by kind.
-        capacity: Pairs that the last batch had capacity for.
-        largest_capacity: Pairs that a batch may have capacity for.
+        capacity: Capacity of the last batch, in pairs.
+        largest_capacity: Largest capacity of a batch, in pairs.
     """
 
     def __init__(
@@ -260,20 +260,20 @@ class PairSearch:
         return 64 if self.execution.is_cuda else self._num_workers
 
     def batches(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
-        """Search every ``stride``-th block of queries from ``first`` on; yields what the capacity holds at a time.
+        """Search every ``stride``-th block of queries from ``first`` on, and yield batches that fit the capacity.
 
-        What comes in which batch depends on the capacity and the threads; all batches together do not.
+        The distribution over batches depends on the capacity and the threads; the union of all batches does not.
         """
         for ranges in self.ranges(tree_pairs, first, stride):
             yield _merged(ranges)
 
     def ranges(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
-        """The same with the keys of each part apart, which says where among all keys they stand.
+        """Like :meth:`batches`, with the keys of each part separate and with their place among all keys.
 
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
-        So the parts of all batches, by tree pair and then by their place, are the keys in an order that depends on the
-        trees alone, wherever the parts were cut: but for a block that was cut into its queries (`Found.is_cut`). On
-        CUDA the threads of a part claim places as they come.
+        So the parts of all batches, sorted by tree pair and then by place, give the keys in an order that depends only
+        on the trees, wherever the parts were split, except for a block that was split into its queries
+        (`Found.is_cut`). On CUDA the threads of a part write in arbitrary order.
         """
         pending = deque(
             part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k, first, stride)
@@ -283,12 +283,12 @@ class PairSearch:
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
-        # Room for all partners of one query is enough, and is what a thread needs.
+        # A thread needs capacity for all partners of one query, and this is sufficient.
         least = max(tree_pair.target.primitives.count for tree_pair in tree_pairs)
         wanted = (
             sum(tree_pair.query.primitives.count for tree_pair in tree_pairs) * (1 if self._with_cull else 16) // stride
         )
-        last = self.buffers.capacities.get(self._with_cull, 0)  # what the last step came to need
+        last = self.buffers.capacities.get(self._with_cull, 0)  # what the last step needed
         capacity = min(self.largest_capacity, max(self._num_workers * least, wanted, last, 1 << 16))
         total = 0
         while pending:
@@ -303,7 +303,7 @@ class PairSearch:
             self.num_batches += 1
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
-                # threads find unequal shares, so twice the capacity is what the next step does in one batch
+                # threads find unequal shares, so with twice the capacity the next step needs one batch
                 self.buffers.capacities[self._with_cull] = min(2 * total, self.largest_capacity)
             yield [found for region in regions for found in region.found]
             capacity = min(2 * capacity, self.largest_capacity)
@@ -324,7 +324,7 @@ class PairSearch:
         ]
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
-        """The launch of a tree_pair, whose items are set by :meth:`_launch`: packing the trees once is cheaper."""
+        """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
         boxes = self._boxes
         return wp.launch(
             self._kernel,
@@ -359,7 +359,7 @@ class PairSearch:
         region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
 
     def _cpu_batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
-        """Threads take parts until there are none left or their capacity is full."""
+        """Threads take parts until none is left or their capacity is exhausted."""
         bounds = [capacity * k // self._num_workers for k in range(self._num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
         lock = threading.Lock()
@@ -379,7 +379,7 @@ class PairSearch:
                 commands[id(part.tree_pair)] = command
                 self._launch(command, part, region.slot, begin, region.end - begin)
                 if self._flag.is_set:
-                    return  # the kernel has left out what it likes
+                    return  # the kernel has stopped early, so its result is incomplete
                 with lock:
                     if counts[_FOUND] <= region.end - begin:
                         self._keep(region, part, begin, counts)
@@ -395,7 +395,7 @@ class PairSearch:
 
     def _cuda_batch(self, pending: deque[_Part], capacity: int) -> list[_Region]:
         """Launch every part with an equal share of the capacity, and read all counts back at once."""
-        # where no part had capacity enough among others, one gets all of it
+        # where no part fitted its share of the capacity, one part gets all of it
         most = self._num_slots if self._made_progress else 1
         parts = [pending.popleft() for _ in range(min(len(pending), most))]
         self._counts.zero_()
@@ -410,6 +410,6 @@ class PairSearch:
                 self._keep(regions[k], part, bounds[k], host[k])
                 self._made_progress = True
             else:
-                # split it only where even all the capacity is not enough
+                # split the part only where even the whole capacity does not suffice
                 pending.extendleft([part] if host[k, _FOUND] <= capacity else part.split())
         return regions

@@ -1,4 +1,4 @@
-"""What a mesh keeps on a device: its primitives in sets, their order along the curve, and the collision_filter of its filter."""
+"""The data of a mesh on a device: its primitives in sets, their spatial order, and its collision filter."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +25,7 @@ NUM_SAMPLES = 128
 _CLASS_BITS = int(kernels.CLASS_BITS)
 _LARGEST_EXPONENT = 1000
 
-# The kinds of primitives that a pair consists of, and whose arrays hold their vertices.
+# The kinds of the two primitives of a pair, and the arrays that hold their vertices.
 PRIMITIVES = {
     PairKind.VERTEX_FACE: ("vertex", "face"),
     PairKind.EDGE_EDGE: ("edge", "edge"),
@@ -42,14 +42,14 @@ CORNER_ARRAYS = {
 
 @dataclass(frozen=True)
 class PrimitiveSet:
-    """Primitives of one kind that all move or all rest.
+    """Primitives of one kind, either all moving or all static.
 
     Attributes:
         name: Name of its buffers.
-        is_static: Whether they rest.
-        num_corners: Vertices of a primitive.
+        is_static: Whether they are static.
+        num_corners: Number of vertices of a primitive.
         ids: Indices among all primitives of the kind, int32, shape [n].
-        corners: Vertices, wp.vec3i, where there are fewer than three one repeats, shape [n].
+        corners: Vertex indices, wp.vec3i, shape [n]; where there are fewer than three, one repeats.
     """
 
     name: str
@@ -65,17 +65,17 @@ class PrimitiveSet:
 
     @property
     def num_blocks(self) -> int:
-        """Blocks of sixteen."""
+        """Number of blocks of sixteen primitives."""
         return -(-self.count // WIDTH)
 
     @property
     def index_bits(self) -> int:
-        """Bits of a key that hold the index."""
+        """Number of bits of a key that hold the index."""
         return max(1, (self.count - 1).bit_length())
 
 
 class Topology:
-    """The parts of a mesh that no step changes; made once a mesh and device."""
+    """The data of a mesh that no step changes; made once for each mesh and device."""
 
     def __init__(self, mesh: CollisionMesh, device: Any) -> None:
         self.mesh = mesh
@@ -96,11 +96,11 @@ class Topology:
         cache = MeshCache.of(mesh).topologies
         key = str(device)
         if key not in cache:
-            cache.setdefault(key, Topology(mesh, device))  # one of two threads that come here at once is kept
+            cache.setdefault(key, Topology(mesh, device))  # of two concurrent threads, one wins
         return cache[key]
 
     def of_vertices(self, active: wp.array) -> list[wp.array]:
-        """What `fill_vertex_aabbs` asks about each vertex, beside where it is."""
+        """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
         return [self.vertex_body, active, self.vertex_world, self.world_shift]
 
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
@@ -110,7 +110,7 @@ class Topology:
 
     @lazy_property
     def corners(self) -> dict[str, wp.array]:
-        """Vertices of every primitive, by kind and index; those that a scene lacks are empty."""
+        """Vertices of every primitive, by kind and index; arrays of kinds that a mesh lacks are empty."""
         return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
@@ -120,7 +120,7 @@ class Topology:
         return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
 
     def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
-        """The primitives of a kind that move, or rest."""
+        """The moving or static primitives of a kind."""
         key = (kind, is_static)
         if key not in self._sets:
             self._sets.setdefault(key, self._make_set(kind, is_static))
@@ -145,7 +145,7 @@ class Topology:
 
     @lazy_property
     def collision_filter(self) -> Any:
-        """The filter of the mesh, as the search takes it."""
+        """The collision filter of the mesh, as the struct of the kernels."""
         mesh = self.mesh
         collision_filter = CollisionFilter()
         none = wp.empty(0, dtype=wp.int32, device=self.device)
@@ -164,10 +164,10 @@ class Topology:
         return collision_filter
 
     def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
-        """Indices of the primitives and vertices of their blocks, in an order that suits the mesh as it was given.
+        """Indices of the primitives and vertices of their blocks, in an order made for the undeformed mesh.
 
-        A surface bends but its neighbours stay neighbours, so the order is made once and serves as long as the blocks
-        stay small, which every step checks.
+        A surface bends but neighbours stay neighbours, so this order is made once and used as long as the blocks stay
+        small, which every step checks.
         """
         if primitives.name not in self._orders:
             order = self.order_at(self.mesh.vertices, primitives, execution)
@@ -177,9 +177,9 @@ class Topology:
     def order_at(
         self, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
     ) -> tuple[wp.array, wp.array]:
-        """The same for the mesh at other positions, made anew."""
+        """The same for the mesh at other positions, computed anew."""
         mesh = self.mesh
-        rest: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
+        positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
         quantization = choose_quantization(mesh, vertices, vertices, 1)
         vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=self.device)
         every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
@@ -187,7 +187,7 @@ class Topology:
         execution.launch(
             kernels.fill_vertex_aabbs,
             mesh.num_vertices,
-            inputs=[every, *self.of_vertices(active), rest, rest, 1.0, 0.0, quantization, 1],
+            inputs=[every, *self.of_vertices(active), positions, positions, 1.0, 0.0, quantization, 1],
             outputs=[vertex_aabbs],
         )
         order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
@@ -212,7 +212,7 @@ class Topology:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes on the device that are the mesh's own, not a step's."""
+        """Bytes on the device that belong to the mesh, not to a step."""
         arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
@@ -235,9 +235,9 @@ def sorted_keys(
     buffers: Buffers,
     execution: Execution,
 ) -> wp.array:
-    """Ascending keys of the primitives along the curve; the index is in the lowest bits."""
+    """Ascending keys of the primitives along the Morton curve; the lowest bits hold the index."""
     count = primitives.count
-    size = 2 * count if execution.is_cuda else count  # the radix sort works in place of twice the size
+    size = 2 * count if execution.is_cuda else count  # the radix sort needs twice the size
     keys = buffers.get(f"{primitives.name} sort", size, wp.int64)
     morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
     execution.launch(
@@ -266,11 +266,11 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
 def choose_quantization(
     mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_aabbs: int
 ) -> Any:
-    """The map to float32 and the extent that counts as typical of a box, from samples of the step.
+    """The map to float32 and the typical extent of a box, from samples of the step.
 
-    The middle nine tenths of the vertices, thrice as wide, map to [-1/2, 1/2]: a vertex far away costs the others no
-    resolution. The origin lies on a coarse lattice, so that it stays where it is while the scene does, and with it the
-    trees of what rests.
+    The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
+    costs the others no resolution. The origin lies on a coarse lattice, so that it and the trees of static bodies stay
+    the same as long as the scene stays in place.
     """
     quantization = kernels.Quantization()
     if len(start) == 0:
@@ -298,7 +298,7 @@ def choose_quantization(
 
 
 def choose_static_quantization(mesh: CollisionMesh, start: NDArray[np.float64], quantization: Any) -> Any:
-    """The same map, with the extent that is typical of the primitives of static bodies alone."""
+    """The same map, with the typical extent of the primitives of static bodies only."""
     among = mesh.edges[mesh.static[mesh.edge_body]]
     static = kernels.Quantization()
     static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
@@ -311,12 +311,12 @@ def choose_static_quantization(mesh: CollisionMesh, start: NDArray[np.float64], 
 
 
 def lattice_bits(num_worlds: int) -> int:
-    """A lattice of so many powers of two on each axis has a cell for each world."""
+    """The number of bits k for which a lattice of 2ᵏ cells on each axis has a cell for each world."""
     return -(-(num_worlds - 1).bit_length() // 3)
 
 
 def world_lattice(num_worlds: int) -> NDArray[np.float32]:
-    """Where each world goes in the image: to a cell of its own in [-1/2, 1/2]; shape [W, 3]."""
+    """The shift of each world in quantized coordinates, to its own cell in [-1/2, 1/2]; shape [W, 3]."""
     bits = lattice_bits(num_worlds)
     world = np.arange(num_worlds)
     cell = np.stack([world >> (k * bits) & ((1 << bits) - 1) for k in range(3)], axis=1)

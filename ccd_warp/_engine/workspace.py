@@ -33,7 +33,7 @@ class Workspace:
         return ContactStore(self.topology, self.buffers)
 
     def packed(self, options: Options, length_scale: float, max_iterations: int | None = None) -> Any:
-        """Options as the kernels take them, with the flag that ends these; packed once, as that takes as long as a launch."""
+        """Options as the kernels take them, with the stop flag; packed once, which takes as long as a launch."""
         key = (options, length_scale, max_iterations)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:

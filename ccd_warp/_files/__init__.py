@@ -1,1 +1,1 @@
-"""Mesh files, read strictly: what is damaged is refused."""
+"""Strict reading of mesh files: damaged files are rejected."""

@@ -1,4 +1,4 @@
-"""Unpack archives of mesh files in memory, up to a limit: a few megabytes can unpack to any number of gigabytes."""
+"""Unpack archives of mesh files in memory, up to a limit, because a few megabytes can unpack to many gigabytes."""
 
 import bz2
 import gzip
@@ -8,16 +8,16 @@ import zipfile
 
 from ccd_warp._input.messages import InputError
 
-# Ends of names, and 3MF, which is a ZIP archive by another name.
+# Endings of file names. A 3MF file is a ZIP archive, too.
 ARCHIVES = (".zip", ".tar.gz", ".tar.bz2", ".bz2", ".3mf")
-# What an archive may unpack to if nothing else is said, 256 MiB: four million triangles in text, eight in binary PLY.
-# Text of short numbers takes up to thirteen times its size while it is read.
+# Default limit on the unpacked size, 256 MiB: four million triangles in text, eight in binary PLY. Text of short
+# numbers takes up to thirteen times its size while it is read.
 MAX_BYTES = 1 << 28
-_CHUNK = 1 << 20  # bytes that are unpacked at a time
+_CHUNK = 1 << 20  # bytes unpacked at a time
 
 
 def archive_end(name: str) -> str | None:
-    """How the name of an archive ends; None where it is no archive."""
+    """The ending of an archive's name; None if the file is not an archive."""
     return next((end for end in ARCHIVES if name.lower().endswith(end)), None)
 
 
@@ -25,15 +25,15 @@ def unpack(name: str, data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
     """The files of an archive.
 
     Args:
-        name: Of the archive; its end says of which kind it is.
-        data: The archive.
-        max_bytes: What it may unpack to.
+        name: Name of the archive, whose ending gives its format.
+        data: Content of the archive.
+        max_bytes: Limit on the unpacked size.
 
     Returns:
         Name and content of each file, in the order of the archive.
 
     Raises:
-        InputError: If the archive is damaged or unpacks to more.
+        InputError: If the archive is damaged or exceeds the limit.
     """
     end = archive_end(name)
     try:
@@ -41,7 +41,7 @@ def unpack(name: str, data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
             return _unpack_zip(data, max_bytes)
         opened = gzip.open if end == ".tar.gz" else bz2.open
         with opened(io.BytesIO(data), "rb") as stream:
-            # With one byte more than allowed it is known to be too much.
+            # Reading one byte more than allowed suffices to detect an excess.
             content = stream.read(max_bytes + 1)
         if len(content) > max_bytes:
             raise _too_large(None, max_bytes)
@@ -62,8 +62,8 @@ def _unpack_zip(data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
         files = []
         for member in members:
             with archive.open(member) as stream:
-                # In chunks, because what a member unpacks to need not be what the archive states. The stream ends at
-                # the stated size and checks the sum there.
+                # Read in chunks, because the unpacked size of a member may differ from the stated one. The stream ends
+                # at the stated size and verifies the checksum there.
                 files.append((member.filename, b"".join(iter(lambda: stream.read(_CHUNK), b""))))
         return files
 

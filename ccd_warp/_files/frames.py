@@ -1,4 +1,4 @@
-"""Read mesh frames in full precision, merge what their format splits, and write frames."""
+"""Read mesh frames in full precision, merge vertices that their format splits, and write frames."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ class Body:
         vertices_t0: Start positions, float64, shape [n, 3].
         vertices_t1: End positions, float64, shape [n, 3]; the start positions for a static body.
         faces: Vertex indices within the body, shape [m, 3].
-        source_index: Index of each vertex in its file (the first of those that were merged), shape [n].
+        source_index: Index of each vertex in its file (the first of merged ones), shape [n].
         is_static: True for an obstacle that does not move.
         merged: Number of the file's vertices that were merged into others.
     """
@@ -39,7 +39,7 @@ class Body:
 
 
 def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = False) -> Body:
-    """A body of plain arrays; ``vertices_t1`` may be None for a static one."""
+    """A body from plain arrays; ``vertices_t1`` may be None for a static one."""
     start = np.array(vertices_t0, dtype=np.float64)
     end = start if vertices_t1 is None else np.array(vertices_t1, dtype=np.float64)
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
@@ -51,7 +51,7 @@ def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int 
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces.
-        max_bytes: What a file that is an archive may unpack to.
+        max_bytes: Limit on the unpacked size of an archive.
 
     Returns:
         A moving body.
@@ -100,8 +100,8 @@ def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int 
                 "say which corners are one vertex, so save both frames in a format that does, PLY for example"
             )
     else:
-        # The file's indices tell copies apart that never part during the step. Both ends of a copy agree, so its
-        # whole trajectory does, and leaving it unmerged would report a contact of every seam with itself at t = 0.
+        # The file gives different indices to copies of a vertex that coincide throughout the step: they agree at both
+        # ends and hence on the whole trajectory. Without merging, every seam would be in contact with itself at t = 0.
         source_index, merged = _merge(np.hstack([start.vertices, end.vertices]))
     return Body(
         name,
@@ -118,7 +118,7 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
 
     Args:
         path: Mesh file.
-        max_bytes: What it may unpack to if it is an archive.
+        max_bytes: Limit on the unpacked size of an archive.
 
     Returns:
         A static body.
@@ -144,8 +144,8 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
 
 
 def _merge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First index of each distinct row, in order of appearance, and the number of each row's class."""
-    # Adding 0.0 turns -0.0 into 0.0: one position, whatever its sign bits.
+    """The first index of each distinct row, in order of appearance, and for each row the number of its distinct row."""
+    # Adding 0.0 turns -0.0 into 0.0, because they are the same position.
     _, first, inverse = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)

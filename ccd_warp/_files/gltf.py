@@ -1,4 +1,4 @@
-"""Check glTF and GLB files before trimesh reads them: lengths, and what trimesh would leave out without a word."""
+"""Check glTF and GLB files before trimesh reads them: lengths, and content that trimesh would silently ignore."""
 
 import json
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from ccd_warp._files.text import CUT, shown
 from ccd_warp._input.messages import InputError
 
 _GLB_HEADER = 12  # bytes: magic, version, length
-# Extensions that a file may require and that say nothing of where its triangles are.
+# Extensions that a file may require and that do not affect its triangles.
 _HARMLESS = (
     "KHR_mesh_quantization",
     "KHR_materials_",
@@ -18,15 +18,15 @@ _HARMLESS = (
     "EXT_lights_",
     "MSFT_texture_",
 )
-_READ_MODES = (0, 1, 4, 5)  # points, lines, triangles, strips; trimesh passes over the others
+_READ_MODES = (0, 1, 4, 5)  # points, lines, triangles, strips; trimesh ignores the others
 
 
 def check_glb(data: bytes, fetch: Callable[[str], bytes]) -> None:
-    """Refuse a GLB file that is cut or that trimesh would read in part.
+    """Reject a GLB file that is truncated or that trimesh would read only in part.
 
     Args:
-        data: The file.
-        fetch: The content of a file that it refers to.
+        data: Content of the file.
+        fetch: Returns the content of a file to which it refers.
     """
     if data[:4] != b"glTF" or len(data) < _GLB_HEADER:
         raise InputError(f"begins with {shown(data[:4])}; expected a GLB file, which begins with 'glTF'")
@@ -48,7 +48,7 @@ def check_glb(data: bytes, fetch: Callable[[str], bytes]) -> None:
 
 
 def check_gltf(data: bytes, fetch: Callable[[str], bytes]) -> None:
-    """The same for a glTF file, whose buffers are files of their own or text within it."""
+    """The same for a glTF file, whose buffers are separate files or text within it."""
     _check_tree(_parse(data), b"", fetch)
 
 

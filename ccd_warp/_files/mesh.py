@@ -1,4 +1,4 @@
-"""Read one mesh file of any format as arrays, whole or not at all, in full precision."""
+"""Read one mesh file of any format as arrays in full precision, completely or not at all."""
 
 import io
 import warnings
@@ -26,7 +26,7 @@ Sharing = Literal["indexed", "split", "soup"]
 _SHARING: dict[str, Sharing] = {".stl": "soup", ".stl_ascii": "soup", ".glb": "split", ".gltf": "split"}
 _BY_SHARING: tuple[Sharing, ...] = ("indexed", "split", "soup")
 
-# trimesh reads these formats leniently: it pads, skips and shortens what does not fit.
+# trimesh would read these formats leniently: it pads, skips and truncates inconsistent data.
 _READERS: dict[str, Callable[[bytes], tuple[np.ndarray, np.ndarray]]] = {
     ".ply": read_ply,
     ".obj": read_obj,
@@ -35,7 +35,7 @@ _READERS: dict[str, Callable[[bytes], tuple[np.ndarray, np.ndarray]]] = {
     ".stl_ascii": read_stl,
 }
 _OF_TRIMESH = (".glb", ".gltf", ".3mf", ".dae")
-# What lies beside meshes in an archive; any other file there might be a mesh that would be missed.
+# Endings of files that accompany meshes in an archive; any other file might be a mesh that would be missed.
 _BESIDE = frozenset(
     [
         *("", ".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".ktx2"),
@@ -49,7 +49,7 @@ Part = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Mesh:
-    """One file as it stands: vertices in double precision, nothing merged or reordered."""
+    """The content of one file: vertices in double precision, nothing merged or reordered."""
 
     path: Path
     vertices: np.ndarray
@@ -58,15 +58,15 @@ class Mesh:
 
 
 def read_mesh(path: Path, max_bytes: int) -> Mesh:
-    """Read one file, every part of a scene in its place, nothing merged, reordered or rounded.
+    """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
         path: Mesh file, or an archive of mesh files.
-        max_bytes: What an archive may unpack to.
+        max_bytes: Limit on the unpacked size of an archive.
 
     Raises:
-        InputError: If the file is missing, damaged or not finite, of a format that is not read, or an archive that
-            unpacks to more.
+        InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
+            the limit.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
@@ -99,7 +99,7 @@ def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], 
     for name, content in files:
         place = PurePosixPath(name)
         suffix = place.suffix.lower()
-        # macOS packs a hidden file beside each file, under the same name in a folder of its own.
+        # macOS packs a hidden file with each file, under the same name in a separate folder.
         if place.name.startswith(".") or "__MACOSX" in place.parts or suffix in _BESIDE:
             continue
         parts += _read_parts(f"{path}, {name}", place.name, content, resolver, max_bytes)
@@ -110,14 +110,14 @@ def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], 
 
 
 def _resolver(path: Path) -> Any:
-    """Where the files beside a file are found."""
+    """A resolver that finds the files next to a file."""
     from trimesh.resolvers import FilePathResolver
 
     return FilePathResolver(str(path))
 
 
 def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:
-    """Vertices and triangles of every part of a file, checked; ``label`` is what messages call it."""
+    """Vertices and triangles of every part of a file, checked; messages call the file ``label``."""
     suffix = PurePosixPath(name).suffix.lower()
     try:
         if suffix in _READERS:
@@ -163,17 +163,17 @@ def _read_with_trimesh(name: str, suffix: str, data: bytes, resolver: Any, max_b
         case ".3mf":
             unpack(name, data, max_bytes)
         case ".dae":
-            expat.ParserCreate().Parse(data, True)  # XML that was cut is not well-formed
+            expat.ParserCreate().Parse(data, True)  # truncated XML is not well-formed
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # `process` would merge and drop vertices; the others keep textures from doing it.
+        # `process` would merge and drop vertices; the other two keep textures from causing the same.
         keep: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
         scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=resolver, **keep)
         return _flatten(scene)
 
 
 def _flatten(scene: Any) -> list[Part]:
-    """Vertices and faces of every mesh of a scene, moved to where the scene puts it."""
+    """Vertices and faces of every mesh of a scene, with the scene's transformation applied."""
     parts = []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
@@ -182,7 +182,7 @@ def _flatten(scene: Any) -> list[Part]:
         if faces.size == 0:
             continue
         vertices = np.array(mesh.vertices, dtype=np.float64)
-        # Compared exactly: trimesh's own flattening leaves out a motion that is nearly nothing.
+        # Compared exactly: trimesh's own flattening ignores a transformation close to the identity.
         if not np.array_equal(matrix, np.eye(4)):
             vertices = vertices @ np.asarray(matrix)[:3, :3].T + np.asarray(matrix)[:3, 3]
         parts.append((vertices, faces.reshape(-1, 3)))

@@ -1,4 +1,4 @@
-"""Read OBJ files: vertices and faces as they stand in the file, with every line that could hold them understood."""
+"""Read OBJ files: vertices and faces as in the file; lines that are not understood are rejected."""
 
 import re
 
@@ -7,7 +7,7 @@ import numpy as np
 from ccd_warp._files.text import CUT, NO_INDICES, Tokens, fan, shown, text_rows
 from ccd_warp._input.messages import InputError
 
-# What may stand in a file beside vertices and faces: attributes, points and lines, groups, materials, display.
+# Keywords other than those of vertices and faces: attributes, points and lines, groups, materials, display.
 _BESIDE = frozenset(
     b"vn vt vp p l g s o mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj "
     b"ctech stech".split()
@@ -18,7 +18,7 @@ _VERTEX_LENGTHS = (3, 4, 6, 7)  # with a weight, a colour, or a colour with its 
 def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of an OBJ file; polygons become fans.
 
-    An OBJ file has no counts, so a file that was cut between two lines cannot be told from a whole one.
+    An OBJ file has no counts, so a file truncated between two lines cannot be distinguished from a complete one.
 
     Raises:
         InputError: If a line is malformed, or the last one has no line end.
@@ -69,7 +69,7 @@ def _vertices(rows: Tokens) -> np.ndarray:
 
 
 def _faces(rows: Tokens, num_above: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Corners as the file states them and counted from 0, how many each face has, and its line.
+    """Corners as stated in the file and counted from 0, the number of corners of each face, and its line.
 
     ``num_above`` is the number of vertices above each face.
     """

@@ -1,4 +1,4 @@
-"""Read OFF files: as many vertices and faces as the second line says."""
+"""Read OFF files: exactly as many vertices and faces as the line of counts says."""
 
 import re
 
@@ -14,13 +14,13 @@ def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         InputError: If the file is malformed or does not hold what its counts say.
     """
-    text = re.sub(rb"#[^\r\n]*", b" ", data)  # a blank, because a comment ends a number
+    text = re.sub(rb"#[^\r\n]*", b" ", data)  # by a blank, because a comment ends a number
     rows = text_rows(text)
     first = rows.row(0) if len(rows) else [b""]
-    # Texture coordinates, colours and normals of a vertex stand behind its position.
+    # Texture coordinates, colours and normals of a vertex follow its position.
     if not re.fullmatch(rb"(ST)?C?N?OFF", first[0]):
         raise InputError(f"begins with {shown(first[0])}; expected an OFF file, in text and three dimensions")
-    # The counts stand on the first line or on the next.
+    # The counts are on the first line or on the next.
     stated, at = (first[1:], 1) if len(first) > 1 else (rows.row(1) if len(rows) > 1 else [], 2)
     if len(stated) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in stated):
         raise InputError(f"lacks the line that counts vertices, faces and edges; {CUT}")
@@ -36,7 +36,7 @@ def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     vertices = _vertices(rows.part(at, at + num_vertices))
     faces = rows.part(at + num_vertices)
     corners, counts = counted_polygons(faces, most_behind=4)
-    # A colour may stand behind the corners of a face.
+    # A colour may follow the corners of a face.
     last_index = int(corners[-1]) if len(faces) and faces.counts[-1] == counts[-1] + 1 else None
     check_last_index(text, last_index, num_vertices)
     return vertices, fan(corners, counts)

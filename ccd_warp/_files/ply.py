@@ -1,4 +1,4 @@
-"""Read PLY files, ASCII and binary: as many elements as the header says, no more and no fewer."""
+"""Read ASCII and binary PLY files: exactly as many elements as the header says."""
 
 from dataclasses import dataclass, field
 
@@ -33,10 +33,10 @@ _CORNERS = (b"vertex_indices", b"vertex_index")
 
 @dataclass(frozen=True)
 class _Element:
-    """One kind of rows, by the header.
+    """An element of the header, which describes one kind of rows.
 
     Attributes:
-        name: Such as vertex.
+        name: Name, such as vertex.
         count: Number of rows.
         types: Type of each property, by its name.
         count_types: Type of the length of each property that is a list.
@@ -76,7 +76,7 @@ def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int, int]:
-    """Byte order (none for ASCII), elements, where the rows start, and the number of lines before them."""
+    """Byte order (empty for ASCII), elements, byte offset of the rows, and the number of lines before them."""
     if not data.startswith((b"ply\n", b"ply\r")):
         raise InputError("does not begin with the line 'ply'; expected a PLY file")
     order: str | None = None
@@ -182,7 +182,7 @@ def _vertices(element: _Element, rows: Tokens) -> np.ndarray:
 
 
 def _columns(element: _Element, rows: Tokens) -> dict[bytes, Tokens]:
-    """The tokens of each property of an element; a row of them for each row of the element."""
+    """The tokens of each property of an element, with one row for each row of the element."""
     columns: dict[bytes, Tokens] = {}
     end = np.zeros(len(rows.counts), dtype=np.int64)
     for name in element.types:
@@ -245,7 +245,7 @@ def _length_name(name: bytes) -> str:
 
 
 def _row_dtype(data: bytes, start: int, element: _Element, order: str) -> np.dtype:
-    """Layout of the rows of an element, whose lists are as long as those of its first row."""
+    """Layout of the rows of an element, all of whose lists must be as long as those of its first row."""
     fields: list[tuple] = []
     size = 0
     for name, kind in element.types.items():

@@ -1,4 +1,4 @@
-"""Read STL files: binary ones as long as their count says, ASCII ones to the end of every solid."""
+"""Read STL files: binary ones of the length given by their count, ASCII ones to the end of every solid."""
 
 from itertools import repeat
 
@@ -9,16 +9,16 @@ from ccd_warp._input.messages import InputError
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84  # bytes, the last four of them the number of facets
-# The lines of a facet, by how they begin.
+# The lines of a facet, by their first word.
 _LINES = (b"facet", b"outer", b"vertex", b"vertex", b"vertex", b"endloop", b"endfacet")
 _KINDS = (b"solid", b"endsolid", b"facet", b"outer", b"vertex", b"endloop", b"endfacet")
 
 
 def read_stl(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of an STL file, three vertices a triangle.
+    """Vertices and triangles of an STL file, three vertices for each triangle.
 
     Raises:
-        InputError: If the file is malformed or cut.
+        InputError: If the file is malformed or truncated.
     """
     count = int.from_bytes(data[_HEADER - 4 : _HEADER], "little")
     if len(data) >= _HEADER and len(data) == _HEADER + count * _FACET.itemsize:
@@ -68,7 +68,7 @@ def _read_ascii(data: bytes) -> np.ndarray:
 
 
 def _kinds(block: Tokens) -> np.ndarray:
-    """By which of the known words each row begins; -1 where by none."""
+    """The index of the known word with which each row begins, -1 if there is none."""
     numbers = {word: k for k, word in enumerate(_KINDS)}
     return np.fromiter(map(numbers.get, block.beginnings(), repeat(-1)), np.int8, len(block.counts))
 

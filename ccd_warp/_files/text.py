@@ -1,4 +1,4 @@
-"""Rows of numbers in text formats, read strictly: each token is one number, and a line that was cut is refused."""
+"""Strict reading of rows of numbers: each token must be one number, and truncated lines are rejected."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ _IS_SPACE = np.zeros(256, dtype=bool)
 _IS_SPACE[list(b" \t\n\r\v\f")] = True  # as bytes.split
 
 
-_BLOCK = 1 << 15  # rows that are tokens at a time, which take some ten times the memory of their text
+_BLOCK = 1 << 15  # rows split into tokens at a time, which take some ten times the memory of their text
 
 
 @dataclass(frozen=True)
 class Tokens:
-    """Rows as tokens; one flat list, because many short ones take longer.
+    """Rows as tokens, in one flat list, because many short lists take longer.
 
     Attributes:
-        tokens: Of all rows, one row after another.
+        tokens: Tokens of all rows, one row after another.
         counts: Number of tokens of each row, shape [n].
         lines: Number of the line of each row in the file, shape [n].
     """
@@ -61,11 +61,11 @@ class Tokens:
             kind: ``float`` or ``int``.
 
         Raises:
-            InputError: If a token is no number, with its line.
+            InputError: If a token is not a number; the message names its line.
         """
         dtype = np.float64 if kind is float else np.int64
         try:
-            if b"_" in b"".join(self.tokens):  # which Python allows between digits, and no format does
+            if b"_" in b"".join(self.tokens):  # Python allows it between digits, but no format does
                 raise ValueError
             return np.fromiter(map(kind, self.tokens), dtype, len(self.tokens))
         except (ValueError, OverflowError):
@@ -77,11 +77,11 @@ class Tokens:
 
 @dataclass(frozen=True)
 class Rows:
-    """The lines of a text that are not empty.
+    """The non-empty lines of a text.
 
     Attributes:
-        text: All of it.
-        begins: Where each row begins in it, and where the last one ends, shape [n + 1].
+        text: The whole text.
+        begins: Offset of each row in the text, and the end of the last one, shape [n + 1].
         counts: Number of tokens of each row, shape [n].
         lines: Number of the line of each row in the file, shape [n].
     """
@@ -133,18 +133,18 @@ def _is_bad(token: bytes, kind: Callable[[bytes], Any]) -> bool:
 
 
 def shown(token: bytes) -> str:
-    """A token as a message can hold it."""
+    """A token as shown in a message."""
     text = token.decode("utf-8", "replace")
     return repr(text if len(text) <= 40 else f"{text[:37]}...")
 
 
 def check_last_index(text: bytes, index: int | None, num_vertices: int) -> None:
-    """Refuse a file that ends within a number which may have lost digits.
+    """Reject a file that ends within a number that may have lost digits.
 
     Args:
-        text: Of the file, without comments.
-        index: Its last number, if that is a vertex of a face.
-        num_vertices: Number of vertices; an index that one more digit would take beyond them is whole.
+        text: Text of the file, without comments.
+        index: The last number of the file, if it is a vertex of a face.
+        num_vertices: Number of vertices; an index is complete if one more digit would make it exceed this number.
     """
     if text and not text[-1:].isspace() and (index is None or 0 < 10 * index < num_vertices):
         raise InputError(
@@ -157,14 +157,14 @@ def counted_polygons(rows: Rows, *, most_behind: int = 0) -> tuple[np.ndarray, n
     """Faces whose rows begin with the number of their corners.
 
     Args:
-        rows: One face a row.
-        most_behind: How many numbers a row may hold behind its corners.
+        rows: One face for each row.
+        most_behind: Largest number of values that may follow the corners in a row.
 
     Returns:
-        The corners of all faces, and how many each face has.
+        The corners of all faces, and the number of corners of each face.
 
     Raises:
-        InputError: If a row has another length than it says, or a token is no number.
+        InputError: If the length of a row is not the stated one, or a token is not a number.
     """
     corners, counts = [NO_INDICES], [NO_INDICES]
     for block in rows.blocks():

@@ -1,1 +1,1 @@
-"""What users pass in, checked: arguments, arrays, options, positions."""
+"""Validation of what users pass in: arguments, arrays, options, positions."""

@@ -1,4 +1,4 @@
-"""Arguments of any type, checked one by one: numbers, counts, choices and paths; and how a message shows them."""
+"""Validation of single arguments: numbers, counts, choices and paths; and how messages show their values."""
 
 import math
 import numbers
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-_MOST_BITS = 2000  # of an integer that is written out; Python refuses to write the largest
+_MOST_BITS = 2000  # of an integer that is printed; Python refuses to print very large ones
 _MOST_CHARACTERS = 80  # of a value in a message
 
 _Choice = TypeVar("_Choice", bound=str)
@@ -21,7 +21,7 @@ _repr.maxlist = _repr.maxtuple = _repr.maxset = _repr.maxfrozenset = _repr.maxdi
 
 
 def shown(value: Any) -> str:
-    """A value as a message can hold it: on one line, and short however large it is."""
+    """A value as shown in a message: on one line, and short however large it is."""
     if isinstance(value, int) and value.bit_length() > _MOST_BITS:
         return f"an integer of {value.bit_length()} bits"
     try:
@@ -32,16 +32,17 @@ def shown(value: Any) -> str:
 
 
 def on_one_line(text: str) -> str:
-    """A text as a message can hold it."""
+    """A text as shown in a message: on one line and short."""
     text = " ".join(text.split())
     return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..."
 
 
 def check_real(name: str, value: Any, expected: str, is_valid: Callable[[float], bool]) -> float:
-    """A finite number as the float64 that it is; -0.0 as 0.0.
+    """A finite number as float64, with -0.0 as 0.0.
 
     Raises:
-        ValueError: If it is none, is out of its range, or would have to be rounded: no bound is to move unseen.
+        ValueError: If it is not a number, is out of its range, or would have to be rounded: no bound may change
+            silently.
     """
     number = None
     if isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_)):
@@ -62,7 +63,7 @@ def check_count(name: str, value: Any, largest: int, least: int = 1) -> int:
     """An integer that counts something.
 
     Raises:
-        ValueError: If it is none, too small or too large.
+        ValueError: If it is not an integer, too small or too large.
     """
     is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not is_count or not least <= value <= largest:
@@ -73,7 +74,7 @@ def check_count(name: str, value: Any, largest: int, least: int = 1) -> int:
 
 
 def check_choice(name: str, value: Any, choices: Collection[_Choice]) -> _Choice:
-    """One of a few words.
+    """A string out of a few choices.
 
     Raises:
         ValueError: If it is none of them.
@@ -89,7 +90,7 @@ def check_flag(name: str, value: Any) -> bool:
     """True or False.
 
     Raises:
-        ValueError: If it is something else, even if Python would take that for one of them.
+        ValueError: If it is not a bool, even if Python would convert it to one.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise ValueError(f"{name} is {shown(value)}; expected True or False")
@@ -107,10 +108,10 @@ def check_instance(name: str, value: Any, kind: type) -> None:
 
 
 def check_items(name: str, value: Any, expected: str) -> list[Any]:
-    """What an iterable yields, read once; texts and bytes are none here, nor is what does not end in Python's sense.
+    """The items of an iterable, read once; strings and bytes are not accepted.
 
     Raises:
-        ValueError: If it is no iterable.
+        ValueError: If it is not such an iterable.
     """
     if not isinstance(value, Iterable) or isinstance(value, (str, bytes, bytearray, memoryview)):
         raise ValueError(f"{name} is {shown(value)}; expected {expected}")
@@ -125,7 +126,7 @@ def check_path(name: str, value: Any) -> Path:
     """A path of the file system.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If it is not a path.
     """
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
     if not isinstance(text, str) or not text or "\0" in text:
@@ -134,7 +135,7 @@ def check_path(name: str, value: Any) -> Path:
 
 
 def check_unmasked(name: str, values: Any, depth: int = 0) -> None:
-    """Check that no mask hides a value, down to ``depth`` lists within lists: NumPy reads what is under it.
+    """Check that no mask hides a value, in lists nested up to ``depth``: NumPy would read the hidden values.
 
     Raises:
         ValueError: If one does.

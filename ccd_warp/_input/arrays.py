@@ -1,4 +1,4 @@
-"""Arrays on the host from whatever holds one: read without a copy where that is possible, and never rounded."""
+"""Conversion to NumPy arrays on the host, without a copy where possible and never with rounding."""
 
 import numbers
 from typing import Any
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_unmasked, shown
 
-_LARGEST_ODD = 2**53  # integers up to here are float64s
+_LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
 
 
 def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
     """A NumPy array of at least one dimension.
 
     Raises:
-        ValueError: If the values make none, or a mask hides one.
+        ValueError: If the values form no such array, or a mask hides one of them.
     """
     array = as_any_array(values, name, expected)
     if array.ndim == 0:
@@ -24,10 +24,10 @@ def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
 
 
 def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
-    """A NumPy array, also of no dimension.
+    """A NumPy array of any dimension, including 0.
 
     Raises:
-        ValueError: If the values make none, or a mask hides one.
+        ValueError: If the values form no such array, or a mask hides one of them.
     """
     check_unmasked(name, values)
     try:
@@ -39,16 +39,16 @@ def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
 
 
 def as_float64(array: NDArray[Any], name: str, given: Any, row_name: str = "row") -> NDArray[np.float64]:
-    """A C-ordered float64 array of exactly these numbers; the array itself where it is that already.
+    """A C-ordered float64 array of exactly these numbers; an array that already has this form is returned as it is.
 
     Args:
         array: Of two or more dimensions.
         name: Name of the argument, for the messages.
-        given: What the array was made of.
+        given: The argument from which the array was made.
         row_name: What the first index counts.
 
     Raises:
-        ValueError: If the numbers are not real, or float64 does not hold one of them.
+        ValueError: If the numbers are not real, or float64 cannot represent one of them.
     """
     if array is given and array.dtype == np.float64 and array.flags.c_contiguous:
         return array
@@ -77,10 +77,10 @@ def shown_number(value: Any) -> str:
 
 
 def check_finite(array: NDArray[np.float64], name: str, row_name: str = "row") -> None:
-    """A ValueError where a value is not finite."""
+    """Raise a ValueError if a value is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
-            return  # no infinity and no NaN could leave it finite; a sum that overflows proves nothing
+            return  # an infinity or NaN would make the sum non-finite; a sum that overflows proves nothing
     finite = np.isfinite(array)
     if not finite.all():
         at = tuple(np.argwhere(~finite)[0])
@@ -88,22 +88,22 @@ def check_finite(array: NDArray[np.float64], name: str, row_name: str = "row") -
 
 
 def _are_exact_integers(array: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Which integers a float64 holds: those whose lowest and highest bit are at most 52 places apart."""
+    """Which integers float64 represents (lowest and highest bit at most 52 places apart); None if all."""
     if not array.size or (array.max() <= _LARGEST_ODD and array.min() >= -_LARGEST_ODD):
         return None
-    magnitude = np.abs(array).astype(np.uint64)  # that of the least int64, too, which NumPy leaves negative
+    magnitude = np.abs(array).astype(np.uint64)  # also correct for the least int64, whose abs NumPy leaves negative
     lowest_bit = magnitude & (~magnitude + np.uint64(1))
     return magnitude // np.maximum(lowest_bit, np.uint64(1)) < np.uint64(_LARGEST_ODD)
 
 
 def _as_given(given: Any, rounded: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """The numbers before NumPy made one dtype of integers and floats, and which of them it did not round."""
+    """The numbers before NumPy converted integers and floats to one dtype, and which of them it did not round."""
     has_one_dtype = hasattr(given, "__array_interface__") or hasattr(given, "__dlpack__")
     if has_one_dtype or not rounded.size or not np.abs(rounded).max() >= _LARGEST_ODD:
         return rounded, None
     try:
         numbers_given = np.asarray(given, dtype=object)
-    except Exception:  # a library that knows its own dtype alone
+    except Exception:  # a library that supports only its own dtype
         return rounded, None
     if numbers_given.shape != rounded.shape:
         return rounded, None

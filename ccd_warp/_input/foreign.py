@@ -1,4 +1,4 @@
-"""Arrays of other libraries: what they are, and where."""
+"""Arrays of other libraries: what they are, and on which device."""
 
 from typing import Any
 
@@ -12,22 +12,22 @@ _HOST_MEMORY = (1, 3, 13)
 
 
 def is_device_array(value: Any) -> bool:
-    """Whether a value is an array of Warp, or of a library that speaks DLPack, other than NumPy."""
+    """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
     return isinstance(value, wp.array) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
 
 
 def speaks_dlpack(value: Any) -> bool:
-    """Whether it is an array that can be shared; the class of one has the same names."""
+    """Whether a value is an array that can be shared, and not a class of such arrays."""
     return hasattr(value, "__dlpack__") and not isinstance(value, type)
 
 
 def reason_of(error: Exception) -> str:
-    """What another library says, in a line, and what it should be able to do."""
+    """The error message of another library on one line, and what was expected."""
     return f"{on_one_line(str(error))}; expected one that can"
 
 
 def place_of(value: Any, name: str) -> tuple[int, int]:
-    """Type and index of the device of an array, as DLPack counts them."""
+    """Type and index of the device of an array, in the numbering of DLPack."""
     try:
         kind, index = value.__dlpack_device__()
     except Exception as error:  # whatever the other library raises
@@ -36,10 +36,10 @@ def place_of(value: Any, name: str) -> tuple[int, int]:
 
 
 def on_host(value: Any, name: str) -> Any:
-    """What NumPy reads where it is: arrays of other libraries too, unless they are on a GPU.
+    """The value as NumPy can read it in place; arrays of other libraries must not be on a GPU.
 
     Raises:
-        ValueError: If they are.
+        ValueError: If it is an array on a GPU.
     """
     if is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY:
         raise ValueError(

@@ -15,10 +15,10 @@ _VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
 
 
 def as_warp(value: Any, name: str) -> wp.array:
-    """A Warp array in the memory of an array of Warp, NumPy, or any library that speaks DLPack.
+    """A Warp array that shares the memory of an array of Warp, NumPy, or any library that supports DLPack.
 
     Raises:
-        ValueError: If it is no such array, or does not let itself be shared.
+        ValueError: If it is not such an array, or cannot be shared.
     """
     if isinstance(value, wp.array):
         return value
@@ -46,7 +46,7 @@ def check_writable(value: Any, name: str) -> None:
     """Check that an array may be written to.
 
     Raises:
-        ValueError: If its library says that it does not change.
+        ValueError: If its library declares it immutable.
     """
     if isinstance(value, wp.array):
         return
@@ -57,13 +57,13 @@ def check_writable(value: Any, name: str) -> None:
 
 
 def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -> wp.array:
-    """Positions as vec3f or vec3d of shape [n], in the memory of the array given.
+    """Positions as vec3f or vec3d of shape [n], sharing the memory of the given array.
 
     Args:
         value: Array of vec3f or vec3d, shape [n], or of float32 or float64, shape [n, 3].
         name: Name of the argument, for the messages.
-        device: Where it has to be.
-        expected: Numbers of rows that will do, and what these are.
+        device: The device on which it must be.
+        expected: Accepted numbers of rows, and what the rows are.
 
     Returns:
         The array.
@@ -92,5 +92,5 @@ def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -
     if shape[0] == 0:
         return wp.empty(0, dtype=dtype, device=array.device)
     alias: wp.array = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
-    alias._ref = array  # type: ignore[assignment]  # keeps the memory
+    alias._ref = array  # type: ignore[assignment]  # keeps the memory alive
     return alias

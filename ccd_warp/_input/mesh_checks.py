@@ -1,4 +1,4 @@
-"""What a mesh is made of, checked: arrays of bodies, indices, flags and positions; and the edges of faces."""
+"""Validation of the parts of a mesh: arrays of bodies, indices, flags and positions; and the edges of faces."""
 
 import numbers
 from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ def find_codimensional_points(
     with_codimensional_points: NDArray[np.bool_],
     vertex_body: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """Vertices in no face and no edge, of the bodies that ask for them."""
+    """Vertices in no face and no edge, of the bodies whose flag is set."""
     if not with_codimensional_points.any():
         return np.zeros(0, dtype=np.int32)
     is_codimensional = with_codimensional_points[vertex_body]
@@ -37,7 +37,7 @@ def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
     if not hasattr(body, "entities"):
         return body.vertices, no_faces
     for entity in body.entities:
-        # The points of an arc or a spline are not on a polyline along it.
+        # The polyline through the points of an arc or a spline does not follow the curve.
         if type(entity).__name__ != "Line":
             raise ValueError(f"body {index} holds a {type(entity).__name__}; expected a path of straight lines")
     segments = [np.asarray(entity.nodes) for entity in body.entities]
@@ -45,7 +45,7 @@ def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
 
 
 def as_positions(values: ArrayLike, name: str, count: int | None = None, reason: str = "") -> NDArray[np.float64]:
-    """Float64 array of shape [n, 3], of so many rows if a count is given, or a ValueError."""
+    """Float64 array of shape [n, 3], with n = ``count`` if given, or a ValueError."""
     expected = "(n, 3)" if count is None else f"{(count, 3)} {reason}"
     array = as_array(on_host(values, name), name, f"shape {expected}")
     if count is not None and array.shape != (count, 3):
@@ -60,14 +60,14 @@ def as_positions(values: ArrayLike, name: str, count: int | None = None, reason:
 def validated_positions(
     values: ArrayLike, name: str, count: int | None = None, reason: str = ""
 ) -> NDArray[np.float64]:
-    """Finite positions, of so many rows if a count is given, or a ValueError."""
+    """Finite positions of shape [n, 3], with n = ``count`` if given, or a ValueError."""
     array = as_positions(values, name, count, reason)
     check_finite(array, name)
     return array
 
 
 def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
-    """Indices of so many columns, or a ValueError."""
+    """Valid vertex indices of shape [n, columns], or a ValueError."""
     array = as_array(on_host(values, name), name, f"shape (n, {columns})")
     if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
         return np.zeros((0, columns), dtype=np.int64)
@@ -82,7 +82,7 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
 
 
 def validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_]:
-    """Which bodies rest, or a ValueError."""
+    """Which bodies are static, bool, shape [B], or a ValueError."""
     static = np.zeros(num_bodies, dtype=bool)
     for body in check_items("static", values, "a list of body indices"):
         is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
@@ -93,7 +93,7 @@ def validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_
 
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
-    """One bool a body, or a ValueError."""
+    """One bool for each body, or a ValueError."""
     array = as_any_array(on_host(values, name), name, "a bool or one bool a body")
     if array.dtype != bool:
         raise ValueError(f"{name} is {shown(values)}; expected a bool or one bool a body")
@@ -126,7 +126,7 @@ def validated_rings(value: int) -> int:
 def validated_worlds(
     values: ArrayLike | None, num_vertices: int, primitives: dict[str, NDArray[np.int32]]
 ) -> NDArray[np.int32]:
-    """A world for each vertex, one for all of a primitive, or a ValueError."""
+    """A world for each vertex, the same for all vertices of a primitive, or a ValueError."""
     if values is None:
         return np.zeros(num_vertices, dtype=np.int32)
     array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")

@@ -1,4 +1,4 @@
-"""What is said of bad input: one line, and nothing in it that a terminal obeys."""
+"""Messages on bad input: one line, without control characters that a terminal would obey."""
 
 
 class InputError(ValueError):
@@ -8,8 +8,8 @@ class InputError(ValueError):
 def printable(text: str) -> str:
     r"""The text with every character escaped that a terminal would not print, as ``repr`` does: ESC becomes ``\x1b``.
 
-    Names of files and messages of parsers may hold what moves the cursor, changes a title or breaks a line, and bytes
-    that are no text. Letters of any alphabet stay as they are.
+    Names of files and messages of parsers may contain sequences that move the cursor, change a title or break a line,
+    and bytes that are not text. Letters of any alphabet stay as they are.
     """
     if text.isprintable():
         return text

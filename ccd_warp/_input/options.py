@@ -1,4 +1,4 @@
-"""Options of every query, validated once, on construction."""
+"""The options of a call, validated on construction."""
 
 import difflib
 import numbers
@@ -18,7 +18,7 @@ from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import query
 
-MOST_THREADS = 1024  # far beyond what brings anything: a step gets no more threads than there are cores
+MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than there are cores
 
 _PRECISIONS: dict[Precision, Any] = {"float64": wp.float64, "float32": wp.float32}
 _METHODS: dict[Method, int] = {"clipping": int(query.CLIPPING), "bisection": int(query.BISECTION)}
@@ -35,15 +35,16 @@ _FIELDS = (
     "max_work",
     "method",
 )
-# Values of these types are what they are; others may be read but once, or change.
+# Values of these types are immutable; others may change, or be readable only once.
 _PLAIN = frozenset((float, int, str, type(None)))
-# Iterations of every pair in the first round of a step. Contacts take 2 in the mean; a box of the bisection is cheaper.
+# Iterations of every pair in the first round of a step. A contact takes 2 on average; a box of the bisection is
+# cheaper.
 _FIRST_ITERATIONS: dict[Method, int] = {"clipping": 256, "bisection": 4096}
 
 
 @dataclass(frozen=True)
 class Options:
-    """Validated options with their defaults; :class:`MeshOptions` tells what they mean."""
+    """Validated options with their defaults; :class:`MeshOptions` explains their meaning."""
 
     tolerance: float = 1e-6
     minimum_separation: float = 0.0
@@ -72,20 +73,20 @@ class Options:
         if self.memory_limit is not None:
             check_count("memory_limit", self.memory_limit, 2**63 - 1)
         if self.pair_kinds is not None:
-            # a tuple of our own: the caller may change his list, or has given an iterator, which can be read only once
+            # stored as a new tuple: the caller may change a list, and an iterator can be read only once
             object.__setattr__(self, "pair_kinds", _validated_kinds(self.pair_kinds))
         if self.num_threads is not None:
             check_count("num_threads", self.num_threads, MOST_THREADS)
 
     def _keep_real(self, name: str, expected: str, is_valid: Callable[[float], bool]) -> None:
-        """Check a number and keep it as a float; None is left where it is the default."""
+        """Check a number and store it as a float; None is kept where it is the default."""
         value = getattr(self, name)
         if value is not None or getattr(type(self), name) is not None:
             object.__setattr__(self, name, check_real(name, value, expected, is_valid))
 
     @property
     def kinds(self) -> tuple[PairKind, ...]:
-        """Kinds of pairs to look at, in their order."""
+        """Kinds of pairs to check, in their order."""
         return tuple(PairKind) if self.pair_kinds is None else tuple(self.pair_kinds)  # type: ignore[arg-type]
 
     @property
@@ -112,7 +113,7 @@ class Options:
         return min(_FIRST_ITERATIONS[self.method], int(self.max_iterations))
 
     def share_of_work(self, num_open: int) -> int:
-        """Iterations of each pair that the first round left open; ``share_of_work`` in the kernels is the same."""
+        """Iterations of each pair that the first round left open, as in ``share_of_work`` of the kernels."""
         return min(max(int(self.max_work) // max(num_open, 1), self.first_iterations), int(self.max_iterations))
 
     def for_kernel(
@@ -121,8 +122,8 @@ class Options:
         """The options as the struct that the kernels take.
 
         Args:
-            length_scale: Unit of the lengths; without one each pair has its own.
-            max_iterations: Limit in place of the option's.
+            length_scale: Unit of the lengths; if None, each pair has its own.
+            max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
         """
         values = (
@@ -156,10 +157,10 @@ def options_of(
         function: Name of the public function, for the messages.
         kind: Typed dictionary of the options that it takes.
         given: Options of the call.
-        others: What else it takes by name, which may have been misspelled.
+        others: Its other keyword arguments, which may have been misspelled.
 
     Raises:
-        TypeError: If it does not take one of them.
+        TypeError: If the function does not take one of them.
         ValueError: If one is out of its range.
     """
     names = kind.__optional_keys__  # type: ignore[attr-defined]
@@ -173,7 +174,7 @@ def options_of(
 
 @contextmanager
 def naming(function: str) -> Iterator[None]:
-    """Let a ValueError about an option begin with the name of the public function."""
+    """Prefix a ValueError about an option with the name of the public function."""
     try:
         yield
     except ValueError as error:
@@ -181,13 +182,14 @@ def naming(function: str) -> Iterator[None]:
 
 
 def _made(**given: Any) -> Options:
-    """Options all of which can be used here, the device included."""
+    """Validated options, including the device."""
     options = Options(**given)
     resolve_device(options.device)
     return options
 
 
-# Validation takes a tenth of a call with one pair. By type, because 1 and True are one key.
+# Cached, because validation takes a tenth of a call with one pair. The cache is typed, because 1 and True are equal
+# keys.
 _made_once = lru_cache(maxsize=64, typed=True)(_made)
 
 
@@ -201,7 +203,7 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
 
 
 def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
-    """The struct of the kernels, from the values of its fields in their order."""
+    """The struct of the kernels, from the values of its fields in order."""
     options = query.make_query(real).Options()
     for name, value in zip(_FIELDS, values, strict=True):
         setattr(options, name, value)
@@ -212,12 +214,12 @@ def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
 
 @lru_cache(maxsize=64)
 def _packed_once(real: Any, values: tuple[Any, ...]) -> Any:
-    """The same without a flag, kept: packing takes a tenth of a call with one pair."""
+    """The same without a flag, cached: packing takes a tenth of a call with one pair."""
     return _packed(real, values, None)
 
 
 def resolve_device(device: Any, of_arrays: Any = None) -> Any:
-    """The Warp device to run on: the one asked for, that of the arrays, or Warp's current one.
+    """The Warp device to run on: the requested one, that of the arrays, or Warp's current one.
 
     Raises:
         ValueError: If there is no such device, or the arrays are on another.
@@ -236,7 +238,7 @@ def resolve_device(device: Any, of_arrays: Any = None) -> Any:
 
 
 def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
-    """Kinds by themselves, their names or their numbers, each once and in their order, or a ValueError."""
+    """Kinds given as themselves, by name or by number, each once and in their order, or a ValueError."""
     names = {kind.name.lower(): kind for kind in PairKind}
     expected = f"a list of {', '.join(map(repr, names))}"
     given = check_items("pair_kinds", values, expected)

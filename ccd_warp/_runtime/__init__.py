@@ -1,1 +1,1 @@
-"""Launches of kernels, threads that share them, and how far they are."""
+"""Kernel launches, the threads that share them, and their progress."""

@@ -1,4 +1,4 @@
-"""Launch a kernel over a range: in one go on CUDA, in disjoint parts on Python threads on the CPU.
+"""Launch a kernel over a range: at once on CUDA, in disjoint parts on Python threads on the CPU.
 
 Warp runs a CPU kernel serially and releases the GIL meanwhile, so disjoint ranges on Python threads run in parallel.
 Every kernel launched here takes ``begin: int`` as its first parameter and works on item ``begin + wp.tid()``.
@@ -14,7 +14,7 @@ import warp as wp
 from ccd_warp._runtime.threads import StopFlag, run, run_aside
 from ccd_warp.kernels.once import building
 
-# Items of a kernel that does little for each, which a part holds at most: some 20 ms.
+# Largest number of items in a part of a kernel that does little work for each: some 20 ms.
 _MOST_ITEMS = 1 << 19
 
 _loaded: set[tuple[Any, str]] = set()
@@ -31,7 +31,7 @@ def start_warp() -> None:
 
 
 def load(kernel: Any, device: Any) -> None:
-    """Compile and load a kernel once, on a thread of its own, so that an interrupt is answered meanwhile."""
+    """Compile and load a kernel once, on its own thread, so that an interrupt is handled meanwhile."""
     key = (kernel.module, str(device))
     if key in _loaded:
         return
@@ -40,7 +40,7 @@ def load(kernel: Any, device: Any) -> None:
         with building:
             wp.load_module(module=kernel.module, device=device)
 
-    if device.is_capturing:  # Warp allows it on the thread of the capture alone
+    if device.is_capturing:  # Warp allows it only on the thread of the capture
         compile_module()
     else:
         run_aside(compile_module)
@@ -49,12 +49,12 @@ def load(kernel: Any, device: Any) -> None:
 
 @dataclass(frozen=True)
 class Execution:
-    """Where and on how many threads to run.
+    """The device and the number of threads on which to run.
 
     Attributes:
         device: Warp device.
         num_threads: Threads on the CPU.
-        flag: What kernels that may run long look at, or None where none is launched.
+        flag: The flag that long kernels read to stop early, or None where no such kernel is launched.
         tick: Called ten times a second while a long job runs, on the thread that waits for it.
     """
 
@@ -78,8 +78,8 @@ class Execution:
             count: Number of items; nothing is launched for zero.
             inputs: Kernel inputs after ``begin``.
             outputs: Kernel outputs.
-            grain: Smallest number of items that is worth a part of its own.
-            is_long: Whether items may take long: then the kernel reads the stop flag.
+            grain: Smallest number of items that is worth its own part.
+            is_long: Whether items may take long, in which case the kernel reads the stop flag.
         """
         if count == 0:
             return
@@ -96,20 +96,20 @@ class Execution:
 
     @property
     def is_serial(self) -> bool:
-        """Whether this thread launches all: on CUDA, and in a graph of the CPU, which records this thread alone."""
+        """Whether this thread launches all: on CUDA, and in a capture on the CPU, which records only this thread."""
         return self.is_cuda or self.device.is_capturing
 
     def ranges(self, count: int, grain: int, parts_per_thread: int = 1) -> list[tuple[int, int]]:
-        """Parts of 0 … count-1 for the threads, none much smaller than ``grain``, and none so large as to take long."""
+        """Parts of 0 … count-1 for the threads, none much smaller than ``grain``, none so large that it takes long."""
         parts = 1
         if not self.is_cuda:
             parts = max(1, min(self.num_threads * parts_per_thread, count // grain), -(-count // _MOST_ITEMS))
         return list(itertools.pairwise(count * k // parts for k in range(parts + 1)))
 
     def run(self, tasks: Sequence[Callable[[], Any]], *, is_long: bool = False) -> list[Any]:
-        """Call the tasks, at most ``num_threads`` at a time; their results in order, once all have ended.
+        """Call the tasks, at most ``num_threads`` at a time, and return their results in order once all have ended.
 
-        Long ones run on other threads, while this one waits and answers an interrupt.
+        Long tasks run on other threads, while this one waits and handles an interrupt.
         """
         if self.is_serial:
             return [task() for task in tasks]
@@ -118,14 +118,14 @@ class Execution:
 
 @dataclass(frozen=True)
 class Slot:
-    """An argument of a recording that :meth:`Recording.bind` names."""
+    """A named argument of a recording, set by :meth:`Recording.bind`."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class _Group:
-    """The parts of a launch, and when it is left out, or may take long."""
+    """The parts of a launch, with the conditions under which it is needed and may take long."""
 
     commands: list[wp.Launch]
     is_needed: Callable[[], bool] | None
@@ -136,7 +136,7 @@ class Recording:
     """Launches that are packed once and then repeated, in the order in which they were given."""
 
     def __init__(self, execution: Execution, values: dict[str, Any]) -> None:
-        """``values`` are what the slots hold to begin with."""
+        """``values`` are the initial values of the slots."""
         self.execution = execution
         self._values = dict(values)
         self._groups: list[_Group] = []
@@ -159,17 +159,17 @@ class Recording:
         is_needed: Callable[[], bool] | None = None,
         is_long: Callable[[], bool] | None = None,
     ) -> None:
-        """Keep a launch; arguments as of :meth:`Execution.launch`, and slots among them.
+        """Record a launch; the arguments are those of :meth:`Execution.launch`, and may include slots.
 
         Args:
-            kernel: As there, as are those that follow.
+            kernel: As in :meth:`Execution.launch`, like the following ones.
             count: Number of items.
             inputs: Kernel inputs.
             outputs: Kernel outputs.
             grain: Smallest part.
             parts_per_thread: Parts for each thread.
-            is_needed: Asked on the CPU, outside a graph: whether there is anything to do.
-            is_long: Asked there, too: whether it may take long.
+            is_needed: Called on the CPU outside a capture: whether there is anything to do.
+            is_long: Called likewise: whether the launch may take long.
         """
         if count == 0:
             return
@@ -188,16 +188,16 @@ class Recording:
         self._groups.append(_Group(commands, is_needed, is_long))
 
     def bind(self, name: str, value: Any) -> None:
-        """Put an array or a number in the place of a slot."""
+        """Set a slot to an array or a number."""
         if value is self._values[name]:
             return
-        self._values[name] = None  # nothing is bound while only some launches have the new one
+        self._values[name] = None  # no value counts as bound while only some launches have the new one
         for command, index in self._uses[name]:
             command.set_param_at_index(index, value)
         self._values[name] = value
 
     def play(self) -> None:
-        """Launch all: on the CPU on threads, unless a graph is captured, which sees this thread alone."""
+        """Launch all groups: on the CPU on threads, unless a graph is captured, which records only this thread."""
         is_serial = self.execution.is_serial
         for group in self._groups:
             if is_serial:

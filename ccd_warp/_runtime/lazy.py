@@ -9,9 +9,9 @@ _T = TypeVar("_T")
 class lazy_property(Generic[_T]):
     """A property whose value stays with the object, in its ``__dict__``, without a lock.
 
-    `functools.cached_property` of Python 3.11 has a lock for all objects of the class: a thread that is within the
-    property of one object holds up those that use another, and a process that is forked meanwhile waits for ever.
-    Without it two threads may both compute the value of one object; both go on with the one that came first.
+    `functools.cached_property` of Python 3.11 has one lock for all objects of the class: a thread that computes the
+    property of one object blocks threads that use another, and a process forked meanwhile waits forever. Without the
+    lock two threads may both compute the value of one object; both then use the value stored first.
     """
 
     def __init__(self, function: Callable[[Any], _T]) -> None:
@@ -26,7 +26,7 @@ class lazy_property(Generic[_T]):
     def __get__(self, instance: Any, owner: Any = None) -> _T: ...
 
     def __get__(self, instance: Any, owner: Any = None) -> Any:
-        """The value; from the second time on Python finds it in the object itself."""
+        """The value; after the first access Python finds it in the object itself."""
         if instance is None:
             return self
         return instance.__dict__.setdefault(self._name, self._function(instance))

@@ -1,4 +1,4 @@
-"""How far a step is, for a person who waits for it."""
+"""The progress of a step, for a user who waits for it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ class Progress:
     """The stage that a step is in.
 
     Attributes:
-        show: Called about ten times a second while a stage takes long; None where nobody looks.
+        show: Called about ten times a second while a stage takes long; None where no progress is shown.
         stage: Its name.
-        done: Items that are done; threads add to it without a lock, so it may be a little low.
+        done: Items done so far; threads increase it without a lock, so it may be slightly too low.
         total: Items of the stage.
     """
 
@@ -21,12 +21,12 @@ class Progress:
     total: int = 0
 
     def begin(self, stage: str, total: int, done: int = 0) -> None:
-        """Enter a stage, or go on with it."""
+        """Begin or continue a stage."""
         self.stage, self.total, self.done = stage, total, done
 
     @property
     def tick(self) -> Callable[[], None] | None:
-        """What the thread that waits is to call."""
+        """The function that the waiting thread calls, or None."""
         if self.show is None:
             return None
         show = self.show

@@ -1,10 +1,10 @@
-"""Python threads that stay, and jobs that end on all of them before an exception leaves.
+"""A pool of Python threads, and jobs that end on every thread before an exception propagates.
 
 Warp runs a CPU kernel on the thread that launches it and releases the GIL meanwhile. A job is a list of tasks that
-threads share. It is **over** when no thread runs a part of it, and only then does :func:`run` return or raise: a task
-that raises, or an interrupt of the caller, sets the job's stop flag, which long kernels read (`kernels.interrupts`),
-and the caller waits for those that still run. Nothing here is held by a lock of Python's library that an interrupt
-could leave locked: queues and lists, each operation of which is atomic, carry all that threads tell each other.
+threads share. It is **over** when no thread runs a part of it, and :func:`run` returns or raises only then: a task that
+raises, or an interrupt of the caller, sets the job's stop flag, which long kernels read (`kernels.interrupts`), and the
+caller waits for the tasks that still run. No lock of Python's library is used that an interrupt could leave locked:
+threads communicate only through queues and lists, each operation of which is atomic.
 """
 
 import _thread
@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-_TICK = 0.1  # seconds between two looks at the progress of a job
+_TICK = 0.1  # seconds between two calls of ``tick``
 
 
 class StopFlag:
-    """What long kernels look at.
+    """The flag that long kernels read to stop early.
 
     Attributes:
-        array: The flag, int32, shape [1]; 1: end.
+        array: The flag, int32, shape [1]; 1 means stop.
     """
 
     def __init__(self, device: Any) -> None:
@@ -32,17 +32,17 @@ class StopFlag:
         self._host = np.zeros(1, dtype=np.int32) if device.is_cuda else self.array.numpy()
 
     def set(self) -> None:
-        """Let the kernels that read the flag end; what they wrote is not used, nor the flag again unless cleared."""
+        """Stop the kernels that read the flag; their output is discarded, and the flag must be cleared before reuse."""
         self._host[0] = 1
 
     @property
     def is_set(self) -> bool:
-        """Whether kernels are to end."""
+        """Whether kernels must stop."""
         return bool(self._host[0])
 
 
 class _Job:
-    """Tasks that threads share, each taken by one of them."""
+    """Tasks that threads share; one thread takes each."""
 
     def __init__(self, tasks: Sequence[Callable[[], Any]], flag: StopFlag | None) -> None:
         self.results: list[Any] = [None] * len(tasks)
@@ -60,11 +60,11 @@ class _Job:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether nothing more is to be begun."""
+        """Whether no further task may begin."""
         return self._is_stopped or (self._outer is not None and self._outer.is_stopped)
 
     def stop(self) -> None:
-        """Begin nothing more, and let kernels end."""
+        """Begin no further task, and stop the kernels."""
         self._is_stopped = True
         if self._flag is not None:
             self._flag.set()
@@ -78,7 +78,7 @@ class _Job:
             self._done.append(k)
 
     def serve(self) -> None:
-        """Work on a thread of the pool; an error is for the caller of the job."""
+        """Work on a thread of the pool; an error is kept for the caller of the job."""
         self._entered.append(None)
         outer, _this_thread.job = getattr(_this_thread, "job", None), self
         try:
@@ -101,7 +101,7 @@ class _Job:
                 tick()
 
     def end(self) -> None:
-        """Wait until no thread runs a task, whatever interrupts come meanwhile; the last of them is raised then."""
+        """Wait until no thread runs a task, even if interrupts arrive; the last interrupt is raised afterwards."""
         self._is_stopped = True
         interrupt: BaseException | None = None
         while True:
@@ -134,7 +134,7 @@ class _EndedError(BaseException):
 
 
 class _Pool:
-    """Threads that serve jobs; more are started as they are asked for, up to one a core."""
+    """Threads that serve jobs, started on demand, up to one for each core."""
 
     def __init__(self) -> None:
         self._jobs: SimpleQueue[_Job] = SimpleQueue()
@@ -143,7 +143,7 @@ class _Pool:
     def submit(self, job: _Job, count: int) -> None:
         """Let up to ``count`` threads serve a job."""
         count = min(count, max(1, os.cpu_count() or 1))
-        while len(self._threads) < count:  # two callers at once may start one too many, which waits like the others
+        while len(self._threads) < count:  # two concurrent callers may start one thread too many
             self._threads.append(_thread.start_new_thread(self._serve, ()))
         for _ in range(count):
             self._jobs.put(job)
@@ -152,7 +152,7 @@ class _Pool:
         while True:
             job = self._jobs.get()
             job.serve()
-            del job  # or it would be kept, with its buffers, until the next one comes
+            del job  # otherwise it and its buffers would stay alive until the next job
 
 
 _this_thread = threading.local()
@@ -161,7 +161,7 @@ _aside: list[Any] = []
 
 
 def _renew() -> None:
-    """A child of a fork has none of the threads, and whatever they held stays held."""
+    """Start anew in a forked child, which has none of the threads, while their locks stay locked."""
     global _pool, _this_thread, _aside
     _pool, _aside = _Pool(), []
     _this_thread = threading.local()
@@ -186,20 +186,22 @@ def run(
     is_long: bool = False,
     tick: Callable[[], None] | None = None,
 ) -> list[Any]:
-    """Call the tasks, at most ``num_threads`` at a time; their results in order.
+    """Call the tasks, at most ``num_threads`` at a time, and return their results in order.
 
     Args:
-        tasks: What to call; which thread takes which is open.
-        num_threads: Threads that share them.
-        flag: What to set when the job is to end early.
-        is_long: Whether a task may take longer than a person would wait for an answer to an interrupt: then the
-            calling thread only waits. Else it takes its part, which saves waking another.
+        tasks: The functions to call; any thread may take any of them.
+        num_threads: Number of threads that share the tasks.
+        flag: The flag to set if the job must end early.
+        is_long: Whether a task may delay the response to an interrupt noticeably: then the calling thread only waits.
+            Otherwise it works on tasks itself, which saves waking another thread.
         tick: Called ten times a second while the calling thread waits.
 
     Raises:
         BaseException: What a task raised, or an interrupt of the caller, after every task has ended.
     """
-    is_here = getattr(_this_thread, "job", None) is not None  # on a thread of the pool, which can work as well as wait
+    is_here = (
+        getattr(_this_thread, "job", None) is not None
+    )  # on a thread of the pool, which may work instead of waiting
     if not is_long and (num_threads == 1 or len(tasks) == 1):
         return [task() for task in tasks]
     takes_part = is_here or not is_long
@@ -219,12 +221,12 @@ def run(
 
 
 def is_any_aside() -> bool:
-    """Whether a task of :func:`run_aside` goes on that nobody may be waiting for."""
+    """Whether a task of :func:`run_aside` is still running, possibly with no caller waiting for it."""
     return bool(_aside)
 
 
 def run_aside(task: Callable[[], Any]) -> None:
-    """Call a task on a thread of its own and wait for it; an interrupt ends the waiting and leaves the task running."""
+    """Call a task on its own thread and wait for it; an interrupt ends the wait but not the task."""
     outcome: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def call() -> None:

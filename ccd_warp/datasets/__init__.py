@@ -5,7 +5,7 @@ The formats are those of the Sample-Queries ("handcrafted") and the Sample-Scala
     SCENE/{edge-edge,vertex-face}/*.csv      handcrafted queries with their truth, 7 columns
     SCENE/queries/STEM{ee,vf}.csv            queries of a simulation, 6 columns
     SCENE/mma_bool/STEM{ee,vf}_mma_bool.json their truth
-    SCENE/boxes/STEM{ee,vf}.json             which primitives they are of
+    SCENE/boxes/STEM{ee,vf}.json             their primitives
     SCENE/frames/*.ply                       the mesh at both ends of the step
 
 References:

@@ -1,7 +1,7 @@
 """The published query files: exact rationals as float64 and back, a block of lines at a time.
 
-A block that holds what the published files hold, numerators below 2**53 over powers of two, goes through C loops alone;
-every other coordinate is compared with its rational in Python integers.
+A block of the form found in the published files, numerators below 2**53 over powers of two, is converted by C loops
+only; every other coordinate is compared with its rational in Python integers.
 """
 
 import os
@@ -16,20 +16,20 @@ import numpy as np
 from ccd_warp.datasets._paths import replacing
 
 ROWS = 8  # rows of a query: four points at the start, four at the end
-_BLOCK = 1 << 20  # bytes; larger blocks spend their time on fresh memory
-_QUERIES = 1 << 12  # queries that are written at a time
-_DIGITS = 512  # below any limit that Python may be told to set on the digits of an int
+_BLOCK = 1 << 20  # bytes; larger blocks lose time on fresh memory
+_QUERIES = 1 << 12  # queries written at a time
+_DIGITS = 512  # below any limit that Python can set on the digits of an int
 # A float64 in lowest terms has a numerator of at most 309 digits and a denominator of at most 324, that of 2**-1074.
-# The rest is for common factors; without a limit, two numbers of ten million digits take a minute.
+# The remaining digits allow for common factors; without a limit, two numbers of ten million digits take a minute.
 _MOST_DIGITS = 10_000
 # Denominators of float64: the last is that of the subnormals.
 _EXPONENTS = {str(1 << k).encode(): k for k in range(1075)}
 
 
 def read_csv(path: Path, advance: Callable[[int], object]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Both frames of the queries of one file, [n, 4, 3] each, and their truth, [n], where the file has it.
+    """Start and end points of the queries of one file, [n, 4, 3] each, and their truth, [n], if the file has it.
 
-    ``advance`` is told the number of bytes of each block.
+    ``advance`` is called with the number of bytes of each block.
     """
     columns = 0
     values = [np.empty(0)]
@@ -102,7 +102,7 @@ def _columns(path: Path, block: bytes) -> int:
 
 
 def _fields(path: Path, line: int, block: bytes, columns: int) -> list[bytes]:
-    """The fields of all lines, row by row; each of nothing but digits and minus signs."""
+    """The fields of all lines, row by row; each consists of digits and minus signs only."""
     rows = block.count(b"\n") + 1
     if block.translate(None, b"-0123456789") == ((b"," * (columns - 1) + b"\n") * rows)[:-1]:
         return block.replace(b"\n", b",").split(b",")
@@ -119,7 +119,7 @@ def _fields(path: Path, line: int, block: bytes, columns: int) -> list[bytes]:
 
 
 def _truth(path: Path, line: int, fields: list[bytes]) -> np.ndarray:
-    """The truth column, a boolean a row."""
+    """The truth column, one boolean for each row."""
     if not {b"0", b"1"}.issuperset(fields):
         row = next(i for i, field in enumerate(fields) if field not in (b"0", b"1"))
         raise ValueError(f"{path}, line {line + row}: truth is {_quoted(fields[row])}; expected 0 or 1")
@@ -127,13 +127,13 @@ def _truth(path: Path, line: int, fields: list[bytes]) -> np.ndarray:
 
 
 def _floats(path: Path, line: int, numerators: list[bytes], denominators: list[bytes]) -> np.ndarray:
-    """Rationals as float64, three a row, each of them exactly."""
+    """Rationals as float64, three in each row, all exact."""
     exponents = np.fromiter(map(_EXPONENTS.get, denominators, repeat(-1)), np.int32, len(denominators))
     try:
         if not 0 < sys.get_int_max_str_digits() <= _MOST_DIGITS and max(map(len, numerators), default=0) > _MOST_DIGITS:
             raise ValueError("too many digits for int() to read them at once, and it may")
         values = np.fromiter(map(int, numerators), np.float64, len(numerators))
-    except (ValueError, OverflowError):  # no integer, too many digits for int(), or beyond float64
+    except (ValueError, OverflowError):  # not an integer, too many digits for int(), or beyond float64
         values = np.full(len(numerators), np.inf)
     # An integer that rounds to less than 2**53 did not round, and over 2**k it is a multiple of 2**-1074: a float64.
     simple = (np.abs(values) < 2.0**53) & (exponents >= 0)
@@ -147,7 +147,7 @@ def _floats(path: Path, line: int, numerators: list[bytes], denominators: list[b
 
 
 def exact_float(numerator: bytes, denominator: bytes) -> float:
-    """A rational of two decimal integers as the float64 that it is; a ValueError where it is none."""
+    """A rational of two decimal integers as float64; a ValueError if float64 cannot represent it exactly."""
     n, d = _integer(numerator), _integer(denominator)
     if d <= 0:
         raise ValueError(f"denominator is {_shown(denominator)}; expected a positive integer")
@@ -163,7 +163,7 @@ def exact_float(numerator: bytes, denominator: bytes) -> float:
 
 
 def _integer(text: bytes) -> int:
-    """A decimal integer of as many digits as a coordinate may have."""
+    """A decimal integer of at most `_MOST_DIGITS` digits."""
     if len(text) > _MOST_DIGITS + text.startswith(b"-"):
         raise ValueError(f"{_shown(text)} is too long; expected an integer of at most {_MOST_DIGITS:,} digits")
     if not re.fullmatch(rb"-?[0-9]+", text):
@@ -177,7 +177,7 @@ def _integer(text: bytes) -> int:
 
 
 def _shown(text: bytes) -> str:
-    """A field as a message can hold it."""
+    """A field as shown in a message."""
     plain = text.decode("utf-8", "replace")
     return plain if len(plain) <= 40 else f"{plain[:16]}...{plain[-8:]} ({len(plain)} characters)"
 

@@ -31,12 +31,12 @@ def read_step(start_path: str | Path, end_path: str | Path, *, max_bytes: int = 
     """Read the two frames of a step.
 
     Args:
-        start_path: PLY file of the start positions; OBJ, STL, OFF, GLB and archives of them will do.
+        start_path: PLY file of the start positions; OBJ, STL, OFF, GLB and archives of them are accepted, too.
         end_path: PLY file of the end positions, with the same faces.
-        max_bytes: What a file that is an archive may unpack to.
+        max_bytes: Limit on the unpacked size of an archive.
 
     Returns:
-        The mesh at both ends, vertices and faces as the files number them.
+        The mesh at both ends, with vertices and faces in the order of the files.
 
     Raises:
         ValueError: If a file is missing, damaged or cut short, unpacks to more than the limit, holds no triangles or
@@ -59,8 +59,8 @@ def write_step(start_path: str | Path, end_path: str | Path, step: SimulationSte
         step: The mesh at both ends.
 
     Raises:
-        ValueError: If a path does not end in .ply, the frames differ in shape, a vertex is not finite or no float64,
-            or a face names a vertex that is not there.
+        ValueError: If a path does not end in .ply, the positions differ in shape, are not finite or not exactly
+            float64, or a face refers to a vertex that does not exist.
         OSError: If a file cannot be written.
 
     References:

@@ -1,4 +1,4 @@
-"""Truth and boxes of the public data: lists in JSON, an entry a query."""
+"""Truth and boxes of the public data: JSON lists with one entry for each query."""
 
 import json
 from pathlib import Path
@@ -19,10 +19,10 @@ def read_truth(path: str | Path) -> np.ndarray:
         path: JSON file, a list of booleans.
 
     Returns:
-        A boolean a query, shape [n].
+        One boolean for each query, shape [n].
 
     Raises:
-        ValueError: If the file is no JSON, with its line, or not a list of booleans.
+        ValueError: If the file is not JSON (the message names the line) or not a list of booleans.
         OSError: If the file cannot be read.
 
     References:
@@ -40,7 +40,7 @@ def write_truth(path: str | Path, truth: np.ndarray) -> None:
 
     Args:
         path: JSON file, replaced where it exists.
-        truth: A boolean a query, shape [n].
+        truth: One boolean for each query, shape [n].
 
     Raises:
         ValueError: If ``truth`` has another dtype or shape.
@@ -59,7 +59,7 @@ def write_truth(path: str | Path, truth: np.ndarray) -> None:
 
 
 def read_boxes(path: str | Path) -> np.ndarray:
-    """Read of which primitives the queries of a simulation are.
+    """Read the primitives of the queries of a simulation.
 
     Args:
         path: JSON file, a list of pairs of ids.
@@ -69,7 +69,7 @@ def read_boxes(path: str | Path) -> np.ndarray:
         the id v, edge e the id V + e and face f the id V + E + f; see `edges_by_max` for the order of the edges.
 
     Raises:
-        ValueError: If the file is no JSON, with its line, or not a list of pairs of ids.
+        ValueError: If the file is not JSON (the message names the line) or not a list of pairs of ids.
         OSError: If the file cannot be read.
 
     References:
@@ -83,7 +83,7 @@ def read_boxes(path: str | Path) -> np.ndarray:
 
 
 def write_boxes(path: str | Path, ids: np.ndarray) -> None:
-    """Write of which primitives the queries of a simulation are.
+    """Write the primitives of the queries of a simulation.
 
     Args:
         path: JSON file, replaced where it exists.
@@ -108,7 +108,7 @@ def write_boxes(path: str | Path, ids: np.ndarray) -> None:
 
 
 def edges_by_max(faces: np.ndarray) -> np.ndarray:
-    """Edges of a mesh in the order behind the ids of `read_boxes`.
+    """Edges of a mesh in the order that the ids of `read_boxes` use.
 
     Args:
         faces: Vertex indices, any integer dtype, shape [F, 3].
@@ -126,7 +126,7 @@ def edges_by_max(faces: np.ndarray) -> np.ndarray:
     faces = as_array(faces, "faces", "integers of shape (F, 3)")
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"faces is {shown(faces.dtype)} of shape {faces.shape}; expected integers of shape (F, 3)")
-    # Ranks are in the order of the indices, and small whatever those are.
+    # Ranks have the order of the indices, and are small even where the indices are not.
     indices, ranks = np.unique(faces, return_inverse=True)
     edges, _ = unique_edges(ranks.reshape(faces.shape), np.zeros((0, 2), dtype=np.int32))
     return indices[edges]

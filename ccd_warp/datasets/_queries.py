@@ -31,7 +31,7 @@ class Queries:
     """Queries of one kind, in the order of their files.
 
     Attributes:
-        name: Of the scene, for tables and messages.
+        name: Name of the scene, for tables and messages.
         kind: "vertex-face" or "edge-edge".
         points_t0: Positions at the start of the step, in the file's length unit, float64, shape [n, 4, 3]. The points
             are v, f0, f1, f2 or ea0, ea1, eb0, eb1.
@@ -60,7 +60,7 @@ class Queries:
         return len(self.points_t0)
 
     def id(self, i: int) -> str:
-        """Where query ``i`` is from, "file:number", both counted from 0."""
+        """Origin of query ``i`` as "label:number", with the label of its file and its number there, from 0."""
         is_index = isinstance(i, numbers.Integral) and not isinstance(i, (bool, np.bool_))
         if not is_index:
             raise ValueError(f"i is {shown(i)}; expected the index of a query")
@@ -79,7 +79,7 @@ class Queries:
 
         Args:
             name: Name of the whole.
-            parts: One set or more, of one kind; all with their truth or none of them, empty sets aside.
+            parts: One or more sets of one kind; except for empty sets, all with their truth or all without.
 
         Returns:
             The queries in the order of the parts.
@@ -120,8 +120,8 @@ def read_queries(
     Args:
         path: CSV file without a header, 8 rows a query, ``xn,xd,yn,yd,zn,zd`` or ``xn,xd,yn,yd,zn,zd,truth``: decimal
             integers of at most 10,000 digits, each coordinate the rational n/d with d > 0. Line ends may be LF or CRLF;
-            an empty file holds no query. Some published files have no line end at their end, so it is not asked for,
-            and a file cut within its very last number is not told from a whole one.
+            an empty file holds no query. Some published files have no line end at their end, so none is required, and a
+            file truncated within its very last number cannot be distinguished from a complete one.
         kind: "vertex-face" or "edge-edge". None takes it from the file's folder, if that has one of these names, or
             from the end of the file's name, "vf" or "ee".
         truth: JSON file of the truth of queries of 6 columns, see `read_truth`.
@@ -131,11 +131,11 @@ def read_queries(
         The queries; their truth is None where neither a column nor ``truth`` states it.
 
     Raises:
-        ValueError: If a line is malformed, an integer is too long, a rational is not exactly a float64, the rows make
-            no whole queries, or one query has two truths, with file and line; if the kind is unknown or the truth does
-            not match.
+        ValueError: If a line is malformed, an integer is too long, a rational is not exactly a float64, the rows do not
+            form whole queries, or one query has two truths; the message names file and line. Also if the kind is
+            unknown or the truth does not match.
         OSError: If a file cannot be read.
-        ImportError: If ``progress`` is asked for without tqdm.
+        ImportError: If ``progress`` is set and tqdm is not installed.
 
     References:
         Wang et al. 2021; Belgrod et al. 2023.
@@ -153,7 +153,7 @@ def read_queries(
 def write_queries(
     path: str | Path, points_t0: np.ndarray, points_t1: np.ndarray, truth: np.ndarray | None = None
 ) -> None:
-    """Write queries in the public format, which does not say their kind: a name that ends in "vf" or "ee" may.
+    """Write queries in the public format, which gives their kind only by a name that ends in "vf" or "ee".
 
     Args:
         path: CSV file, replaced where it exists.
@@ -162,13 +162,13 @@ def write_queries(
         truth: Whether each query collides, bool, shape [n]; None writes 6 columns instead of 7.
 
     Raises:
-        ValueError: If the shapes do not match, the dtype is another, or a coordinate is not finite.
+        ValueError: If a shape or dtype does not match, or a coordinate is not finite.
         OSError: If the file cannot be written.
 
     References:
         Wang et al. 2021; Belgrod et al. 2023.
 
-    Guarantee: `read_queries` gives the same numbers back, -0.0 as 0.0; after an error the file is as it was.
+    Guarantee: `read_queries` returns the same numbers, with -0.0 as 0.0; after an error the file is unchanged.
     """
     path = check_path("path", path)
     expected = "float64 of shape (n, 4, 3)"
@@ -195,15 +195,15 @@ def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]
         progress: Show a bar on stderr; needs tqdm.
 
     Returns:
-        One set a scene and kind, vertex-face before edge-edge, scenes of handcrafted layout first, sorted by name. The
-        names are those of the scenes relative to the folder, such as "handcrafted/erleben-spikes", the labels of the
-        sources those of the files.
+        One set for each scene and kind, vertex-face before edge-edge, scenes of handcrafted layout first, sorted by
+        name. The names are those of the scenes relative to the folder, such as "handcrafted/erleben-spikes"; the labels
+        of the sources are those of the files.
 
     Raises:
         ValueError: If the folder is missing or holds no query file, or one of the files is malformed, see
             `read_queries`.
         OSError: If a file cannot be read.
-        ImportError: If ``progress`` is asked for without tqdm.
+        ImportError: If ``progress`` is set and tqdm is not installed.
 
     References:
         Wang et al. 2021; Belgrod et al. 2023.
@@ -248,7 +248,7 @@ def _read(path: Path, label: str, kind: str, truth_path: Path | None, advance: C
 
 
 def _kind_of(path: Path) -> str:
-    """The kind of a file's queries by its place."""
+    """The kind of a file's queries, from its folder or name."""
     folder = path.absolute().parent.name
     kind = folder if folder in _KINDS else _SHORT.get(path.stem[-2:])
     if kind is None:
@@ -264,7 +264,7 @@ def _check_kind(kind: str) -> str:
 
 
 def _counted(sources: tuple[tuple[str, int], ...]) -> int:
-    """How many queries the sources count, or a ValueError."""
+    """Total number of queries in the sources, or a ValueError."""
     try:
         return sum(check_count("count", count, 2**63 - 1, least=0) for _, count in sources)
     except (TypeError, ValueError):
@@ -291,7 +291,7 @@ def _check_points(points_t0: np.ndarray, points_t1: np.ndarray, truth: np.ndarra
 
 @contextmanager
 def _progress_bar(paths: list[Path], progress: bool) -> Iterator[Callable[[int], object]]:
-    """What to tell the bytes that were read."""
+    """The function to call with the number of bytes read."""
     if not progress:
         yield lambda count: None
         return

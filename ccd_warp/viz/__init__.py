@@ -1,12 +1,12 @@
-"""Look at a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
+"""Visualise a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
 
-The bodies are shown at t = 0, at the toi of the scene and at t = 1, static ones grey, the others each in a colour, with
-a line along the way of those that move farther than they are large. At the toi, the earliest contacts are points with
-their normals as arrows; those that come later are fainter, each where it will be. Nothing hides a contact. At t = 1 the
-colours are the toi of the vertices. Where a small body touches first, a close-up shows it.
+The bodies are shown at t = 0, at the toi of the scene and at t = 1. Static bodies are grey, and each other body has its
+own colour; a line shows the path of a body that moves farther than its own size. At the toi, the earliest contacts are
+points with their normals as arrows; later contacts are fainter and drawn at their future positions. Nothing hides a
+contact. At t = 1 the colours show the toi of the vertices. Where a small body touches first, a close-up shows it.
 
-Pictures need no display and no GPU, but a library with OpenGL that needs none either: on Linux, EGL or OSMesa, which
-most systems have; else ``apt-get install libegl1 libgl1-mesa-dri`` or the like.
+Pictures need no display and no GPU, but an OpenGL library that works without them: on Linux, EGL or OSMesa, which most
+systems have; otherwise install it, for example with ``apt-get install libegl1 libgl1-mesa-dri``.
 """
 
 from decimal import ROUND_FLOOR, Context
@@ -32,11 +32,12 @@ __all__ = ["contact_points", "drawing_without_display", "render_step", "show_ste
 
 Colour = Literal["vertex_toi", "body"]
 
-# Sizes of text, points and lines are given in pixels of a panel whose shorter side has this many, and grow with it.
+# Sizes of text, points and lines are given in pixels of a panel with a shorter side of this many pixels, and scale with
+# it.
 _SHORTER_SIDE = 520
-# Such pixels that stay free at the sides of a panel, above for the title, and below for the colour bar.
+# Margins in these pixels: at the sides of a panel, above for the title, and below for the colour bar.
 _SIDE, _ABOVE, _BELOW = 14, 40, 72
-# Each pixel of a picture is the mean of as many squared.
+# Each pixel of a picture is the mean of the square of this many rendered pixels.
 _ZOOM = 2
 _SMALLEST, _LARGEST = 150, 4000
 _WINDOW = (1000, 800)
@@ -61,12 +62,13 @@ def render_step(
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: Of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``.
         size: Width and height in pixels.
         camera: Direction from the scene to the viewer, shape [3]; by default across the motion and from a little above.
             The view is parallel, with z up, fits the whole motion, and is the same at all three times.
-        colour: Of the bodies at t = 1: by the toi of the vertices, with a colour bar, or as at the other times.
-        t_max: That of the step, which is shown in place of the toi if there is no contact.
+        colour: Colours of the bodies at t = 1: by the toi of the vertices, with a colour bar, or by body as at the
+            other times.
+        t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
 
     Returns:
         The path.
@@ -138,15 +140,15 @@ def show_step(
     camera: ArrayLike | None = None,
     colour: Colour = "body",
 ) -> None:
-    """Open a window with a step and a slider over t in [0, 1], which starts at the toi; returns when it is closed.
+    """Open a window with a step and a slider over t in [0, 1] that starts at the toi; return when it is closed.
 
     Args:
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: Of ``mesh_ccd``.
-        camera: Direction from the scene to the viewer at first, as in :func:`render_step`.
-        colour: Of the bodies, as in :func:`render_step`.
+        result: The result of ``mesh_ccd``.
+        camera: Initial direction from the scene to the viewer, as in :func:`render_step`.
+        colour: Colours of the bodies, as in :func:`render_step`.
 
     Raises:
         ImportError: If the extra ``viz`` is not installed.
@@ -194,7 +196,7 @@ def show_step(
 
 
 def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None:
-    """Ends of the colours, None to colour by body."""
+    """Range of the colour map, or None to colour by body."""
     check_choice("colour", colour, ("vertex_toi", "body"))
     toi = np.asarray(result.vertex_toi)
     toi = toi[np.isfinite(toi)]

@@ -10,7 +10,7 @@ from ccd_warp._input.arrays import as_array
 
 # The automatic direction to the viewer: across the motion's larger horizontal axis, along it, and up.
 _ACROSS, _ALONG, _UP = -1.0, -0.62, 0.58
-_LEAST_HALF_SIDE = 0.05  # of what is shown, so that motion towards the viewer alone does not fill the frame
+_LEAST_HALF_SIDE = 0.05  # of the view, so that a motion straight towards the viewer does not fill the panel
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,10 @@ class Camera:
     """A parallel view.
 
     Attributes:
-        position: Where the viewer is, shape [3].
-        focus: What is in the middle, shape [3].
-        up: What is up, shape [3].
-        parallel_scale: Half the height that is seen.
+        position: Position of the viewer, shape [3].
+        focus: Point in the middle of the view, shape [3].
+        up: Upward direction, shape [3].
+        parallel_scale: Half the visible height.
         size: Width and height in pixels.
     """
 
@@ -44,7 +44,7 @@ def make_camera(
     size: tuple[float, float],
     margins: tuple[float, float, float],
 ) -> Camera:
-    """Fit both frames into a panel.
+    """Fit the start and end positions into a panel.
 
     Args:
         start: Positions at t = 0, shape [V, 3].
@@ -57,7 +57,7 @@ def make_camera(
         The view; z is up, or y in a view along z.
 
     Raises:
-        ValueError: If the direction is not one.
+        ValueError: If the direction is not valid.
     """
     given = validated_direction(direction)
     towards = _automatic_direction(end - start) if given is None else given
@@ -69,8 +69,8 @@ def make_camera(
     lower, upper = shown.min(axis=0), shown.max(axis=0)
     half = np.maximum(0.5 * (upper - lower), _LEAST_HALF_SIDE)
     side, above, below = margins
-    room = np.maximum([size[0] - 2 * side, size[1] - above - below], 1)
-    pixel = float((2.0 * half / room).max())
+    available = np.maximum([size[0] - 2 * side, size[1] - above - below], 1)
+    pixel = float((2.0 * half / available).max())
     middle = 0.5 * (lower + upper) + [0.0, 0.5 * (above - below) * pixel]
     focus = middle @ np.array([right, up])
     return Camera(focus + 10.0 * towards, focus, up, 0.5 * size[1] * pixel, size)

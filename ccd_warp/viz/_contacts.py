@@ -1,4 +1,4 @@
-"""Where the contacts of a step are."""
+"""Positions of the contacts of a step."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +13,10 @@ from ccd_warp._status import PairKind
 def contact_points(
     mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, contacts: Contacts
 ) -> NDArray[np.float64]:
-    """Where each contact is at its own toi: halfway between the two points that (u, v) names.
+    """Position of each contact at its toi: the midpoint of the two points with the parameters (u, v).
 
-    These are v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a);
-    or p and q. They are a gap apart, which is what the tolerance and the minimum separation leave.
+    These are v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); or
+    p and q. Their distance is the gap, which the tolerance and the minimum separation bound.
 
     Args:
         mesh: The mesh of the step.
@@ -28,7 +28,7 @@ def contact_points(
         Positions, float64, same length unit as the mesh, shape [m, 3].
 
     Raises:
-        ValueError: If the frames do not match the mesh, or the contacts hold primitives that it does not have.
+        ValueError: If the positions do not match the mesh, or the contacts refer to primitives that it does not have.
     """
     check_instance("mesh", mesh, CollisionMesh)
     check_instance("contacts", contacts, Contacts)

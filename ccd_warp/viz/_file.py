@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 
 def check_picture_path(path: Path, argument: str) -> None:
-    """Refuse a file that cannot be written, before the work is done.
+    """Reject a file that cannot be written, before the computation.
 
     Raises:
-        ValueError: If the name does not end in .png, or there is no such folder, or nothing may be written there.
+        ValueError: If the name does not end in .png, or the folder does not exist or is not writable.
     """
     if path.suffix.lower() != ".png":
         raise ValueError(f"{argument} {path}: the name must end in .png")
@@ -22,7 +22,7 @@ def check_picture_path(path: Path, argument: str) -> None:
 
 
 def write_png(path: Path, image: NDArray[np.uint8], zoom: int) -> None:
-    """Write an image, shape [zoom h, zoom w, 3], of which each pixel of the file is a mean."""
+    """Write an image of shape [zoom h, zoom w, 3]; each pixel of the file is the mean of zoom² pixels."""
     from PIL import Image
 
     height, width = (side // zoom for side in image.shape[:2])

@@ -1,4 +1,4 @@
-"""What is drawn in front of a panel's bodies: its contacts, and a close-up of the first one."""
+"""The foreground of a panel: its contacts, and a close-up of the first one."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,14 +15,14 @@ _FIRST_COLOUR, _LATER_COLOUR, _LATER_OPACITY = "#c8102e", "#d8484f", 0.3
 # In pixels.
 _FIRST_SIZE, _LATER_SIZE, _ARROW_LENGTH = 10, 2.5, 50
 _GAP, _TITLE, _FRAME_WIDTH = 8, 36, 1
-# There is a close-up where the smaller body that touches first takes less than _SMALL of the panel's shorter side. The
-# close-up takes _SIDE of it, and the body _SHARE of the close-up.
+# A close-up is drawn if the smaller body of the first contact takes less than _SMALL of the panel's shorter side. The
+# close-up takes _SIDE of that side, and the body _SHARE of the close-up.
 _SMALL, _SIDE, _SHARE = 0.1, 0.31, 0.4
 _WHITE = 250
 
 
 def draw_contacts(panel: Panel) -> Any:
-    """Draw the earliest contacts with their normals and the later ones fainter; returns what they are drawn in."""
+    """Draw the earliest contacts with their normals and later ones fainter; return the renderer used."""
     behind = panel.renderer
     front = _add_renderer(panel, behind.GetViewport())
     front.SetActiveCamera(behind.GetActiveCamera())
@@ -31,11 +31,11 @@ def draw_contacts(panel: Panel) -> Any:
 
 
 def draw_close_up(panel: Panel, front: Any) -> None:
-    """Draw the first contact large in the emptiest corner of a panel, if what touches there is small.
+    """Draw the first contact enlarged in the emptiest corner of a panel, if its smaller body is small.
 
     Args:
-        panel: With its bodies drawn.
-        front: What its contacts are drawn in.
+        panel: A panel with its bodies drawn.
+        front: The renderer of its contacts.
     """
     scene, camera = panel.scene, panel.camera
     size, shorter = camera.size, min(camera.size)
@@ -105,7 +105,7 @@ def _add_contacts(renderer: Any, scene: StepScene, pixel: float, zoom: float) ->
 def _emptiest_corner(
     panel: Panel, viewport: tuple[float, float, float, float], part: tuple[float, float]
 ) -> tuple[float, float]:
-    """Lower left of the rectangle in a corner below the title that hides least, in fractions of the window."""
+    """Lower left of the corner rectangle below the title that hides least, in fractions of the window."""
     image = panel.plotter.screenshot(return_img=True)
     height, width = image.shape[:2]
     is_drawn = (image < _WHITE).any(axis=2)[::-1]

@@ -26,14 +26,14 @@ _LIGHT_OF_TOI = {"ambient": 0.65, "diffuse": 0.5, "specular": 0.0}  # colours ne
 
 @dataclass(frozen=True)
 class Panel:
-    """Where a step is drawn.
+    """The panel in which a step is drawn.
 
     Attributes:
-        plotter: Of PyVista, without lights of its own.
+        plotter: Plotter of PyVista, without its own lights.
         place: Row and column of the panel in it.
         scene: The step.
         camera: Its view, in whose pixels sizes are given.
-        zoom: Pixels of the window along each of the camera's.
+        zoom: Window pixels for each pixel of the camera, along one side.
     """
 
     plotter: Any
@@ -44,7 +44,7 @@ class Panel:
 
     @property
     def renderer(self) -> Any:
-        """The panel's own, which is the active one from now on."""
+        """The renderer of the panel, which becomes the active one."""
         self.plotter.subplot(*self.place)
         return self.plotter.renderer
 
@@ -57,12 +57,12 @@ class Panel:
         renderer.camera.is_set = True  # PyVista would fit its own view
 
     def draw_bodies(self, t: float, toi_range: tuple[float, float] | None = None) -> None:
-        """Draw surfaces, cables and particles, in place of those drawn before.
+        """Draw surfaces, cables and particles, replacing those drawn before.
 
         Args:
             t: Time, in [0, 1].
-            toi_range: Colour by the toi of the vertices between these two; by default by body. Of bodies with large
-                faces, on which colours between the corners say nothing, the vertices alone.
+            toi_range: Range of the toi for colouring by the toi of the vertices; by default the colours are those of
+                the bodies. On large faces interpolated colours mean nothing, so only their vertices are coloured.
         """
         scene, positions = self.scene, self.scene.positions(t)
         edge_length = scene.body_edge_length[scene.vertex_body[scene.faces[:, 0]]] / self.camera.pixel
@@ -79,7 +79,7 @@ class Panel:
             if not chosen.any():
                 continue
             used, faces = _used_vertices(scene.faces[chosen])
-            # deep: VTK would go on reading the array after it is gone
+            # a deep copy, because VTK would read the array after it is freed
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
             surface["vertex"] = used
             surface = surface.compute_normals(
@@ -112,7 +112,7 @@ class Panel:
         self._add(name, points, toi_range, point_size=_PARTICLE_SIZE * self.zoom, render_points_as_spheres=True)
 
     def _add(self, name: str, shape: Any, toi_range: tuple[float, float] | None, **style: Any) -> None:
-        """Add a shape whose points know their vertex."""
+        """Add a shape whose points carry the index of their vertex."""
         vertex = shape["vertex"]
         if toi_range is None:
             style |= {"scalars": self.scene.vertex_colours[vertex], "rgb": True, **_LIGHT_OF_BODIES}
@@ -125,7 +125,7 @@ class Panel:
         self.plotter.add_mesh(shape, name=f"{name} {self.place}", reset_camera=False, **style)
 
     def draw_trails(self) -> None:
-        """Draw the ways of bodies that move far."""
+        """Draw the paths of bodies that move far."""
         ends = self.scene.trails.reshape(-1, 3)
         if len(ends):
             lines = np.insert(np.arange(len(ends)).reshape(-1, 2), 0, 2, axis=1)
@@ -164,7 +164,7 @@ class Panel:
 
 
 def aim(view: Any, camera: Camera) -> None:
-    """Put a camera of VTK where ours is."""
+    """Set a camera of VTK to the given view."""
     view.SetParallelProjection(True)
     view.SetPosition(*camera.position)
     view.SetFocalPoint(*camera.focus)
@@ -192,7 +192,7 @@ def flat_actor(
 
 
 def make_text(text: str, position: tuple[float, float], size: float) -> Any:
-    """A text at a place in fractions of its renderer."""
+    """A text at a position in fractions of its renderer."""
     actor = pyvista.Text(text=text, position=position)
     actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.prop.font_size, actor.prop.color = round(size), TEXT_COLOUR
@@ -207,5 +207,5 @@ def _used_vertices(primitives: NDArray[np.int32]) -> tuple[NDArray[np.int32], An
 
 
 def _toi_colours() -> Any:
-    """From dark to light, and never as light as what has no toi."""
+    """A colour map from dark to light, never as light as the colour of vertices without a toi."""
     return LinearSegmentedColormap.from_list("toi", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))

@@ -1,4 +1,4 @@
-"""What a picture of a step shows, in coordinates of its own; NumPy alone."""
+"""The content of a picture of a step in its own coordinates; this module needs only NumPy."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +14,7 @@ from ccd_warp.viz._contacts import contact_points
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
-# A contact counts as one of the earliest up to this fraction of the step after the first.
+# A contact counts as one of the earliest if it is at most this fraction of the step after the first.
 _SAME_TOI = 1e-6
 # Trails of more bodies than this hide the scene.
 _MOST_TRAILS = 50
@@ -22,7 +22,7 @@ _MOST_TRAILS = 50
 
 @dataclass(frozen=True)
 class StepScene:
-    """A step around the origin, the longest side of its box two long, whatever its own place and unit.
+    """A step translated and scaled so that its box is centred at the origin and its longest side is 2.
 
     Attributes:
         start: Positions at t = 0, float64, shape [V, 3].
@@ -34,11 +34,11 @@ class StepScene:
         static: Bodies that do not move, bool, shape [B].
         vertex_toi: Earliest toi of each vertex, inf if none, float64, shape [V].
         toi: Earliest toi of the scene, inf if none.
-        contact_points: Where the contacts are, float64, shape [m, 3].
+        contact_points: Positions of the contacts, float64, shape [m, 3].
         contact_normals: Their unit normals, or 0, float64, shape [m, 3].
         contact_is_first: Contacts that are the earliest, bool, shape [m].
         first_contact: Index of the earliest contact, -1 without one.
-        first_body_size: Longest side of the smaller body that it is of, 0 without one.
+        first_body_size: Longest side of the smaller body of that contact, 0 without one.
     """
 
     start: NDArray[np.float64]
@@ -79,7 +79,7 @@ class StepScene:
 
     @cached_property
     def trails(self) -> NDArray[np.float64]:
-        """Start and end of the middle of each body that moves farther than it is large, shape [n, 2, 3]."""
+        """Start and end of the centre of each body that moves farther than its own size, shape [n, 2, 3]."""
         moving = np.flatnonzero(~self.static)
         trails = []
         for body in moving if len(moving) <= _MOST_TRAILS else ():
@@ -91,10 +91,10 @@ class StepScene:
 
 
 def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult) -> StepScene:
-    """Put a step into the coordinates of the picture.
+    """Transform a step into the coordinates of the picture.
 
     Raises:
-        ValueError: If the mesh is empty, or the frames or the result do not match it.
+        ValueError: If the mesh is empty, or the positions or the result do not match it.
     """
     start, end = mesh.frames(vertices_t0, vertices_t1)
     if len(start) == 0:
@@ -103,7 +103,7 @@ def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLi
         raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
     lower = np.minimum(start.min(axis=0), end.min(axis=0))
     upper = np.maximum(start.max(axis=0), end.max(axis=0))
-    half_sides = 0.5 * upper - 0.5 * lower  # of the largest coordinates, too, which have no finite difference
+    half_sides = 0.5 * upper - 0.5 * lower  # also for the largest coordinates, whose difference overflows
     centre, unit = lower + half_sides, float(half_sides.max()) or 1.0
     contacts = result.contacts
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1

@@ -22,7 +22,7 @@ window.Render()
 
 
 def import_pyvista() -> Any:
-    """The module.
+    """The module ``pyvista``.
 
     Raises:
         ImportError: If it is not installed.
@@ -34,7 +34,7 @@ def import_pyvista() -> Any:
 
 
 def check_display(pyvista: Any) -> None:
-    """Refuse to open a window where there is none; VTK would go on without one, or crash.
+    """Raise an error if there is no display for a window; VTK would continue without one, or crash.
 
     Raises:
         RuntimeError: If there is no display.
@@ -45,7 +45,7 @@ def check_display(pyvista: Any) -> None:
 
 @contextmanager
 def drawing_without_display() -> Iterator[Any]:
-    """PyVista, set to draw without a display and without a word on stderr.
+    """PyVista, set up to draw without a display and without messages on stderr.
 
     Raises:
         ImportError: If PyVista is not installed.
@@ -69,9 +69,9 @@ def drawing_without_display() -> Iterator[Any]:
 
 @cache
 def _window_without_display() -> str | None:
-    """VTK's class of a window that works, None for its own choice.
+    """VTK's class of a window that works, or None for VTK's default.
 
-    VTK asks for X first and falls back to EGL and then to OSMesa, but it crashes where a library of these is missing.
+    VTK tries X first and falls back to EGL and then to OSMesa, but crashes where one of these libraries is missing.
     """
     if not sys.platform.startswith("linux"):
         return None
