@@ -355,7 +355,11 @@ def _methods(owner):
     return [member for member in public if inspect.isroutine(member)]
 
 
-FRAME_CALLS = [call for call, (_, arguments) in _calls(_Anywhere()).items() if "vertices_t0" in arguments]
+FRAME_CALLS = [
+    call
+    for call, (_, arguments) in _calls(_Anywhere()).items()
+    if "vertices_t0" in arguments and not call.startswith("launch")  # those take device arrays, see DEVICE_REALS
+]
 PAIR_CALLS = ["vertex_face_ccd", "edge_edge_ccd", "point_segment_ccd", "point_point_ccd"]
 HOST_REALS = [
     *((call, argument) for call in FRAME_CALLS for argument in ("vertices_t0", "vertices_t1")),
