@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import ccd_warp as ccd
-from ccd_warp import CollisionMesh, CollisionPipeline, find_candidates
+from ccd_warp import CollisionMesh, CollisionPipeline, PairKind, find_candidates
 
 NAMES = ("vertex_face", "edge_edge", "point_segment", "point_point")
 
@@ -100,10 +100,10 @@ def test_blocks_of_boxes_that_exceed_the_memory_limit(device):
         limit = least_limit(mesh, frames, 0.0, num_threads)
         pipeline = CollisionPipeline(mesh, device=device, memory_limit=limit, num_threads=num_threads)
         assert_same(pipeline.find_candidates(*frames), expected)
-        assert pipeline.counts["batches of pairs"] > 10
+        assert pipeline.counts.num_batches > 10
         if device == "cpu":  # a block that is not cut takes a launch at most
-            for kind, queries in (("edge-edge", 1900), ("point-point", 450), ("vertex-face", 2600)):
-                assert pipeline.counts[f"{kind} searches"] > queries // 16
+            for kind, queries in (("EDGE_EDGE", 1900), ("POINT_POINT", 450), ("VERTEX_FACE", 2600)):
+                assert pipeline.counts.num_searches[PairKind[kind]] > queries // 16
 
 
 def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):
