@@ -9,8 +9,9 @@ ROOT = Path(__file__).resolve().parent.parent
 # Folders in the tree, and what they are called once installed.
 PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
 
-# Modules in the longest chain of imports below the package itself, which only names what is public.
+# Modules in the longest chain of imports below those that only name what is public, and run it.
 MOST_LEVELS = 10
+SURFACE = ("ccd_warp", "ccd_warp.__main__")
 
 
 def module_files() -> dict[str, Path]:
@@ -87,7 +88,7 @@ def test_no_circle_of_imports():
 
 
 def test_the_longest_chain_of_imports_has_ten_levels():
-    chain = longest_chain(graph(is_at_import=True), {("ccd_warp", target) for target in graph()["ccd_warp"]})
+    chain = longest_chain(graph(is_at_import=True), {(top, target) for top in SURFACE for target in graph()[top]})
     assert len(chain) <= MOST_LEVELS, " imports ".join(chain)
 
 
