@@ -355,7 +355,10 @@ def make_narrow_phase(real) -> SimpleNamespace:
             b = points_of(kind, first, second, vertices_t1)
             outcome = Outcome()
             outcome.status = STATUS_NO_COLLISION
-            if only_moving == 0 or not is_stationary(a, b):
+            is_needed = bool(True)
+            if only_moving != 0:
+                is_needed = not is_stationary(a, b)
+            if is_needed:
                 outcome = solve(kind, normalise(kind, a, b, options), options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key

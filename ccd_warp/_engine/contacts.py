@@ -126,20 +126,20 @@ class ContactStore:
         mesh, topology = self._topology.mesh, self._topology
         device, count = topology.device, self.total
         arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        first_of = [
-            wp.full(n, value=_LAST, dtype=wp.int32, device=device) for n in (mesh.num_vertices, mesh.num_bodies)
-        ]
+        first_of = [np.full(n, -1, dtype=np.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
         if count > 0:
             found = self._list
             ordered = new_contact_list({"count": self._counter, **arrays})
             self._execution.launch(kernels.order_contacts, count, inputs=[self._order(found), found], outputs=[ordered])
             corners = [topology.corners[name] for name in ("vertex", "edge", "face")]
+            places = [wp.full(len(first), value=_LAST, dtype=wp.int32, device=device) for first in first_of]
             self._execution.launch(
-                kernels.first_contacts, count, inputs=[ordered, *corners, self.minima], outputs=first_of
+                kernels.first_contacts, count, inputs=[ordered, *corners, self.minima], outputs=places
             )
+            first_of = [np.where(f == _LAST, np.int32(-1), f) for f in (place.numpy() for place in places)]
         toi = self._toi.numpy().copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in itertools.pairwise(self._bounds))
-        vertex_contact, body_contact = (np.where(f == _LAST, np.int32(-1), f) for f in (a.numpy() for a in first_of))
+        vertex_contact, body_contact = first_of
         return Gathered(
             Contacts(**{name: array.numpy() for name, array in arrays.items()}),
             float(scene_toi[0]),

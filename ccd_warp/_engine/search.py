@@ -1,6 +1,7 @@
 """Runs the search for pairs in parts, so that its results fit the available capacity."""
 
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -31,8 +32,13 @@ KEY_BYTES = 8
 _MOST_PAIRS = int(np.iinfo(np.int32).max)
 # Box tests from which on a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
-# Pairs from which on a part of the narrow phase may take long: some 0.2 s if all reach the limit of the first round.
-LONG_PART = 1 << 10
+# The calling thread works on a long search, too, in pieces, where one that is certain to be short has this many items;
+# up to so many times as many while launches take less than so many seconds.
+_WORTH_A_PIECE = 4
+_LARGEST_PACE = 16
+_SHORT_LAUNCH = 0.01
+# Pairs from which on a part of the narrow phase may take long: some 0.4 s if all reach the limit of the first round.
+LONG_PART = 1 << 11
 
 
 class Trees(Protocol):
@@ -89,11 +95,11 @@ def search_range(
     level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
 ) -> Any:
     """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
-    part = kernels.SearchRange()
-    part.first, part.stride, part.level = first, stride, level
-    part.row, part.first_key, part.capacity = row, first_key, capacity
-    part.is_shared = int(is_shared)
-    return part
+    packed = kernels.SearchRange()
+    packed.first, packed.stride, packed.level = first, stride, level
+    packed.row, packed.first_key, packed.capacity = row, first_key, capacity
+    packed.is_shared = int(is_shared)
+    return packed
 
 
 @dataclass(frozen=True)
@@ -121,6 +127,19 @@ class _Part:
     def num_tests(self) -> int:
         """Number of pairs of boxes, most of which the tree rejects early."""
         return self.num_queries * self.tree_pair.target.primitives.count
+
+    @property
+    def num_short_items(self) -> int:
+        """Items whose search does not take long even if all their boxes overlap all others."""
+        return max(1, LONG_SEARCH // (WIDTH**self.level * self.tree_pair.target.primitives.count))
+
+    def cut(self, pace: int) -> tuple["_Part", list["_Part"]]:
+        """A first part of ``pace`` times the items that do not take long, and what is left."""
+        count = min(self.count, pace * self.num_short_items)
+        if count == self.count:
+            return self, []
+        rest = replace(self, first=self.first + count * self.stride, count=self.count - count)
+        return replace(self, count=count), [rest]
 
     def split(self) -> list["_Part"]:
         """Smaller parts of the same items."""
@@ -365,19 +384,27 @@ class PairSearch:
         lock = threading.Lock()
         host = self._counts.numpy()
 
-        def work(region: _Region) -> None:
+        def work(region: _Region, pace: int = 0) -> None:
+            """Take parts; with a pace only so much of them that a launch ends soon, more where launches are short."""
             counts = host[region.slot]
             commands: dict[int, wp.Launch] = {}
+            seconds = 0.0
             while True:
                 with lock:
                     if not pending:
                         return
                     part = pending.popleft()
+                    if pace:
+                        pace = min(4 * pace, _LARGEST_PACE) if seconds < _SHORT_LAUNCH else 1
+                        part, rest = part.cut(pace)
+                        pending.extendleft(rest)
                 begin = region.begin + region.filled
                 counts[:] = 0
                 command = commands.get(id(part.tree_pair)) or self._record(part.tree_pair)
                 commands[id(part.tree_pair)] = command
+                start = time.perf_counter()
                 self._launch(command, part, region.slot, begin, region.end - begin)
+                seconds = time.perf_counter() - start
                 if self._flag.is_set:
                     return  # the kernel has stopped early, so its result is incomplete
                 with lock:
@@ -390,7 +417,11 @@ class PairSearch:
                     else:
                         pending.extendleft(part.split())
 
-        self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
+        tasks = [lambda r=r: work(r) for r in regions]  # type: ignore[misc]
+        if is_long and all(part.num_short_items >= _WORTH_A_PIECE for part in pending):
+            self.execution.run(tasks[1:], is_long=True, own=lambda: work(regions[0], 1))
+        else:
+            self.execution.run(tasks, is_long=is_long)
         return regions
 
     def _cuda_batch(self, pending: deque[_Part], capacity: int) -> list[_Region]:
