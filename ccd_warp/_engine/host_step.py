@@ -251,6 +251,15 @@ class Step:
             return np.iinfo(np.int32).max
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
+    def timed_batches(self, batches: Iterator[list[Found]]) -> Iterator[list[Found]]:
+        """The batches of a search, timed as the stage of pairs."""
+        while True:
+            with self.timed("pairs"):
+                batch = next(batches, None)
+            if batch is None:
+                return
+            yield batch
+
     def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
         """Pass the keys of all pairs whose boxes overlap to ``take`` in batches; each overwrites the previous one."""
         with self.timed("boxes"):
@@ -258,18 +267,14 @@ class Step:
         with self.timed("pairs"):
             search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
             batches = search.ranges(self.tree_pairs)
-        while True:
-            with self.timed("pairs"):
-                ranges = next(batches, None)
-            if ranges is None:
-                break
+        for ranges in self.timed_batches(batches):
             with self.timed("copy"):
                 take(ranges)
         self.count_pairs(search)
         self.finish_counts()
 
     def pair_inputs(self, found: Found, first: int) -> list:
-        """The inputs with which every kernel over pairs begins, for the pairs from ``first`` on."""
+        """The inputs with which the kernel of the least toi begins, for the pairs from ``first`` on."""
         a, b = CORNER_ARRAYS[found.kind]
         corners = self.topology.corners
         return [
@@ -329,11 +334,7 @@ class Step:
                 batches = search.batches(self.tree_pairs, 0, stride)
             least = best
             open_pairs = OpenPairs()
-            while True:
-                with self.timed("pairs"):
-                    batch = next(batches, None)
-                if batch is None:
-                    break
+            for batch in self.timed_batches(batches):
                 with self.timed("narrow phase"):
                     least = self.least_toi(batch, least, open_pairs)
                 if least <= 0.0:
@@ -451,11 +452,7 @@ class Step:
             store = self.workspace.contacts
             store.begin(self.execution, self.largest_contacts())
         open_pairs = OpenPairs()
-        while True:
-            with self.timed("pairs"):
-                batch = next(batches, None)
-            if batch is None:
-                break
+        for batch in self.timed_batches(batches):
             with self.timed("narrow phase"):
                 for found in batch:
                     survivors[found.kind] += found.count

@@ -114,7 +114,10 @@ class Execution:
         Long tasks run on other threads, while this one waits and handles an interrupt, or does ``own`` work in pieces.
         """
         if self.is_serial:
-            return [task() for task in tasks]
+            results = [task() for task in tasks]
+            if own is not None:
+                own()
+            return results
         return run(tasks, self.num_threads, self.flag, is_long=is_long, own=own, tick=self.tick)
 
 
