@@ -1,4 +1,4 @@
-"""A job's own work is done wherever the job runs: beside the pool, on one of its threads, and where nothing is shared."""
+"""Own work of a job is done wherever the job runs: beside the pool, on one of its threads, in a capture on the CPU."""
 
 import time
 
