@@ -327,7 +327,7 @@ def _launch(
         inputs=[int(kind), points_t0, points_t1, packed],
         outputs=out.as_list(),
         grain=_WORTH_A_THREAD if is_first else 1,
-        is_long=is_long,
+        is_long=lambda: is_long,
     )
     return out
 

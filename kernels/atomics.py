@@ -59,14 +59,14 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
     """
     long long* p = (long long*)((char*)values.data + (long long)row * values.strides[0]) + column;
 #if defined(__CUDA_ARCH__)
-    return (wp::int64)atomicAdd((unsigned long long*)p, 1ULL);
+    return (wp::int64)atomicAdd((unsigned long long*)p, (unsigned long long)count);
 #else
-    return (wp::int64)__atomic_fetch_add(p, 1LL, __ATOMIC_RELAXED);
+    return (wp::int64)__atomic_fetch_add(p, (long long)count, __ATOMIC_RELAXED);
 #endif
 """
 )
-def claim(values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
-    """Add one to values[row, column] and return the value before: a distinct index for each thread."""
+def claim(values: wp.array2d[wp.int64], row: int, column: int, count: int) -> wp.int64:
+    """Add ``count`` to values[row, column] and return the value before: the first of so many indices of its own."""
     ...
 
 

@@ -9,9 +9,12 @@ PAIRS_OVERFLOW = wp.constant(1)
 CONTACTS_OVERFLOW = wp.constant(2)
 INVALID_INPUT = wp.constant(4)
 
-# Columns of the counts of a pair kind: pairs found, and pairs that the first round of the narrow phase leaves open.
+# Columns of the counts of a pair kind: pairs that the search found, those of them that the first round of the narrow
+# phase leaves open, and pairs whose boxes overlap. A row fills a cache line, so that rows do not share one.
 FOUND = wp.constant(0)
 OPEN = wp.constant(1)
+CANDIDATES = wp.constant(2)
+NUM_COUNTS = 8
 
 _ZERO_BITS = wp.constant(wp.int64(0))
 

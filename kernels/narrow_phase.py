@@ -303,14 +303,20 @@ def make_narrow_phase(real) -> SimpleNamespace:
         width[i] = outcome.width
         iterations[i] = outcome.iterations
 
+    @wp.func
+    def next_pair(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
+        """The pair that a solver takes after pair k: the next one of its chunk, or the first of its next chunk."""
+        if (k + wp.int64(1)) % wp.int64(chunk) == wp.int64(0):
+            return k + wp.int64(1) + wp.int64(num_solvers - 1) * wp.int64(chunk)
+        return k + wp.int64(1)
+
     @wp.kernel(module=own_module("solve_pairs"))
     def solve_pairs(
         begin: int,
         # in
-        stride: int,
+        num_solvers: int,
+        chunk: int,
         kind: int,
-        first_pair: int,
-        num_pairs: int,  # below 0: as many as the device has found
         counts: wp.array2d[wp.int64],
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
@@ -318,29 +324,28 @@ def make_narrow_phase(real) -> SimpleNamespace:
         vertices_t0: wp.array[vec3d],
         vertices_t1: wp.array[vec3d],
         options: Options,
-        only_moving: int,  # 1: a stationary pair is not solved, so it may touch
         is_second: int,  # 1: the second round, of the pairs that the first has marked as open
+        only_moving: int,  # 1: a stationary pair is not solved, so it may touch
         gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
         # out
         minima: Minima,
         contacts: ContactList,
     ):
-        """Solve every ``stride``-th of the pairs, lower the minima, and list the contacts.
+        """Solve the pairs of a solver, which are every ``num_solvers``-th chunk; lower the minima, list the contacts.
 
         The first round marks each pair that it leaves open by the complement of its key.
         """
-        count = wp.int64(first_pair + num_pairs)
-        if num_pairs < 0:
-            count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
         cap = wp.min(options.first_iterations, options.max_iterations)
         if is_second != 0:
             num_open = counts[kind, OPEN]
             if num_open == wp.int64(0):
                 return
             cap = share_of_work(options, num_open)
-        k = wp.int64(first_pair + begin + wp.tid()) - wp.int64(stride)
-        while k + wp.int64(stride) < count:
-            k += wp.int64(stride)
+        following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
+        while following < count:
+            k = following
+            following = next_pair(k, chunk, num_solvers)
             if is_stopped(options.stop):
                 return
             key = pairs[k]
@@ -362,7 +367,7 @@ def make_narrow_phase(real) -> SimpleNamespace:
                 outcome = solve(kind, normalise(kind, a, b, options), options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key
-                claim(counts, kind, OPEN)
+                claim(counts, kind, OPEN, 1)
             elif outcome.status != STATUS_NO_COLLISION:
                 toi = outcome.toi
                 if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
@@ -389,48 +394,63 @@ def make_narrow_phase(real) -> SimpleNamespace:
     def pairs_bound(
         begin: int,
         # in
+        num_solvers: int,
+        chunk: int,
         kind: int,
-        first_pair: int,
+        counts: wp.array2d[wp.int64],
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
         vertices_t0: wp.array[vec3d],
         vertices_t1: wp.array[vec3d],
         options: Options,
-        is_first: int,  # 1: pairs that reach the limit are listed, and do not lower the least toi yet
+        is_second: int,
         # out
         least_bits: wp.array[wp.int64],
-        open_count: wp.array[wp.int32],
-        open_pairs: wp.array[wp.int64],
         open_toi: wp.array[wp.float64],
     ):
-        """Lower the least toi to that of a pair, unless the first step of its advance shows that it is no less.
+        """Like ``solve_pairs``, for the least toi alone; that of a pair left open is written beside its key.
 
-        The solution of the pair begins with the same step, so the least toi does not depend on the order of the pairs.
-        As integers, the bits of two non-negative numbers compare as the numbers do.
+        A pair is left out if the first step of its advance shows that its toi is no less than the least one. Its
+        solution begins with the same step, so the least toi does not depend on the order of the pairs. As integers, the
+        bits of two non-negative numbers compare as the numbers do.
         """
-        if is_stopped(options.stop):
-            return
-        key = pairs[first_pair + begin + wp.tid()]
-        pair = pair_of(key)
-        first = first_corners[pair[0]]
-        second = second_corners[pair[1]]
-        n = normalise(
-            kind, points_of(kind, first, second, vertices_t0), points_of(kind, first, second, vertices_t1), options
-        )
-        is_later = bool(False)
-        if n.is_valid and options.method == CLIPPING:
-            reached = advance(n.patch, n.problem, real(0.0), options.t_end, 1)
-            is_later = reached.outcome == FREE or wp.cast(wp.float64(reached.t), wp.int64) >= least_bits[0]
-        if not is_later:
-            outcome = solve(kind, n, options, options.max_iterations)
-            if outcome.status == STATUS_ITERATION_LIMIT and is_first != 0:
-                m = claim_int(open_count, 0)
-                if m < open_pairs.shape[0]:
-                    open_pairs[m] = key
-                    open_toi[m] = outcome.toi
-            else:
-                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
+        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        cap = wp.min(options.first_iterations, options.max_iterations)
+        if is_second != 0:
+            num_open = counts[kind, OPEN]
+            if num_open == wp.int64(0):
+                return
+            cap = share_of_work(options, num_open)
+        following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
+        while following < count:
+            k = following
+            following = next_pair(k, chunk, num_solvers)
+            if is_stopped(options.stop):
+                return
+            key = pairs[k]
+            if is_second != 0:
+                key = ~key
+                if key < wp.int64(0):
+                    continue
+            pair = pair_of(key)
+            first = first_corners[pair[0]]
+            second = second_corners[pair[1]]
+            a = points_of(kind, first, second, vertices_t0)
+            b = points_of(kind, first, second, vertices_t1)
+            n = normalise(kind, a, b, options)
+            is_later = bool(False)
+            if n.is_valid and options.method == CLIPPING:
+                reached = advance(n.patch, n.problem, real(0.0), options.t_end, 1)
+                is_later = reached.outcome == FREE or wp.cast(wp.float64(reached.t), wp.int64) >= least_bits[0]
+            if not is_later:
+                outcome = solve(kind, n, options, cap)
+                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                    pairs[k] = ~key
+                    open_toi[k] = outcome.toi
+                    claim(counts, kind, OPEN, 1)
+                else:
+                    atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
     return SimpleNamespace(
         normalise=normalise,

@@ -8,7 +8,7 @@ A pair whose boxes overlap, and which the collision filter does not exclude, is 
 cull, boxes count as overlapping unless an axis separates the quantized endpoint AABBs in the same order at both ends of
 the step. Each candidate that the cull does not discard is written as a key (first << 32) | second. An item counts every
 pair that it finds and writes as many as the capacity allows. A count beyond the capacity tells the caller to search the
-items again in smaller parts, so no pair is lost. Where no caller checks the count (a shared capacity), the toi of a
+items again, with more capacity or in smaller parts, so no pair is lost. Where no caller checks the count, the toi of a
 pair beyond the capacity is lowered to 0.
 """
 
@@ -22,8 +22,7 @@ from .collision_filter import CollisionFilter, is_excluded
 from .cull import is_free
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
-from .minima import FOUND as FOUND_BY_ALL
-from .minima import Minima, mark_overflow
+from .minima import CANDIDATES, FOUND, Minima, mark_overflow
 from .once import once
 from .pair_lanes import append_keys, separated_mask
 from .patch import EDGE_EDGE, VERTEX_FACE
@@ -34,15 +33,10 @@ vec8u = wp.types.vector(length=8, dtype=wp.uint32)
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
 
-# Columns of the counts of a search; a row of them fills a cache line, so that threads do not share one.
-CANDIDATES = wp.constant(0)
-FOUND = wp.constant(1)
-NUM_COUNTS = 8
-
 
 @wp.struct
 class TreePair:
-    """The pair kind and the parameters of a search between a query tree and a target tree."""
+    """The pair kind of a search between a query tree and a target tree."""
 
     kind: int
     within: int  # 1: query and target are the same set
@@ -50,23 +44,29 @@ class TreePair:
     swapped: int  # 1: the query is the second primitive of a pair
     num_query_corners: int
     num_target_corners: int
+
+
+@wp.struct
+class SearchOptions:
+    """What a step asks of the search."""
+
     t_end: wp.float64
-    inflation: wp.float64
-    separation: wp.float64
+    inflation: wp.float64  # of each box on every side
+    separation: wp.float64  # minimum separation, a length
     stop: wp.array[wp.int32]  # set when the host wants the search to end
 
 
 @wp.struct
 class SearchRange:
-    """The items that a launch searches, and where it writes the pairs."""
+    """The items that a launch searches, and where it counts and writes the pairs."""
 
     first: int  # item
     stride: int
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
     row: int  # of the counts
-    first_key: int
-    capacity: int  # in keys
-    is_shared: int  # 1: launches share the row and its capacity, and no caller checks the count
+    first_key: int  # of a search without the cull, which writes to a part of the keys
+    capacity: int  # of that part, in keys
+    marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
 
 
 @wp.func
@@ -118,6 +118,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
         query: BoxTree,
         target: BoxTree,
         tree_pair: TreePair,
+        options: SearchOptions,
         collision_filter: CollisionFilter,
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
@@ -147,7 +148,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
             mask = mask & ~separated_mask(
                 vertices_t0,
                 vertices_t1,
-                tree_pair.inflation,
+                options.inflation,
                 target.corners,
                 block,
                 tree_pair.num_target_corners,
@@ -180,15 +181,13 @@ def make_pair_search(end: str) -> SimpleNamespace:
         query: BoxTree,
         target: BoxTree,
         tree_pair: TreePair,
+        options: SearchOptions,
         collision_filter: CollisionFilter,
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
         q: int,
         p: int,
-        is_shared: int,
-        row: int,
-        first_key: int,
-        capacity: int,
+        part: SearchRange,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
         minima: Minima,
@@ -213,18 +212,13 @@ def make_pair_search(end: str) -> SimpleNamespace:
         if tree_pair.kind == EDGE_EDGE or tree_pair.kind == VERTEX_FACE:  # other pairs have no volume
             c0 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t0))
             c1 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t1))
-            if is_free(tree_pair.kind, c0, c1, tree_pair.separation, tree_pair.t_end):
+            if is_free(tree_pair.kind, c0, c1, options.separation, options.t_end):
                 return 1
-        if is_shared != 0:
-            n = claim(counts, row, FOUND_BY_ALL)
-            if n < wp.int64(capacity):
-                keys[n] = pair_key(i, j)
-            else:
-                mark_overflow(minima, a, b)
-            return 1
-        n = wp.atomic_add(counts, row, FOUND, wp.int64(1))
-        if n < wp.int64(capacity):
-            keys[first_key + wp.int32(n)] = pair_key(i, j)
+        n = claim(counts, part.row, FOUND, 1)
+        if n < wp.int64(keys.shape[0]):
+            keys[n] = pair_key(i, j)
+        elif part.marks_overflow != 0:
+            mark_overflow(minima, a, b)
         return 1
 
     @wp.kernel(module=module)
@@ -235,6 +229,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
         query: BoxTree,
         target: BoxTree,
         tree_pair: TreePair,
+        options: SearchOptions,
         collision_filter: CollisionFilter,
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
@@ -247,10 +242,6 @@ def make_pair_search(end: str) -> SimpleNamespace:
         # the item is box `item` of its level
         item = part.first + (begin + wp.tid()) * part.stride
         item_level = part.level
-        is_shared = part.is_shared
-        row = part.row
-        first_key = part.first_key
-        capacity = part.capacity
         item_block = query.block_begin[item_level] + item / WIDTH
         item_lane = item % WIDTH
         query_block = item
@@ -275,7 +266,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
                 if child >= target.block_begin[level] - target.block_begin[level - 1]:
                     continue  # an empty place overlaps only a box that is infinite in quantized coordinates
                 if level > 1:
-                    if is_stopped(tree_pair.stop):  # tested at every leaf, it would cost 3 % of a search
+                    if is_stopped(options.stop):  # tested at every leaf, it would cost 3 % of a search
                         return
                     level -= 1
                     block = target.block_begin[level] + child
@@ -310,6 +301,7 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                     query,
                                     target,
                                     tree_pair,
+                                    options,
                                     collision_filter,
                                     vertices_t0,
                                     vertices_t1,
@@ -330,20 +322,18 @@ def make_pair_search(end: str) -> SimpleNamespace:
                                     query,
                                     target,
                                     tree_pair,
+                                    options,
                                     collision_filter,
                                     vertices_t0,
                                     vertices_t1,
                                     query_block * WIDTH + query_lane,
                                     child * WIDTH + target_lane,
-                                    is_shared,
-                                    row,
-                                    first_key,
-                                    capacity,
+                                    part,
                                     counts,
                                     keys,
                                     minima,
                                 )
-        if num_candidates > 0 and is_shared == 0:
-            wp.atomic_add(counts, row, CANDIDATES, wp.int64(num_candidates))
+        if num_candidates > 0:
+            claim(counts, part.row, CANDIDATES, num_candidates)
 
     return SimpleNamespace(search_pairs=search_pairs)

@@ -60,7 +60,7 @@ def test_kinds_that_are_not_asked_for_have_no_capacity(device, kinds):
     pipeline = ccd.CollisionPipeline(mesh, pair_kinds=kinds, length_scale=1.0, device=device, **CAPACITIES)
     result = pipeline.launch(on_device(start, device), on_device(end, device))
     check_same(result, ccd.mesh_ccd(mesh, start, end, pair_kinds=kinds, length_scale=1.0, device=device))
-    assert {kind.name.lower() for kind in pipeline._device_step._keys} == set(kinds)
+    assert {kind.name.lower() for kind in pipeline._device_step._stages.keys} == set(kinds)
 
 
 def test_cables_and_particles(device):
@@ -438,7 +438,7 @@ def test_reserve_that_fails_changes_nothing():
     with pytest.raises(ValueError, match=r"vertices span 0\.0"):
         pipeline.reserve(max_pairs=7, vertices=np.zeros((6, 3)))
     pipeline.reserve(max_contacts=5)
-    assert {len(keys) for keys in pipeline._device_step._keys.values()} == {4096}
+    assert {len(keys) for keys in pipeline._device_step._stages.keys.values()} == {4096}
 
 
 def test_result_keeps_what_a_graph_uses():

@@ -60,7 +60,7 @@ def bodies_near(
         ],
         outputs=[found],
         grain=256,
-        is_long=len(queries) * len(filled) > _LONG_SEARCH,
+        is_long=lambda: len(queries) * len(filled) > _LONG_SEARCH,
     )
     return near | (found.numpy() != 0)
 

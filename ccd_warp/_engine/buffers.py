@@ -12,13 +12,13 @@ class Buffers:
 
     Attributes:
         num_allocations: Number of arrays allocated so far.
-        capacities: Pairs for which a search allocates capacity, by whether it culls, as learned from earlier steps.
+        capacity: Pairs for which a search for candidates allocates capacity, as learned from earlier steps.
     """
 
     def __init__(self, device: Any) -> None:
         self.device = device
         self.num_allocations = 0
-        self.capacities: dict[bool, int] = {}
+        self.capacity = 0
         self._arrays: dict[str, wp.array] = {}
 
     def get(self, name: str, count: int, dtype: Any) -> wp.array:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.search import Found, TreePair
+from ccd_warp._engine.search import Found
 from ccd_warp._engine.topology import WIDTH
+from ccd_warp._engine.trees import TreePair
 from ccd_warp._input.arguments import check_real
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import default_num_threads, run
@@ -120,8 +121,9 @@ class _Collector:
 
 def candidates_of(step: Any, inflation: float) -> Candidates:
     """All pairs of a `host_step.Step` whose boxes overlap; that module imports this one, hence the type."""
+    step.begin("candidates", 1.0, inflation)
     collector = _Collector(step.execution)
-    step.candidates(inflation, collector.take)
+    step.candidates(collector.take)
     with step.timed("copy"):
         found = collector.pairs()
         # the threads of a GPU write in arbitrary order

@@ -71,7 +71,8 @@ class ContactStore:
     """Contacts of the batches of a step, and the minima over them; its arrays stay for the next step.
 
     Attributes:
-        minima: The minima that the narrow phase updates.
+        minima: The minima that the narrow phase updates; a step begins by setting them to infinity.
+        count: Number of contacts in the list, int32, shape [1].
         total: Number of contacts found.
     """
 
@@ -89,7 +90,7 @@ class ContactStore:
         # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
-        self._counter: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
+        self.count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
         self._list: Any = None
         self._capacity = 0
 
@@ -97,7 +98,6 @@ class ContactStore:
         """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
         self.total = 0
         self._execution, self._largest = execution, largest
-        self._toi.fill_(np.inf)
 
     @property
     def is_complete(self) -> bool:
@@ -112,14 +112,14 @@ class ContactStore:
                 name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)
                 for name, dtype in CONTACT_DTYPES.items()
             }
-            self._list = new_contact_list({"count": self._counter, **arrays})
+            self._list = new_contact_list({"count": self.count, **arrays})
             self._capacity = min(map(len, arrays.values()))
-        self._counter.fill_(kept)
+        self.count.fill_(kept)
         return self._list
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""
-        self.total += int(self._counter.numpy()[0]) - min(self.total, self._capacity)
+        self.total += int(self.count.numpy()[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
         """All contacts, sorted by kind and pair, and the first contact of every vertex and body."""
@@ -129,7 +129,7 @@ class ContactStore:
         first_of = [np.full(n, -1, dtype=np.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
         if count > 0:
             found = self._list
-            ordered = new_contact_list({"count": self._counter, **arrays})
+            ordered = new_contact_list({"count": self.count, **arrays})
             self._execution.launch(kernels.order_contacts, count, inputs=[self._order(found), found], outputs=[ordered])
             corners = [topology.corners[name] for name in ("vertex", "edge", "face")]
             places = [wp.full(len(first), value=_LAST, dtype=wp.int32, device=device) for first in first_of]

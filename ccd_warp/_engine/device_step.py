@@ -1,17 +1,17 @@
 """A step whose input and results stay on the device: launches of fixed sizes, recorded once and replayed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes import Tree, fill_tree, new_tree
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
-from ccd_warp._engine.search import LONG_PART, LONG_SEARCH, TreePair, search_range, tree_pairs_of
-from ccd_warp._engine.topology import CORNER_ARRAYS, VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
+from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
+from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -19,24 +19,17 @@ from ccd_warp._results import DeviceContacts, LaunchResult
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
-from ccd_warp.kernels import box_tree, device_step
-from ccd_warp.kernels.minima import FOUND, OPEN
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import CULL, NUM_COUNTS, make_pair_search
+from ccd_warp.kernels import device_step
+from ccd_warp.kernels.minima import NUM_COUNTS
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
 _LEAST_CAPACITY = 1 << 12
 _NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
-# Largest number of CUDA threads that share the pairs of a kind, and parts of a search for each CPU thread.
-_MOST_SOLVERS = 1 << 17
-_PARTS_PER_THREAD = 8
-_SMALLEST_SEARCH = 64
+_PLAY = "step"
 # Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed.
 _KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
-# Number of vertices from which on threads for the narrow phase save more than waking them costs.
-_WORTH_THREADS = 1 << 11
 _PER = {
     "scene": int(device_step.PER_SCENE),
     "world": int(device_step.PER_WORLD),
@@ -44,8 +37,6 @@ _PER = {
     "vertex": int(device_step.PER_VERTEX),
 }
 _SAFETY = Slot("safety")
-# In place of a number of pairs: the number that the device finds.
-_AS_FOUND = -1
 # Recordings that are kept, enough for the different kinds of calls in a loop.
 _MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
@@ -142,29 +133,27 @@ class DeviceStep:
         _ = topology.corners, topology.collision_filter  # computed now, not during a capture
         self._options = options
         self._flag = StopFlag(topology.device)
-        self._execution = Execution(topology.device, options.threads, self._flag)
+        self._execution = execution = Execution(topology.device, options.threads, self._flag)
         self._vertices = vertices
-        self._length_scale = options.length_scale or _longest_side(vertices)
-        self._separation = options.separation(self._length_scale)
-        self._inflation = half_up(self._separation)
-        self._quantization = choose_quantization(mesh, vertices, vertices, _NUM_AABBS)
-        self._vertex_aabbs = self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32)
+        length_scale = options.length_scale or _longest_side(vertices)
+        separation = options.separation(length_scale)
+        inflation = half_up(separation)
         self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
         self._is_moved = self._full(1, 0, wp.int32)
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
-        self._trees: dict[str, Tree] = {}
         self._start = self._end = self._empty(0, wp.vec3d)
         if self._has_static:
             self._place_static(static_positions)
-        self._tree_pairs = tree_pairs_of(self, possible_kinds(mesh, options), moves_alone(mesh))
-        self._keys = {
-            kind: self._empty(capacities.max_pairs, wp.int64)
-            for kind in {tree_pair.kind for tree_pair in self._tree_pairs}
-        }
+        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {})
+        trees = trees_of(tree_pairs)
+        self._static_trees = [tree for tree in trees if tree.primitives.is_static]
+        self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
+        for tree in trees:
+            tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
-        self._minima = new_minima(
+        minima = new_minima(
             topology,
             vertex=result.vertex_toi,
             body=result.body_toi,
@@ -173,7 +162,29 @@ class DeviceStep:
             world_flags=result.world_flags,
             flags=result.flags,
         )
-        self._contacts = new_contact_list(vars(result.contacts))
+        kinds = dict.fromkeys(tree_pair.kind for tree_pair in tree_pairs)
+        self._stages = Stages(
+            topology,
+            tree_pairs,
+            _NUM_AABBS,
+            options.real,
+            self._counts,
+            vertices_t0=self._start,
+            vertices_t1=self._end,
+            vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
+            trees={tree.primitives.name: tree.arrays for tree in trees},
+            keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
+            quantization=choose_quantization(topology, vertices, vertices, _NUM_AABBS),
+            t_end=options.t_max,
+            inflation=inflation,
+            search_options=search_options(options.t_max, inflation, separation, self._flag),
+            options=options.for_kernel(length_scale, stop=self._flag.array),
+            minima=minima,
+            contacts=new_contact_list(vars(result.contacts)),
+        )
+        if self._static_trees:
+            self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
+            self._stages.fill_trees(execution, self._static_trees)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -205,41 +216,10 @@ class DeviceStep:
         contacts = DeviceContacts(count=count, **contact_arrays)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
-    def build(self, wanted: list[tuple[str, bool]]) -> None:
-        """Lay out trees, given by the kind of primitives and whether they are static, and fill the static ones."""
-        sets = [self.topology.primitives(*end) for end in dict.fromkeys(wanted)]
-        if any(primitives.is_static for primitives in sets):
-            self._execution.launch(
-                box_tree.fill_vertex_aabbs,
-                len(self.topology.static_vertices),
-                inputs=self._vertex_aabb_inputs(
-                    self.topology.static_vertices, self._active, self._start, self._end, 1.0
-                ),
-                outputs=[self._vertex_aabbs],
-            )
-        for primitives in sets:
-            tree = new_tree(primitives, _NUM_AABBS, lambda n: self._empty(n, wp.float32))
-            tree.arrays.primitive, tree.arrays.corners = self._order(primitives)
-            if primitives.is_static:
-                fill_tree(tree, self._vertex_aabbs, self._execution)
-            self._trees[primitives.name] = tree
-
     def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
         if self._vertices is self._mesh.vertices:
             return self.topology.rest_order(primitives, self._execution)
         return self.topology.order_at(self._vertices, primitives, self._execution)
-
-    def tree(self, kind: str, is_static: bool) -> Tree | None:
-        """The tree of the moving or static primitives of a kind; None if there are none."""
-        return self._trees.get(self.topology.primitives(kind, is_static).name)
-
-    def may_meet(self, a: Tree, b: Tree) -> bool:
-        """Always true: only the device could tell."""
-        return True
-
-    def _vertex_aabb_inputs(self, vertices: wp.array, active: wp.array, start: Any, end: Any, t_end: float) -> list:
-        of_vertices = self.topology.of_vertices(active)
-        return [vertices, *of_vertices, start, end, t_end, self._inflation, self._quantization, _NUM_AABBS]
 
     def prepare(
         self,
@@ -281,21 +261,27 @@ class DeviceStep:
         recording.bind("vertices_t0", start)
         recording.bind("vertices_t1", end)
         recording.bind(_SAFETY.name, prepared.safety)
-        recording.play()
+        recording.play(_PLAY)
 
     def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """All launches of a step, or of all passes of a line search."""
         recording = Recording(
             self._execution, {"vertices_t0": vertices_t0, "vertices_t1": vertices_t1, _SAFETY.name: 1.0}
         )
-        if form.line_search is None:
-            self._record_step(recording, form)
-            return recording
+        with recording.section(_PLAY):
+            if form.line_search is None:
+                self._record_step(recording, form)
+            else:
+                self._record_line_search(recording, form, form.line_search)
+        return recording
+
+    def _record_line_search(self, recording: Recording, form: _Form, line_search: LineSearch) -> None:
+        """Record the launches of all passes of a line search."""
         topology = self.topology
         num_bodies = self._mesh.num_bodies
-        by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(self._mesh))
+        by_scene = int(line_search.per == "scene" or not _worlds_are_apart(self._mesh))
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
-        stages = form.line_search.stages()
+        stages = line_search.stages()
         for number, (per, share) in enumerate(stages):
             # only where the next pass, if this was in vain, stops the same bodies or vertices and not their world
             may_cut = number == 0 and stages[1][0] == per
@@ -306,7 +292,7 @@ class DeviceStep:
                 recording.launch(
                     device_step.keep_touched,
                     len(topology.moving_vertices),
-                    inputs=[topology.moving_vertices, by_scene, self._minima],
+                    inputs=[topology.moving_vertices, by_scene, self._stages.minima],
                     outputs=[self._touched],
                 )
             recording.launch(
@@ -319,11 +305,10 @@ class DeviceStep:
                     int(form.t1_by_vertex),
                     _PER[per],
                     share,
-                    self._minima,
+                    self._stages.minima,
                 ],
                 outputs=[Slot("vertices_t1")],
             )
-        return recording
 
     def _record_step(self, recording: Recording, form: _Form, kept_flags: int = 0, gaps_moved: float = 0.0) -> None:
         """Record the launches of one pass over a step."""
@@ -335,37 +320,24 @@ class DeviceStep:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
             start, end = self._start, self._end
-        self._record_input(recording, form, is_copied, kept_flags)
-        recording.launch(
-            box_tree.fill_vertex_aabbs,
-            len(topology.moving_vertices),
-            inputs=self._vertex_aabb_inputs(
-                topology.moving_vertices,
-                self._active if form.line_search is None else self._touched,
-                start,
-                end,
-                self._options.t_max,
-            ),
-            outputs=[self._vertex_aabbs],
-        )
-        for tree in self._trees.values():
-            if not tree.primitives.is_static:
-                fill_tree(tree, self._vertex_aabbs, recording)
-        for tree_pair in self._tree_pairs:
-            self._record_search(recording, tree_pair, start, end)
-        for kind in self._keys:
-            self._record_narrow_phase(recording, kind, start, end, form.line_search is not None, gaps_moved)
+        stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
+        self._record_input(recording, form, stages, is_copied, kept_flags)
+        is_line_search = form.line_search is not None
+        stages.fill_vertex_aabbs(recording, topology.moving_vertices, self._touched if is_line_search else self._active)
+        stages.fill_trees(recording, self._moving_trees)
+        with recording.at_once():
+            for tree_pair in stages.tree_pairs:
+                stages.search(recording, tree_pair, marks_overflow=True)
+        for is_second in (False, True):
+            stages.solve(recording, is_second=is_second, only_moving=is_line_search, gaps_moved=gaps_moved)
 
-    def _record_input(self, recording: Recording, form: _Form, is_copied: bool, kept_flags: int) -> None:
+    def _record_input(
+        self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, kept_flags: int
+    ) -> None:
         """Record the launches that read positions and reset the results."""
-        mesh, topology, minima = self._mesh, self.topology, self._minima
+        topology, minima = self.topology, stages.minima
         read = device_step.make_input(form.real)
-        recording.launch(
-            device_step.reset,
-            max(mesh.num_bodies, mesh.num_worlds),
-            inputs=[kept_flags],
-            outputs=[minima, self._counts, self.result.contacts.count, self._flag.array],
-        )
+        stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
         if form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,
@@ -388,14 +360,13 @@ class DeviceStep:
             ],
             outputs=[self._start, self._end, minima],
         )
-        recording.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[minima])
+        stages.reset_vertices(recording)
         # also if static bodies are not read here: an earlier launch may have been interrupted after it read them
         self._record_refresh(recording)
 
     def _record_refresh(self, recording: Recording) -> None:
         """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
-        topology = self.topology
-        trees = [tree for tree in self._trees.values() if tree.primitives.is_static]
+        topology, stages, trees = self.topology, self._stages, self._static_trees
         if not trees:
             return
         lattice = [topology.vertex_world, topology.world_shift]
@@ -407,18 +378,18 @@ class DeviceStep:
                 topology.static_vertices,
                 *lattice,
                 self._start,
-                self._inflation,
-                self._quantization,
+                stages.inflation,
+                stages.quantization,
                 _NUM_AABBS,
             ],
-            outputs=[self._vertex_aabbs],
+            outputs=[stages.vertex_aabbs],
             grain=64,
         )
         for tree in trees:
             recording.launch(
                 device_step.refresh_blocks,
                 -(-tree.levels[0] // _CHUNK),
-                inputs=[self._is_moved, self._vertex_aabbs, tree.primitives.num_corners],
+                inputs=[self._is_moved, stages.vertex_aabbs, tree.primitives.num_corners],
                 outputs=[tree.arrays],
                 grain=64,
             )
@@ -427,67 +398,6 @@ class DeviceStep:
                     device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
                 )
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
-
-    def _record_search(self, recording: Recording, tree_pair: TreePair, start: Any, end: Any) -> None:
-        """Record the search of a tree pair; an item is a block of queries, on CUDA a query."""
-        level = 0 if recording.is_cuda else 1
-        count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
-        num_parts = len(self._execution.ranges(count, _SMALLEST_SEARCH, _PARTS_PER_THREAD))
-        is_long = tree_pair.query.primitives.count * tree_pair.target.primitives.count > LONG_SEARCH * num_parts
-        keys = self._keys[tree_pair.kind]
-        recording.launch(
-            make_pair_search(CULL).search_pairs,
-            count,
-            inputs=[
-                search_range(level, int(tree_pair.kind), len(keys), is_shared=True),
-                *tree_pair.search_inputs(
-                    self.topology, self._options.t_max, self._inflation, self._separation, self._flag
-                ),
-                start,
-                end,
-            ],
-            outputs=[self._counts, keys, self._minima],
-            grain=_SMALLEST_SEARCH,
-            parts_per_thread=_PARTS_PER_THREAD,
-            is_long=lambda: is_long,
-        )
-
-    def _record_narrow_phase(
-        self, recording: Recording, kind: PairKind, start: Any, end: Any, only_moving: bool, gaps_moved: float
-    ) -> None:
-        """Record the two rounds of the narrow phase for the pairs of a kind."""
-        keys = self._keys[kind]
-        solvers = min(len(keys), _MOST_SOLVERS)
-        if not recording.is_cuda:
-            solvers = self._execution.num_threads if self._mesh.num_vertices > _WORTH_THREADS else 1
-        corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
-        options = self._options.for_kernel(self._length_scale, stop=self._flag.array)
-        found = self._counts.numpy()[kind]  # on the CPU a view of what the launch has found
-
-        for is_second in (False, True):
-            recording.launch(
-                make_narrow_phase(self._options.real).solve_pairs,
-                solvers,
-                inputs=[
-                    solvers,
-                    int(kind),
-                    0,
-                    _AS_FOUND,
-                    self._counts,
-                    keys,
-                    *corners,
-                    start,
-                    end,
-                    options,
-                    int(only_moving),
-                    int(is_second),
-                    gaps_moved,
-                ],
-                outputs=[self._minima, self._contacts],
-                grain=1,
-                is_needed=(lambda: bool(found[OPEN])) if is_second else None,
-                is_long=lambda: bool(found[FOUND] > LONG_PART * solvers or found[OPEN]),
-            )
 
 
 def _worlds_are_apart(mesh: CollisionMesh) -> bool:

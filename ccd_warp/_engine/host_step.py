@@ -4,10 +4,10 @@ import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import warp as wp
@@ -15,30 +15,28 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
-from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
-from ccd_warp._engine.search import KEY_BYTES, LONG_PART, Found, PairSearch, tree_pairs_of
-from ccd_warp._engine.topology import CORNER_ARRAYS
+from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
+from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.scene import half_up
+from ccd_warp._engine.search import KEY_BYTES, Found, PairSearch
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, Counts, MeshResult
-from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels import boxes as box_kernels
-from ccd_warp.kernels.minima import OPEN
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import NUM_COUNTS
 
 # Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
+TOI_BYTES = 8
 # The search for a bound first samples every so many blocks, and then checks all of them over the rest of the step.
 _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
-# Largest number of pairs in a part, so that threads end at about the same time and progress is visible.
-_LARGEST_PART = 1 << 14
+# Remaining share of the step below which recomputing the boxes for it pays.
+_WORTH_SHORTENING = 0.5
 # Pairs left by the cull, in total and for each primitive, from which on there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
@@ -46,78 +44,7 @@ _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
 _MOST_PAIRS = np.iinfo(np.int32).max
 
-
-class OpenPairs:
-    """Pairs of a step that the first round of the narrow phase leaves open.
-
-    Attributes:
-        marked: The complements of their keys, by kind of pair, in a search for contacts.
-        arrays: Their keys and their toi so far, by kind of pair, in a search for the least toi.
-    """
-
-    def __init__(self) -> None:
-        self.marked: dict[PairKind, NDArray[np.int64]] = {}
-        self.arrays: dict[PairKind, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
-
-    def take(self, found: Found) -> None:
-        """Copy the marked keys of a batch."""
-        keys = found.keys.numpy()[found.begin : found.begin + found.count]
-        marked = keys[keys < 0]
-        self.marked[found.kind] = np.concatenate([self.marked.get(found.kind, marked[:0]), marked])
-
-    def add(self, kind: PairKind, keys: NDArray[np.int64], toi: NDArray[np.float64]) -> None:
-        """Keep the pairs of a batch."""
-        if len(keys):
-            before = self.arrays.get(kind, (keys[:0], toi[:0]))
-            self.arrays[kind] = (np.concatenate([before[0], keys]), np.concatenate([before[1], toi]))
-
-
-class _OpenList:
-    """Device arrays that a launch writes open pairs of a kind to; they grow where there are more.
-
-    Attributes:
-        count: Number of pairs, int32, shape [1].
-        num_found: The same, on the host, after :meth:`has_held_all`.
-        arrays: Count, keys and toi, as the kernel takes them.
-    """
-
-    def __init__(self, buffers: Buffers, kind: PairKind) -> None:
-        self._buffers = buffers
-        self._name = f"{kind.name} open"
-        self.count = buffers.get(f"{self._name} pair count", 1, wp.int32)
-        self._size = 1 << 10
-        self.num_found = 0
-        self.begin()
-
-    def begin(self) -> None:
-        """Empty the list, and let it be as long as is known to be needed.
-
-        Not on the threads that launch: of arrays that two of them make larger at once, one would be lost.
-        """
-        self.count.zero_()
-        keys = self._buffers.get(f"{self._name} keys", self._size, wp.int64)
-        self.arrays = [self.count, keys, self._buffers.get(f"{self._name} pair toi", len(keys), wp.float64)]
-
-    def has_held_all(self) -> bool:
-        """Whether there was capacity for all; if not, there is now."""
-        self.num_found = int(self.count.numpy()[0])
-        self._size = max(self._size, self.num_found)
-        return self.num_found <= len(self.arrays[1])
-
-    def found(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Copies of the keys and the toi, once they are known to have been held."""
-        count = self.num_found
-        _, keys, toi = self.arrays
-        return keys.numpy()[:count].copy(), toi.numpy()[:count].copy()
-
-
-@dataclass(frozen=True)
-class _PairPart:
-    """``count`` of the found pairs, from ``first`` on."""
-
-    found: Found
-    first: int
-    count: int
+_T = TypeVar("_T")
 
 
 class Step:
@@ -140,26 +67,41 @@ class Step:
         self.mesh = workspace.topology.mesh
         self.buffers = workspace.buffers
         self.boxes = workspace.boxes
-        self.progress = Progress(show)
-        self.execution = Execution(workspace.topology.device, options.threads, workspace.flag, self.progress.tick)
+        self.host = host
         self.counts = Counts()
         self._num_active_bodies = self.mesh.num_bodies
-        self._num_searches: Counter[PairKind] = Counter()
-        self._num_candidates: Counter[PairKind] = Counter()
-        self._num_batches = 0
         self.is_warned = False
+        workspace.progress.show = show
+
+    def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
+        """Compute the boxes over [0, t_end]; a body that none comes near costs only its own box."""
         with self.timed("input"):
-            device = self.execution.device
-            self.host = start, end = host
-            self.vertices_t0: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
-            self.vertices_t1: wp.array = wp.array(end, dtype=wp.vec3d, device=device, copy=False)
+            self.plan = plan = HostPlan.of(self.workspace, self.options, goal)
+            self.execution = plan.execution
+            plan.begin_counts()
+            self.vertices_t0, self.vertices_t1 = plan.set_positions(self.host)
+        with self.timed("boxes"):
+            self.inflation = half_up(self.separation) if inflation is None else inflation
+            active = self.workspace.active(self._bodies_near())
+            plan.fill_boxes(self.host, t_end, self.inflation, active)
+        return plan
+
+    def _bodies_near(self) -> NDArray[np.bool_] | None:
+        """Bodies that may collide, or None for all."""
+        mesh = self.mesh
+        if mesh.num_bodies == 1 or mesh.num_worlds > 1 or mesh.self_collision[~mesh.static].all():
+            return None
+        near = bodies_near(self.topology, self.host, self.inflation, self.execution)
+        self._num_active_bodies = int((near | mesh.static).sum())
+        return near
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
         """Add the time of a stage; on CUDA by events, which are read once the result is available."""
-        if self.execution.device.is_cuda:
-            begin_event, end_event = (wp.Event(self.execution.device, enable_timing=True) for _ in range(2))
-            stream = wp.get_stream(self.execution.device)
+        device = self.topology.device
+        if device.is_cuda:
+            begin_event, end_event = (wp.Event(device, enable_timing=True) for _ in range(2))
+            stream = wp.get_stream(device)
             stream.record_event(begin_event)
             yield
             stream.record_event(end_event)
@@ -191,42 +133,10 @@ class Step:
             return 0.0
         return self.options.separation(self.length_scale)
 
-    @property
-    def inflation(self) -> float:
-        """Enlargement of the boxes for the separation."""
-        return half_up(self.separation)
-
-    def begin_boxes(self, inflation: float, t_end: float, num_aabbs: int) -> None:
-        """Compute the swept boxes of bodies that may collide; a body that none comes near costs only its own box."""
-        mesh = self.mesh
-        active = None
-        if mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all():
-            near = bodies_near(self.topology, self.host, inflation, self.execution)
-            self._num_active_bodies = int((near | mesh.static).sum())
-            active = self.buffers.get("active bodies", mesh.num_bodies, wp.int32)
-            active.assign(near.astype(np.int32))
-        self.boxes.begin(
-            self.host, self.vertices_t0, self.vertices_t1, t_end, inflation, self.execution, num_aabbs, active
-        )
-        self.tree_pairs = tree_pairs_of(self.boxes, possible_kinds(mesh, self.options), moves_alone(mesh))
-
-    def search(self, *, with_cull: bool, t_end: float, bytes_per_pair: int) -> PairSearch:
-        """A search with the capacity that the memory limit allows."""
-        search = PairSearch(
-            self.boxes,
-            self.execution,
-            self.buffers,
-            with_cull=with_cull,
-            t_end=t_end,
-            separation=self.separation,
-            progress=self.progress,
-        )
-        search.largest_capacity = self.capacity(bytes_per_pair)  # counts what the search has just allocated
-        return search
-
     def capacity(self, bytes_per_pair: int) -> int:
         """Largest number of pairs at a time within the memory limit."""
-        least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.tree_pairs)])
+        # what one query may find; the threads of a search for candidates need as much each
+        least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.plan.tree_pairs)])
         least *= 1 if self.execution.is_cuda else self.execution.num_threads
         limit = self.options.memory_limit
         if limit is None:
@@ -251,7 +161,7 @@ class Step:
             return np.iinfo(np.int32).max
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
-    def timed_batches(self, batches: Iterator[list[Found]]) -> Iterator[list[Found]]:
+    def timed_batches(self, batches: Iterator[_T]) -> Iterator[_T]:
         """The batches of a search, timed as the stage of pairs."""
         while True:
             with self.timed("pairs"):
@@ -260,59 +170,24 @@ class Step:
                 return
             yield batch
 
-    def candidates(self, inflation: float, take: Callable[[list[Found]], None]) -> None:
+    def candidates(self, take: Callable[[list[Found]], None]) -> None:
         """Pass the keys of all pairs whose boxes overlap to ``take`` in batches; each overwrites the previous one."""
-        with self.timed("boxes"):
-            self.begin_boxes(inflation, 1.0, num_aabbs=1)
+        plan = self.plan
         with self.timed("pairs"):
-            search = self.search(with_cull=False, t_end=1.0, bytes_per_pair=KEY_BYTES)
-            batches = search.ranges(self.tree_pairs)
+            search = PairSearch(
+                self.topology,
+                self.execution,
+                self.buffers,
+                (self.vertices_t0, self.vertices_t1),
+                plan.set_search(1.0, self.inflation, 0.0),
+            )
+            search.largest_capacity = self.capacity(KEY_BYTES)  # counts what the search has just allocated
+            batches = search.ranges(list(filter(plan.may_meet, plan.tree_pairs)))
         for ranges in self.timed_batches(batches):
             with self.timed("copy"):
                 take(ranges)
-        self.count_pairs(search)
-        self.finish_counts()
-
-    def pair_inputs(self, found: Found, first: int) -> list:
-        """The inputs with which the kernel of the least toi begins, for the pairs from ``first`` on."""
-        a, b = CORNER_ARRAYS[found.kind]
-        corners = self.topology.corners
-        return [
-            int(found.kind),
-            found.begin + first,
-            found.keys,
-            corners[a],
-            corners[b],
-            self.vertices_t0,
-            self.vertices_t1,
-        ]
-
-    def parts_of(self, batch: list[Found], grain: int = 256) -> list["_PairPart"]:
-        """Split a batch into parts that are worth a launch each: several for every thread, more of a large batch."""
-        parts = []
-        total = sum(found.count for found in batch)
-        for found in batch:
-            share = 4 * self.execution.num_threads * found.count // max(total, 1)
-            pieces = 1
-            if not self.execution.is_cuda:
-                pieces = max(1, min(share, found.count // grain), -(-found.count // _LARGEST_PART))
-            bounds = [found.count * k // pieces for k in range(pieces + 1)]
-            parts += [_PairPart(found, bounds[k], bounds[k + 1] - bounds[k]) for k in range(pieces)]
-        return parts
-
-    def launch_parts(
-        self, kernel: Any, parts: list["_PairPart"], launch: Callable[["_PairPart"], None], is_long: bool
-    ) -> None:
-        """Launch a kernel on each part; ``is_long`` where pairs may take more than the iterations of a first round."""
-        load(kernel, self.execution.device)
-
-        def run(part: "_PairPart") -> None:
-            launch(part)
-            self.progress.done += part.count
-
-        self.progress.begin("narrow phase", sum(part.count for part in parts))
-        is_long = is_long or max(part.count for part in parts) > LONG_PART
-        self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]
+        plan.release_positions()
+        self.finish_counts(search.num_launches, search.candidates, search.num_batches)
 
     def bound(self) -> float:
         """Earliest toi of all pairs, or t_max.
@@ -321,76 +196,49 @@ class Step:
         before it: the boxes are shorter, and the cull ends there. The bound of each round is the least toi of the pairs
         of the previous round. It depends only on the input, and so does the result.
         """
-        best = self.options.t_max
-        with self.timed("boxes"):
-            self.begin_boxes(self.inflation, best, num_aabbs=2)
+        best = t_end = self.options.t_max
+        plan = self.begin("bound", t_end)
+        plan.set_options(self.workspace.packed(self.options, self.length_scale))
         for stride in (_SAMPLE_STRIDE, 1):
             if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
                 continue
-            with self.timed("boxes"):
-                self.boxes.shorten(best)
-            with self.timed("pairs"):
-                search = self.search(with_cull=True, t_end=best, bytes_per_pair=KEY_BYTES)
-                batches = search.batches(self.tree_pairs, 0, stride)
-            least = best
-            open_pairs = OpenPairs()
-            for batch in self.timed_batches(batches):
+            if best <= _WORTH_SHORTENING * t_end:
+                t_end = best
+                with self.timed("boxes"):
+                    plan.shorten_boxes(t_end)
+            plan.set_search(best, self.inflation, self.separation)
+            plan.set_least(best)
+            plan.begin_candidates()
+            open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
+            for batch in self.timed_batches(plan.batches(stride, self.capacity(KEY_BYTES + TOI_BYTES))):
                 with self.timed("narrow phase"):
-                    least = self.least_toi(batch, least, open_pairs)
-                if least <= 0.0:
+                    plan.bound(is_second=False)
+                    for kind in plan.num_open():
+                        count = batch.found[kind]
+                        pairs = plan.open_keys(kind, count), plan.open_toi(kind, count)
+                        open_pairs.setdefault(kind, []).append(pairs)
+                if plan.least() <= 0.0:
                     break
-            self.count_pairs(search)
-            if least <= 0.0:
+            best = plan.least()
+            if best <= 0.0:
                 best = 0.0
                 break
             with self.timed("narrow phase"):
-                best = self.least_open_toi(least, open_pairs)
-        self.finish_counts()
+                best = self.least_open_toi(plan, best, open_pairs)
+        plan.release_positions()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
         return best
 
-    def least_toi(self, batch: list[Found], bound: float, open_pairs: "OpenPairs | None") -> float:
-        """Earliest toi of the pairs of a batch, or the bound.
-
-        Args:
-            batch: The pairs.
-            bound: A toi found earlier, or the end of the step.
-            open_pairs: Collects the pairs that the first round leaves open; None in the second round.
-        """
-        if not batch:
-            return bound
-        kernel = make_narrow_phase(self.options.real).pairs_bound
-        cap = self.options.first_iterations
-        if open_pairs is None:
-            cap = self.options.share_of_work(sum(found.count for found in batch))
-        options = self.workspace.packed(self.options, self.length_scale, cap)
-        # a pair that reaches its own limit gets no second round
-        is_first = int(open_pairs is not None and cap < self.options.max_iterations)
-        parts = self.parts_of(batch, grain=256 if is_first else 16)
-        bits = self.buffers.get("pair bits", 1, wp.int64)
-        bits.fill_(int(np.array(bound).view(np.int64)))
-        lists = {found.kind: _OpenList(self.buffers, found.kind) for found in batch}
-
-        def launch(part: _PairPart) -> None:
-            inputs = [0, *self.pair_inputs(part.found, part.first), options, is_first]
-            outputs = [bits, *lists[part.found.kind].arrays]
-            wp.launch(kernel, dim=part.count, inputs=inputs, outputs=outputs, device=self.execution.device)
-
-        while True:
-            self.launch_parts(kernel, parts, launch, is_long=open_pairs is None)
-            if all([each.has_held_all() for each in lists.values()]):  # not a generator: all of them grow
-                break
-            for each in lists.values():
-                each.begin()
-        if open_pairs is not None:
-            for kind, each in lists.items():
-                if each.num_found:
-                    open_pairs.add(kind, *each.found())
-        return float(bits.numpy()[:1].view(np.float64)[0])
-
-    def least_open_toi(self, bound: float, open_pairs: "OpenPairs") -> float:
+    def least_open_toi(
+        self,
+        plan: HostPlan,
+        bound: float,
+        open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]],
+    ) -> float:
         """The second round: earliest toi of the pairs that the first has left open, or the bound."""
         closed = bound
-        for kind, (keys, toi) in open_pairs.arrays.items():
+        for kind, batches in open_pairs.items():
+            keys, toi = map(np.concatenate, zip(*batches, strict=True))
             # which pairs are earlier than all closed ones depends only on the pairs, and so does their share of the
             # work
             is_earlier = toi < closed
@@ -400,18 +248,74 @@ class Step:
             if self.options.share_of_work(len(keys)) <= self.options.first_iterations:
                 bound = min(bound, float(toi.min()))
                 continue
-            pairs = self.buffers.get("open keys", len(keys), wp.int64)
-            pairs[: len(keys)].assign(keys)
-            bound = self.least_toi([Found(kind, pairs, 0, len(keys))], bound, None)
+            plan.set_open_pairs(kind, keys)
+            plan.set_least(bound)
+            plan.bound(is_second=True)
+            bound = plan.least()
         return bound
 
-    def count_pairs(self, search: PairSearch) -> None:
-        """Add what a search did to the counts."""
-        self._num_searches += search.num_launches
-        self._num_candidates = search.candidates
-        self._num_batches += search.num_batches
+    def contacts(self) -> MeshResult:
+        """Compute the toi of every pair that the cull leaves, and gather the result."""
+        t_max = self.options.t_max
+        plan = self.begin("contacts", t_max)
+        with self.timed("pairs"):
+            store = self.workspace.contacts
+            store.begin(self.execution, self.largest_contacts())
+            plan.reset_minima(store.count)
+            plan.set_options(self.workspace.packed(self.options, self.length_scale))
+            plan.set_search(t_max, self.inflation, self.separation)
+            batches = plan.batches(1, self.capacity(KEY_BYTES + BYTES_PER_CONTACT))
+        survivors: Counter[PairKind] = Counter()
+        open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
+        for batch in self.timed_batches(batches):
+            with self.timed("narrow phase"):
+                survivors.update(batch.found)
+                self.warn_of_overlaps(survivors.total())
+                plan.set_contacts(store.begin_batch(sum(batch.found.values())))
+                plan.solve(is_second=False)
+                if batch.is_only:
+                    plan.solve(is_second=True)
+                else:
+                    for kind in plan.num_open():
+                        open_keys.setdefault(kind, []).append(plan.open_keys(kind, batch.found[kind]))
+                store.end_batch()
+        with self.timed("narrow phase"):
+            for kind, keys in open_keys.items():
+                plan.set_open_pairs(kind, np.concatenate(keys))
+                plan.set_contacts(store.begin_batch(sum(map(len, keys))))
+                plan.solve(is_second=True)
+                store.end_batch()
+        if not store.is_complete:
+            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
+            raise ValueError(
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
+                f"contacts of this step, or collision_free_step, which keeps none"
+            )
+        with self.timed("gather"):
+            gathered = store.gather()
+        plan.release_positions()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, gathered.contacts)
+        self.finish_timings()
+        return MeshResult(
+            gathered.toi,
+            gathered.vertex_toi,
+            gathered.body_toi,
+            gathered.contacts,
+            self.counts,
+            self.timings,
+            gathered.vertex_contact,
+            gathered.body_contact,
+            gathered.world_toi,
+        )
 
-    def finish_counts(self, survivors: Counter[PairKind] | None = None, contacts: Contacts | None = None) -> None:
+    def finish_counts(
+        self,
+        num_searches: Mapping[PairKind, int],
+        num_candidates: Mapping[PairKind, int],
+        num_batches: int,
+        survivors: Counter[PairKind] | None = None,
+        contacts: Contacts | None = None,
+    ) -> None:
         """Say what the call did, with what survived the cull and touches if it looked for contacts."""
         mesh = self.mesh
         kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
@@ -425,9 +329,9 @@ class Step:
             num_active_bodies=self._num_active_bodies,
             num_boxes=self.boxes.num_boxes,
             num_sorted_sets=self.boxes.num_sorted,
-            num_searches={kind: self._num_searches[kind] for kind in kinds},
-            num_candidates={kind: self._num_candidates[kind] for kind in kinds},
-            num_batches=self._num_batches,
+            num_searches={kind: num_searches[kind] for kind in kinds},
+            num_candidates={kind: num_candidates[kind] for kind in kinds},
+            num_batches=num_batches,
         )
         if survivors is not None and contacts is not None:
             status = contacts.status
@@ -439,92 +343,6 @@ class Step:
                 num_contacts_at_limit=int(np.count_nonzero(status >= CCDStatus.ITERATION_LIMIT)),
             )
         self.counts = counts
-
-    def contacts(self) -> MeshResult:
-        """Compute the toi of every pair that the cull leaves, and gather the result."""
-        t_max = self.options.t_max
-        survivors: Counter[PairKind] = Counter()
-        with self.timed("boxes"):
-            self.begin_boxes(self.inflation, t_max, num_aabbs=2)
-        with self.timed("pairs"):
-            search = self.search(with_cull=True, t_end=t_max, bytes_per_pair=KEY_BYTES + BYTES_PER_CONTACT)
-            batches = search.batches(self.tree_pairs)
-            store = self.workspace.contacts
-            store.begin(self.execution, self.largest_contacts())
-        open_pairs = OpenPairs()
-        for batch in self.timed_batches(batches):
-            with self.timed("narrow phase"):
-                for found in batch:
-                    survivors[found.kind] += found.count
-                self.warn_of_overlaps(survivors.total())
-                if batch:
-                    self.solve(batch, store, open_pairs)
-        with self.timed("narrow phase"):
-            self.solve_open(store, open_pairs)
-        if not store.is_complete:
-            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
-            raise ValueError(
-                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
-                f"contacts of this step, or collision_free_step, which keeps none"
-            )
-        with self.timed("gather"):
-            gathered = store.gather()
-        return self.result(gathered, search, survivors)
-
-    def solve(self, batch: list[Found], store: ContactStore, open_pairs: "OpenPairs | None") -> None:
-        """Run the narrow phase on a batch: the first round or, without ``open_pairs``, the second on marked keys."""
-        contacts = store.begin_batch(sum(found.count for found in batch))
-        counts = self.buffers.rows("pair counts", len(PairKind), NUM_COUNTS, wp.int64)
-        counts.zero_()
-        if open_pairs is None:
-            num_open = counts.numpy()
-            for found in batch:
-                num_open[found.kind, OPEN] = found.count
-            counts.assign(num_open)
-        options = self.workspace.packed(self.options, self.length_scale)
-        is_second = int(open_pairs is None)
-        outputs = [store.minima, contacts]
-        parts = self.parts_of(batch, grain=16 if is_second else 256)
-
-        def launch(part: _PairPart) -> None:
-            found = part.found
-            a, b = CORNER_ARRAYS[found.kind]
-            corners = self.topology.corners
-            pairs = [found.begin + part.first, part.count, counts, found.keys, corners[a], corners[b]]
-            wp.launch(
-                kernel,
-                dim=part.count,
-                inputs=[
-                    0,
-                    part.count,
-                    int(found.kind),
-                    *pairs,
-                    self.vertices_t0,
-                    self.vertices_t1,
-                    options,
-                    0,
-                    is_second,
-                    0.0,
-                ],
-                outputs=outputs,
-                device=self.execution.device,
-            )
-
-        kernel = make_narrow_phase(self.options.real).solve_pairs
-        self.launch_parts(kernel, parts, launch, is_long=bool(is_second))
-        store.end_batch()
-        if open_pairs is not None:
-            num_open = counts.numpy()
-            for found in batch:
-                if num_open[found.kind, OPEN]:
-                    open_pairs.take(found)
-
-    def solve_open(self, store: ContactStore, open_pairs: "OpenPairs") -> None:
-        """The second round: solve the pairs that the first has left open, each with its share of ``max_work``."""
-        for kind, keys in open_pairs.marked.items():
-            pairs = self.buffers.get("open keys", len(keys), wp.int64)
-            pairs[: len(keys)].assign(keys)
-            self.solve([Found(kind, pairs, 0, len(keys))], store, None)
 
     def warn_of_overlaps(self, num_pairs: int) -> None:
         """Warn once if so many pairs are left that parts of the scene seem to overlap."""
@@ -538,23 +356,6 @@ class Step:
             f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory",
             RuntimeWarning,
             stacklevel=_level_of_caller(),
-        )
-
-    def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
-        contacts = gathered.contacts
-        self.count_pairs(search)
-        self.finish_counts(survivors, contacts)
-        self.finish_timings()
-        return MeshResult(
-            gathered.toi,
-            gathered.vertex_toi,
-            gathered.body_toi,
-            contacts,
-            self.counts,
-            self.timings,
-            gathered.vertex_contact,
-            gathered.body_contact,
-            gathered.world_toi,
         )
 
 

@@ -1,116 +1,48 @@
-"""Runs the search for pairs in parts, so that its results fit the available capacity."""
+"""The search for candidates in parts, whose pairs fit the available capacity."""
 
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes import StepBoxes, Tree
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.topology import PRIMITIVES, WIDTH, Topology
+from ccd_warp._engine.topology import WIDTH, Topology
+from ccd_warp._engine.trees import LONG_SEARCH, TreePair, search_range
 from ccd_warp._runtime.launch import Execution, load
-from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import pair_search as kernels
-from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, Minima
 from ccd_warp.kernels.pair_search import make_pair_search
 
-_CANDIDATES = int(kernels.CANDIDATES)
-_FOUND = int(kernels.FOUND)
-_NUM_COUNTS = int(kernels.NUM_COUNTS)
+_CANDIDATES = int(CANDIDATES)
+_FOUND = int(FOUND)
+_NUM_COUNTS = int(NUM_COUNTS)
 # Parts of a search for each thread, so that no thread waits long for another, and the fewest blocks in a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
 _MOST_PAIRS = int(np.iinfo(np.int32).max)
-# Box tests from which on a part of a search may take long: some 0.3 s if all boxes overlap.
-LONG_SEARCH = 1 << 22
 # The calling thread works on a long search, too, in pieces, where one that is certain to be short has this many items;
 # up to so many times as many while launches take less than so many seconds.
 _WORTH_A_PIECE = 4
 _LARGEST_PACE = 16
 _SHORT_LAUNCH = 0.01
-# Pairs from which on a part of the narrow phase may take long: some 0.4 s if all reach the limit of the first round.
-LONG_PART = 1 << 11
-
-
-class Trees(Protocol):
-    """A source of the trees of a step."""
-
-    topology: Topology
-
-    def build(self, wanted: list[tuple[str, bool]]) -> None:
-        """Build trees, each given by the kind of its primitives and whether they are static."""
-
-    def tree(self, kind: str, is_static: bool) -> Tree | None:
-        """The tree of the moving or static primitives of a kind; None if there are none."""
-
-    def may_meet(self, a: Tree, b: Tree) -> bool:
-        """False only if no boxes of the two trees overlap."""
-
-
-@dataclass(frozen=True)
-class TreePair:
-    """Two trees whose boxes may overlap; the same tree twice for pairs within a set."""
-
-    kind: PairKind
-    query: Tree
-    target: Tree
-    swapped: bool = False
-
-    @property
-    def within(self) -> bool:
-        """Whether the pairs are those of one set."""
-        return self.query is self.target
-
-    @property
-    def is_symmetric(self) -> bool:
-        """Whether both primitives are of one kind, and the lower index comes first."""
-        return len(set(PRIMITIVES[self.kind])) == 1
-
-    def search_inputs(
-        self, topology: Topology, t_end: float, inflation: float, separation: float, flag: StopFlag
-    ) -> list[Any]:
-        """The inputs of a search of the two trees, between the range and the positions."""
-        packed = kernels.TreePair()
-        packed.kind = int(self.kind)
-        packed.within = int(self.within)
-        packed.symmetric = int(self.is_symmetric)
-        packed.swapped = int(self.swapped)
-        packed.num_query_corners = self.query.primitives.num_corners
-        packed.num_target_corners = self.target.primitives.num_corners
-        packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
-        packed.stop = flag.array
-        return [self.query.arrays, self.target.arrays, packed, topology.collision_filter]
-
-
-def search_range(
-    level: int, row: int, capacity: int, first: int = 0, stride: int = 1, first_key: int = 0, is_shared: bool = False
-) -> Any:
-    """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
-    packed = kernels.SearchRange()
-    packed.first, packed.stride, packed.level = first, stride, level
-    packed.row, packed.first_key, packed.capacity = row, first_key, capacity
-    packed.is_shared = int(is_shared)
-    return packed
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Items first, first + stride, … of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
+    """Items of a tree pair, from ``first`` on: blocks of queries (level 1) or single queries (level 0)."""
 
     tree_pair: TreePair
     number: int  # of the tree pair
     level: int
     first: int
-    stride: int
     count: int
 
     @property
@@ -138,7 +70,7 @@ class _Part:
         count = min(self.count, pace * self.num_short_items)
         if count == self.count:
             return self, []
-        rest = replace(self, first=self.first + count * self.stride, count=self.count - count)
+        rest = replace(self, first=self.first + count, count=self.count - count)
         return replace(self, count=count), [rest]
 
     def split(self) -> list["_Part"]:
@@ -147,14 +79,10 @@ class _Part:
             half = self.count // 2
             return [
                 replace(self, count=half),
-                replace(self, first=self.first + half * self.stride, count=self.count - half),
+                replace(self, first=self.first + half, count=self.count - half),
             ]
         first = WIDTH * self.first
-        return [
-            replace(
-                self, level=0, first=first, stride=1, count=min(WIDTH, self.tree_pair.query.primitives.count - first)
-            )
-        ]
+        return [replace(self, level=0, first=first, count=min(WIDTH, self.tree_pair.query.primitives.count - first))]
 
 
 @dataclass(frozen=True)
@@ -198,44 +126,8 @@ class _Region:
     found: list[Found] = field(default_factory=list)
 
 
-def tree_pairs_of(boxes: Trees, kinds: tuple[PairKind, ...], skip_moving: bool) -> list[TreePair]:
-    """The tree pairs to search: never two static trees, and two moving ones unless ``skip_moving`` is set."""
-    wanted = []
-    for kind in kinds:
-        first, second = PRIMITIVES[kind]
-        for a_static, b_static in ((False, False), (False, True), (True, False)):
-            is_mirrored = a_static and first == second
-            if is_mirrored or (skip_moving and not a_static and not b_static):
-                continue
-            if boxes.topology.primitives(first, a_static).count and boxes.topology.primitives(second, b_static).count:
-                wanted.append((kind, (first, a_static), (second, b_static)))
-    boxes.build([end for _, *ends in wanted for end in ends])
-    tree_pairs = []
-    for kind, a, b in wanted:
-        tree_a, tree_b = boxes.tree(*a), boxes.tree(*b)
-        # the moving primitives are the queries, so that the tree of the static ones is only traversed
-        is_swapped = a[1]
-        assert tree_a and tree_b
-        tree_pair = TreePair(kind, tree_b, tree_a, swapped=True) if is_swapped else TreePair(kind, tree_a, tree_b)
-        if boxes.may_meet(tree_pair.query, tree_pair.target):
-            tree_pairs.append(tree_pair)
-    return tree_pairs
-
-
-def _merged(ranges: list[Found]) -> list[Found]:
-    """The same keys in as few ranges as possible."""
-    merged: list[Found] = []
-    for found in ranges:
-        last = merged[-1] if merged else None
-        if last and last.kind == found.kind and last.begin + last.count == found.begin:
-            merged[-1] = Found(last.kind, last.keys, last.begin, last.count + found.count)
-        else:
-            merged.append(found)
-    return merged
-
-
 class PairSearch:
-    """A search over all tree pairs of a step.
+    """A search for candidates over all tree pairs of a step.
 
     Attributes:
         candidates: Pairs of each kind that passed the box test and the mesh's filter.
@@ -247,30 +139,27 @@ class PairSearch:
 
     def __init__(
         self,
-        boxes: StepBoxes,
+        topology: Topology,
         execution: Execution,
         buffers: Buffers,
-        *,
-        with_cull: bool,
-        t_end: float,
-        separation: float,
+        positions: tuple[wp.array, wp.array],
+        options: Any,
         largest_capacity: int = _MOST_PAIRS,
-        progress: Progress | None = None,
     ) -> None:
+        """A search in a step, given its positions at both ends and the options of the search."""
         self.execution = execution
         self.buffers = buffers
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
         self.num_batches = self.capacity = 0
         self._made_progress = True
-        self._boxes = boxes
+        self._topology = topology
+        self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
-        self._kernel = make_pair_search(kernels.CULL if with_cull else kernels.BOXES).search_pairs
-        self._with_cull = with_cull
-        self._t_end, self._separation = t_end, separation
+        self._kernel = make_pair_search(kernels.BOXES).search_pairs
         self.largest_capacity = largest_capacity
-        self._progress = progress or Progress()
+        self._progress = execution.progress
         self._num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
 
@@ -278,25 +167,15 @@ class PairSearch:
     def _num_slots(self) -> int:
         return 64 if self.execution.is_cuda else self._num_workers
 
-    def batches(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
-        """Search every ``stride``-th block of queries from ``first`` on, and yield batches that fit the capacity.
-
-        The distribution over batches depends on the capacity and the threads; the union of all batches does not.
-        """
-        for ranges in self.ranges(tree_pairs, first, stride):
-            yield _merged(ranges)
-
-    def ranges(self, tree_pairs: list[TreePair], first: int = 0, stride: int = 1) -> Iterator[list[Found]]:
-        """Like :meth:`batches`, with the keys of each part separate and with their place among all keys.
+    def ranges(self, tree_pairs: list[TreePair]) -> Iterator[list[Found]]:
+        """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
 
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
         So the parts of all batches, sorted by tree pair and then by place, give the keys in an order that depends only
         on the trees, wherever the parts were split, except for a block that was split into its queries
         (`Found.is_cut`). On CUDA the threads of a part write in arbitrary order.
         """
-        pending = deque(
-            part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k, first, stride)
-        )
+        pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
         load(self._kernel, self.execution.device)
@@ -304,10 +183,8 @@ class PairSearch:
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
         # A thread needs capacity for all partners of one query, and this is sufficient.
         least = max(tree_pair.target.primitives.count for tree_pair in tree_pairs)
-        wanted = (
-            sum(tree_pair.query.primitives.count for tree_pair in tree_pairs) * (1 if self._with_cull else 16) // stride
-        )
-        last = self.buffers.capacities.get(self._with_cull, 0)  # what the last step needed
+        wanted = 16 * sum(tree_pair.query.primitives.count for tree_pair in tree_pairs)
+        last = self.buffers.capacity  # what the last step needed
         capacity = min(self.largest_capacity, max(self._num_workers * least, wanted, last, 1 << 16))
         total = 0
         while pending:
@@ -323,37 +200,33 @@ class PairSearch:
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
                 # threads find unequal shares, so with twice the capacity the next step needs one batch
-                self.buffers.capacities[self._with_cull] = min(2 * total, self.largest_capacity)
+                self.buffers.capacity = min(2 * total, self.largest_capacity)
             yield [found for region in regions for found in region.found]
             capacity = min(2 * capacity, self.largest_capacity)
 
-    def _parts(self, tree_pair: TreePair, number: int, first: int, stride: int) -> list[_Part]:
+    def _parts(self, tree_pair: TreePair, number: int) -> list[_Part]:
         level = 0 if self.execution.is_cuda else 1
-        items = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
-        count = max(0, -(-(items - first) // stride))
-        if count == 0:
-            return []
+        count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
         parts = 1
         if not self.execution.is_cuda:
             parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
         bounds = [count * k // parts for k in range(parts + 1)]
-        return [
-            _Part(tree_pair, number, level, first + stride * bounds[k], stride, bounds[k + 1] - bounds[k])
-            for k in range(parts)
-        ]
+        return [_Part(tree_pair, number, level, bounds[k], bounds[k + 1] - bounds[k]) for k in range(parts)]
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
         """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
-        boxes = self._boxes
         return wp.launch(
             self._kernel,
             dim=1,
             inputs=[
                 0,
                 kernels.SearchRange(),
-                *tree_pair.search_inputs(boxes.topology, self._t_end, boxes.inflation, self._separation, self._flag),
-                boxes.vertices_t0,
-                boxes.vertices_t1,
+                tree_pair.query.arrays,
+                tree_pair.target.arrays,
+                tree_pair.packed,
+                self._options,
+                self._topology.collision_filter,
+                *self._positions,
             ],
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
@@ -362,7 +235,7 @@ class PairSearch:
 
     @staticmethod
     def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> None:
-        command.set_param_at_index(1, search_range(part.level, slot, capacity, part.first, part.stride, begin))
+        command.set_param_at_index(1, search_range(part.level, slot, capacity, part.first, 1, begin))
         command.set_dim(part.count)
         command.launch()
 

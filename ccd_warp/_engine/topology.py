@@ -1,7 +1,8 @@
 """The data of a mesh on a device: its primitives in sets, their spatial order, and its collision filter."""
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.rings import vertex_rings
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -18,12 +18,16 @@ from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import rest_order
 from ccd_warp.kernels.collision_filter import CollisionFilter
 
+if TYPE_CHECKING:
+    from ccd_warp._mesh import CollisionMesh
+
 WIDTH = int(kernels.WIDTH)
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
 _CLASS_BITS = int(kernels.CLASS_BITS)
 _LARGEST_EXPONENT = 1000
+_LARGEST_ORIGIN = 2.0**1022
 
 # The kinds of the two primitives of a pair, and the arrays that hold their vertices.
 PRIMITIVES = {
@@ -77,7 +81,7 @@ class PrimitiveSet:
 class Topology:
     """The data of a mesh that no step changes; made once for each mesh and device."""
 
-    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
+    def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
         self.mesh = mesh
         self.device = device
         self.vertex_body = self._array(mesh.vertex_body)
@@ -91,7 +95,7 @@ class Topology:
         self._orders: dict[str, tuple[wp.array, wp.array]] = {}
 
     @staticmethod
-    def of(mesh: CollisionMesh, device: Any) -> "Topology":
+    def of(mesh: "CollisionMesh", device: Any) -> "Topology":
         """The topology of a mesh on a device."""
         cache = MeshCache.of(mesh).topologies
         key = str(device)
@@ -112,6 +116,15 @@ class Topology:
     def corners(self) -> dict[str, wp.array]:
         """Vertices of every primitive, by kind and index; arrays of kinds that a mesh lacks are empty."""
         return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+
+    @lazy_property
+    def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Vertices, shape [n], and the vertices of primitives, shape [n, k], from which the quantization is chosen."""
+        mesh = self.mesh
+        numbers = np.arange(NUM_SAMPLES)
+        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
+        chosen = primitives[(numbers * len(primitives)) // NUM_SAMPLES]
+        return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.astype(np.intp)
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -180,7 +193,7 @@ class Topology:
         """The same for the mesh at other positions, computed anew."""
         mesh = self.mesh
         positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
-        quantization = choose_quantization(mesh, vertices, vertices, 1)
+        quantization = choose_quantization(self, vertices, vertices, 1)
         vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=self.device)
         every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
         active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
@@ -264,7 +277,7 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
 
 
 def choose_quantization(
-    mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], num_aabbs: int
+    topology: Topology, start: NDArray[np.float64], end: NDArray[np.float64], num_aabbs: int
 ) -> Any:
     """The map to float32 and the typical extent of a box, from samples of the step.
 
@@ -275,29 +288,32 @@ def choose_quantization(
     quantization = kernels.Quantization()
     if len(start) == 0:
         return quantization
+    vertices, primitives = topology.samples
     with np.errstate(over="ignore", under="ignore"):
-        sample = (np.arange(NUM_SAMPLES) * len(start)) // NUM_SAMPLES
-        centre = np.sort(0.5 * start[sample] + 0.5 * end[sample], axis=0)
+        centre = 0.5 * start[vertices]
+        centre += 0.5 * end[vertices]
+        centre.sort(axis=0)
         margin = NUM_SAMPLES // 20
-        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(len(start))[:, None])
-        chosen = primitives[(np.arange(NUM_SAMPLES) * len(primitives)) // NUM_SAMPLES]
-        boxes = (
-            [start[chosen], end[chosen]] if num_aabbs == 2 else [np.concatenate([start[chosen], end[chosen]], axis=1)]
-        )
-        sizes = [(0.5 * box.max(axis=1) - 0.5 * box.min(axis=1)).max(axis=1) for box in boxes]
-        half_extent = float(np.median(np.max(sizes, axis=0)))
+        points: tuple[NDArray[np.float64], ...] = (start[primitives], end[primitives])
+        if num_aabbs == 1:
+            points = (np.concatenate(points, axis=1),)
+        sizes = [(0.5 * p.max(axis=1) - 0.5 * p.min(axis=1)).max(axis=1) for p in points]
+        extents = sizes[0] if num_aabbs == 1 else np.maximum(*sizes)
+        extents.sort()
+        middle = NUM_SAMPLES // 2
+        half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
         half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
-        exponent = int(np.clip(np.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
+        exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
         lattice = 2.0 ** (exponent - 2)
-        origin = np.round(centre[NUM_SAMPLES // 2] / lattice) * lattice
-        quantization.origin = wp.vec3d(*np.clip(origin, -(2.0**1022), 2.0**1022))
-        exponent += lattice_bits(mesh.num_worlds)
+        origin = (np.round(centre[middle] / lattice) * lattice).tolist()
+        quantization.origin = wp.vec3d(*(min(max(x, -_LARGEST_ORIGIN), _LARGEST_ORIGIN) for x in origin))
+        exponent += lattice_bits(topology.mesh.num_worlds)
         quantization.scale = 2.0**-exponent
         quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return quantization
 
 
-def choose_static_quantization(mesh: CollisionMesh, start: NDArray[np.float64], quantization: Any) -> Any:
+def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64], quantization: Any) -> Any:
     """The same map, with the typical extent of the primitives of static bodies only."""
     among = mesh.edges[mesh.static[mesh.edge_body]]
     static = kernels.Quantization()

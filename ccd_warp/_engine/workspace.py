@@ -1,6 +1,10 @@
-"""What stays from step to step: a mesh's topology on a device, the boxes of what rests, buffers."""
+"""What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
 
 from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes import StepBoxes
 from ccd_warp._engine.buffers import Buffers
@@ -9,6 +13,7 @@ from ccd_warp._engine.topology import Topology
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
 
 _MOST_OPTIONS = 8
@@ -25,12 +30,41 @@ class Workspace:
         self.buffers = Buffers(device)
         self.flag = StopFlag(device)
         self.boxes = StepBoxes(self.topology, self.buffers)
+        self.progress = Progress()
+        self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self._packed: dict[Any, Any] = {}
+        self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
+        self._active: wp.array | None = None
+        self._is_all_active = False
 
     @lazy_property
     def contacts(self) -> ContactStore:
         """Where a step puts its contacts."""
         return ContactStore(self.topology, self.buffers)
+
+    def positions(self, name: str, values: NDArray[np.float64]) -> wp.array:
+        """An array that stays, with a copy of the positions."""
+        device = self.topology.device
+        if name not in self._positions:
+            array = wp.empty(len(values), dtype=wp.vec3d, device=device)
+            self._positions[name] = (array, np.empty(0) if device.is_cuda else array.numpy())
+        array, view = self._positions[name]
+        if device.is_cuda:
+            array.assign(values)
+        else:
+            view[...] = values
+        return array
+
+    def active(self, bodies: NDArray[np.bool_] | None) -> wp.array:
+        """Which bodies are active, int32, shape [B]: all of them by default."""
+        if self._active is None:
+            self._active = wp.empty(self.topology.mesh.num_bodies, dtype=wp.int32, device=self.topology.device)
+        if bodies is not None:
+            self._active.assign(bodies.astype(np.int32))
+        elif not self._is_all_active:
+            self._active.fill_(1)
+        self._is_all_active = bodies is None
+        return self._active
 
     def packed(self, options: Options, length_scale: float, max_iterations: int | None = None) -> Any:
         """Options as the kernels take them, with the stop flag; packed once, which takes as long as a launch."""

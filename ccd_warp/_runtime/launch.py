@@ -5,12 +5,14 @@ Every kernel launched here takes ``begin: int`` as its first parameter and works
 """
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag, run, run_aside
 from ccd_warp.kernels.once import building
 
@@ -55,13 +57,13 @@ class Execution:
         device: Warp device.
         num_threads: Threads on the CPU.
         flag: The flag that long kernels read to stop early, or None where no such kernel is launched.
-        tick: Called ten times a second while a long job runs, on the thread that waits for it.
+        progress: Told how far a long job is, ten times a second, on the thread that waits for it.
     """
 
     device: Any
     num_threads: int
     flag: StopFlag | None = None
-    tick: Callable[[], None] | None = None
+    progress: Progress = field(default_factory=Progress)
 
     @property
     def is_cuda(self) -> bool:
@@ -69,7 +71,16 @@ class Execution:
         return self.device.is_cuda
 
     def launch(
-        self, kernel: Any, count: int, inputs: list, outputs: list, grain: int = 1024, *, is_long: bool = False
+        self,
+        kernel: Any,
+        count: int,
+        inputs: list,
+        outputs: list,
+        grain: int = 1024,
+        parts_per_thread: int = 1,
+        *,
+        num_needed: Callable[[], int] | None = None,
+        is_long: Callable[[], bool] | None = None,
     ) -> None:
         """Run ``kernel`` for items 0 … count-1.
 
@@ -79,7 +90,10 @@ class Execution:
             inputs: Kernel inputs after ``begin``.
             outputs: Kernel outputs.
             grain: Smallest number of items that is worth its own part.
-            is_long: Whether items may take long, in which case the kernel reads the stop flag.
+            parts_per_thread: Parts for each thread.
+            num_needed: Called on the CPU outside a capture: how many of the parts, from the first on, have anything to
+                do.
+            is_long: Called likewise: whether items may take long, in which case the kernel reads the stop flag.
         """
         if count == 0:
             return
@@ -91,8 +105,17 @@ class Execution:
         if self.is_serial:
             part(0, count)
             return
-        parts = self.ranges(count, grain)
-        self.run([lambda b=b, e=e: part(b, e) for b, e in parts], is_long=is_long)  # type: ignore[misc]
+        parts = self.ranges(count, grain, parts_per_thread)
+        needed = parts if num_needed is None else parts[: num_needed()]
+        if not needed:
+            return
+        tasks = [lambda b=b, e=e: part(b, e) for b, e in needed]  # type: ignore[misc]
+        self.run(tasks, is_long=is_long is not None and is_long())
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """As for a recording; launches that run now do so one after another."""
+        yield
 
     @property
     def is_serial(self) -> bool:
@@ -118,7 +141,7 @@ class Execution:
             if own is not None:
                 own()
             return results
-        return run(tasks, self.num_threads, self.flag, is_long=is_long, own=own, tick=self.tick)
+        return run(tasks, self.num_threads, self.flag, is_long=is_long, own=own, tick=self.progress.tick)
 
 
 @dataclass(frozen=True)
@@ -129,28 +152,57 @@ class Slot:
 
 
 @dataclass(frozen=True)
-class _Group:
-    """The parts of a launch, with the conditions under which it is needed and may take long."""
+class _Launch:
+    """The parts of a launch, with how many of them are needed, and whether they may take long."""
 
     commands: list[wp.Launch]
-    is_needed: Callable[[], bool] | None
+    is_large: bool  # at least as many items as are worth a part
+    num_needed: Callable[[], int] | None
     is_long: Callable[[], bool] | None
 
 
 class Recording:
-    """Launches that are packed once and then repeated, in the order in which they were given."""
+    """Launches that are packed once and then repeated, in the order in which they were given.
+
+    They form sections, which are played one by one. Launches within :meth:`at_once` do not depend on each other.
+    """
 
     def __init__(self, execution: Execution, values: dict[str, Any]) -> None:
         """``values`` are the initial values of the slots."""
         self.execution = execution
-        self._values = dict(values)
-        self._groups: list[_Group] = []
+        self.values = dict(values)
+        self._sections: dict[str, list[list[_Launch]]] = {}
+        self._groups: list[list[_Launch]] = []  # of the section that is recorded
+        self._is_at_once = False
         self._uses: dict[str, list[tuple[wp.Launch, int]]] = {name: [] for name in values}
 
     @property
     def is_cuda(self) -> bool:
         """True on a CUDA device."""
         return self.execution.is_cuda
+
+    @property
+    def num_threads(self) -> int:
+        """Threads on the CPU."""
+        return self.execution.num_threads
+
+    def __contains__(self, section: str) -> bool:
+        return section in self._sections
+
+    @contextmanager
+    def section(self, name: str) -> Iterator[None]:
+        """Record launches as a section."""
+        self._groups = []
+        yield
+        self._sections[name] = self._groups
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Record launches that threads may run concurrently."""
+        self._groups.append([])
+        self._is_at_once = True
+        yield
+        self._is_at_once = False
 
     def launch(
         self,
@@ -161,26 +213,15 @@ class Recording:
         grain: int = 1024,
         parts_per_thread: int = 1,
         *,
-        is_needed: Callable[[], bool] | None = None,
+        num_needed: Callable[[], int] | None = None,
         is_long: Callable[[], bool] | None = None,
     ) -> None:
-        """Record a launch; the arguments are those of :meth:`Execution.launch`, and may include slots.
-
-        Args:
-            kernel: As in :meth:`Execution.launch`, like the following ones.
-            count: Number of items.
-            inputs: Kernel inputs.
-            outputs: Kernel outputs.
-            grain: Smallest part.
-            parts_per_thread: Parts for each thread.
-            is_needed: Called on the CPU outside a capture: whether there is anything to do.
-            is_long: Called likewise: whether the launch may take long.
-        """
+        """Record a launch; the arguments are those of :meth:`Execution.launch`, and may include slots."""
         if count == 0:
             return
         load(kernel, self.execution.device)
         arguments = [*inputs, *outputs]
-        packed = [self._values[a.name] if isinstance(a, Slot) else a for a in arguments]
+        packed = [self.values[a.name] if isinstance(a, Slot) else a for a in arguments]
         commands = []
         for begin, end in self.execution.ranges(count, grain, parts_per_thread):
             command = wp.launch(
@@ -190,27 +231,53 @@ class Recording:
             for index, argument in enumerate(arguments):
                 if isinstance(argument, Slot):
                     self._uses[argument.name].append((command, index + 1))
-        self._groups.append(_Group(commands, is_needed, is_long))
+        if not self._is_at_once:
+            self._groups.append([])
+        self._groups[-1].append(_Launch(commands, count >= grain > 1, num_needed, is_long))
 
     def bind(self, name: str, value: Any) -> None:
-        """Set a slot to an array or a number."""
-        if value is self._values[name]:
+        """Set a slot to an array, a struct or a number."""
+        before = self.values[name]
+        if value is before or (isinstance(value, float | int) and value == before):
             return
-        self._values[name] = None  # no value counts as bound while only some launches have the new one
+        self.values[name] = None  # no value counts as bound while only some launches have the new one
         for command, index in self._uses[name]:
             command.set_param_at_index(index, value)
-        self._values[name] = value
+        self.values[name] = value
 
-    def play(self) -> None:
-        """Launch all groups: on the CPU on threads, unless a graph is captured, which records only this thread."""
-        is_serial = self.execution.is_serial
-        for group in self._groups:
-            if is_serial:
-                for command in group.commands:
-                    command.launch()
-            elif group.is_needed is None or group.is_needed():
-                is_long = group.is_long is not None and group.is_long()
-                if is_long or len(group.commands) > 1:
-                    self.execution.run([command.launch for command in group.commands], is_long=is_long)
-                else:
-                    group.commands[0].launch()
+    def release(self, name: str) -> None:
+        """Forget the value of a slot, so that it is not kept alive; the slot is bound again before the next launch."""
+        self.values[name] = None
+
+    def play(self, section: str) -> None:
+        """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
+        if self.execution.is_serial:
+            for group in self._sections[section]:
+                for launch in group:
+                    for command in launch.commands:
+                        command.launch()
+        else:
+            for group in self._sections[section]:
+                self._play_on_threads(section, group)
+
+    def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
+        """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
+        commands: list[wp.Launch] = []
+        is_long = is_worth_threads = False
+        for each in group:
+            needed = each.commands if each.num_needed is None else each.commands[: each.num_needed()]
+            commands += needed
+            is_long = is_long or (each.is_long is not None and bool(needed) and each.is_long())
+            is_worth_threads = is_worth_threads or len(needed) > 1 or (each.is_large and bool(needed))
+        if not is_long and (len(commands) <= 1 or not is_worth_threads):
+            for command in commands:
+                command.launch()
+            return
+        progress = self.execution.progress
+        progress.begin(section, len(commands))
+
+        def run(command: wp.Launch) -> None:
+            command.launch()
+            progress.done += 1
+
+        self.execution.run([lambda c=c: run(c) for c in commands], is_long=is_long)  # type: ignore[misc]

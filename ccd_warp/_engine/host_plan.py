@@ -1,0 +1,404 @@
+"""The recorded stages of calls on the host, whose sizes and positions change from step to step."""
+
+import itertools
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.scene import moves_alone, possible_kinds
+from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.topology import WIDTH
+from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
+from ccd_warp._input.options import Options
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._status import PairKind
+from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.workspace import Workspace
+
+# What a call looks for: all contacts, the least toi alone, or candidate pairs.
+Goal = Literal["contacts", "bound", "candidates"]
+# The least capacity for pairs of a kind, and how much more than what was found the next one is.
+_LEAST_CAPACITY = 1 << 12
+_GROWTH = 1.25
+# Largest number of vertices whose positions are copied, which costs less than to record where they are.
+_MOST_COPIED = 1 << 12
+# Plans that a workspace keeps, enough for the different kinds of calls in a loop.
+_MOST_PLANS = 8
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pairs whose keys the search has just written.
+
+    Attributes:
+        found: Number of pairs by kind.
+        is_only: Whether these are all pairs of the search.
+    """
+
+    found: dict[PairKind, int]
+    is_only: bool
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Items of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
+
+    tree_pair: TreePair
+    level: int
+    items: range
+
+    @property
+    def num_queries(self) -> int:
+        """Number of query boxes."""
+        return len(self.items) * WIDTH**self.level
+
+    def split(self, count: int) -> "list[_Part]":
+        """The same items in at least ``count`` parts, as far as that is possible."""
+        if len(self.items) == 1 and self.level == 1:
+            first = WIDTH * self.items[0]
+            queries = range(first, min(first + WIDTH, self.tree_pair.query.primitives.count))
+            return _Part(self.tree_pair, 0, queries).split(count)
+        count = min(count, len(self.items))
+        bounds = (len(self.items) * k // count for k in range(count + 1))
+        return [_Part(self.tree_pair, self.level, self.items[i:j]) for i, j in itertools.pairwise(bounds)]
+
+
+class HostPlan:
+    """What a workspace keeps for calls with one goal, of the same pair kinds, precision and number of threads.
+
+    Attributes:
+        execution: Where its stages run.
+        tree_pairs: The tree pairs that are searched.
+        num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
+        num_candidates: Pairs of each kind whose boxes overlap, in the last search.
+        num_batches: Number of batches of this step.
+    """
+
+    @staticmethod
+    def of(workspace: "Workspace", options: Options, goal: Goal) -> "HostPlan":
+        """The plan of a workspace for such calls."""
+        key = (goal, options.kinds, options.real, options.threads)
+        if key not in workspace.plans:
+            if len(workspace.plans) >= _MOST_PLANS:
+                workspace.plans.clear()
+            workspace.plans[key] = HostPlan(workspace, options, goal)
+        return workspace.plans[key]
+
+    def __init__(self, workspace: "Workspace", options: Options, goal: Goal) -> None:
+        self._workspace = workspace
+        self._buffers = workspace.buffers
+        self._boxes = workspace.boxes
+        topology = self._topology = workspace.topology
+        mesh = topology.mesh
+        self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
+        self.tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), self._boxes.trees)
+        self.trees = trees_of(self.tree_pairs)
+        self._num_aabbs = 1 if goal == "candidates" else 2
+        self._kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
+        self._capacities = dict.fromkeys(self._kinds, 0)
+        self._keys_base: wp.array | None = None  # the array that is divided among the kinds
+        self._search_values: tuple[float, ...] | None = None
+        self._keeps_toi = goal == "bound"
+        self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
+        self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
+        self._least_bits: wp.array = wp.zeros(1, dtype=wp.int64, device=topology.device)
+        self.begin_counts()
+
+        names = ["vertices_t0", "vertices_t1", "vertex_aabbs", "quantization", "t_end", "inflation"]
+        names += ["search options", "options", "contacts"]
+        trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
+        keys = {kind: Slot(f"{kind.name} keys") for kind in self._kinds}
+        open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._kinds}
+        slots = [*trees.values(), *keys.values(), *open_toi.values()]
+        self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
+        self._stages = Stages(
+            topology,
+            self.tree_pairs,
+            self._num_aabbs,
+            options.real,
+            self._counts,
+            **{name.replace(" ", "_"): Slot(name) for name in names},
+            trees=trees,
+            keys=keys,
+            minima=workspace.contacts.minima if goal == "contacts" else Minima(),
+            least_bits=self._least_bits,
+            open_toi=open_toi,
+        )
+
+    def begin_counts(self) -> None:
+        """Forget the counts of the last step."""
+        self.num_searches = dict.fromkeys(PairKind, 0)
+        self.num_batches = 0
+        self.begin_candidates()
+
+    def begin_candidates(self) -> None:
+        """Count the candidates of the next search."""
+        self.num_candidates = dict.fromkeys(PairKind, 0)
+
+    def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
+        """Run a section of the recording; ``record`` records it at its first use."""
+        if section not in self._recording:
+            with self._recording.section(section):
+                record(self._stages, self._recording)
+        self._recording.play(section)
+
+    def set_positions(self, host: tuple[NDArray[np.float64], NDArray[np.float64]]) -> tuple[wp.array, wp.array]:
+        """Use the positions of a step, and return them on the device."""
+        device = self._topology.device
+        arrays: list[wp.array] = []
+        for name, values in zip(("vertices_t0", "vertices_t1"), host, strict=True):
+            if device.is_cuda or len(values) <= _MOST_COPIED:
+                arrays.append(self._workspace.positions(name, values))
+            else:
+                arrays.append(wp.array(values, dtype=wp.vec3d, device=device, copy=False))
+            self._recording.bind(name, arrays[-1])
+        return arrays[0], arrays[1]
+
+    def release_positions(self) -> None:
+        """Do not keep the caller's arrays alive."""
+        for name in ("vertices_t0", "vertices_t1"):
+            self._recording.release(name)
+
+    def set_contacts(self, contacts: Any) -> None:
+        """Append contacts to this list."""
+        self._recording.bind("contacts", contacts)
+
+    def set_options(self, options: Any) -> None:
+        """Use these options in the narrow phase."""
+        self._recording.bind("options", options)
+
+    def fill_boxes(
+        self, host: tuple[NDArray[np.float64], NDArray[np.float64]], t_end: float, inflation: float, active: wp.array
+    ) -> None:
+        """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
+        boxes, recording = self._boxes, self._recording
+        boxes.begin(host, inflation, self._num_aabbs, self.trees, self.execution)
+        recording.bind("quantization", boxes.quantization)
+        recording.bind("vertex_aabbs", boxes.vertex_aabbs)
+        recording.bind("inflation", inflation)
+        self._active = active
+        self._bind_trees()
+        self._fill_vertex_aabbs(t_end)
+        moving = [tree for tree in self.trees if not tree.primitives.is_static]
+        if not self.execution.is_cuda:
+            self._fill_trees()
+        for tree in moving:
+            boxes.keep_in_order(tree, self.execution)
+        self._bind_trees()
+
+    def shorten_boxes(self, t_end: float) -> None:
+        """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
+        self._fill_vertex_aabbs(t_end)
+        self._fill_trees()
+
+    def _fill_vertex_aabbs(self, t_end: float) -> None:
+        self._recording.bind("t_end", t_end)
+        moving = self._topology.moving_vertices
+        self.play("vertex AABBs", lambda stages, recording: stages.fill_vertex_aabbs(recording, moving, self._active))
+
+    def _fill_trees(self) -> None:
+        moving = [tree for tree in self.trees if not tree.primitives.is_static]
+        self.play("boxes", lambda stages, recording: stages.fill_trees(recording, moving))
+
+    def _bind_trees(self) -> None:
+        for tree in self.trees:
+            self._recording.bind(tree.primitives.name, tree.arrays)
+
+    def may_meet(self, tree_pair: TreePair) -> bool:
+        """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""
+        query, target = tree_pair.query, tree_pair.target
+        return not target.primitives.is_static or self._boxes.may_meet(query, target)
+
+    def set_search(self, t_end: float, inflation: float, separation: float) -> Any:
+        """Search for pairs that touch before ``t_end``; returns the options of the search."""
+        values = (t_end, inflation, separation)
+        if values != self._search_values:
+            self._recording.bind("search options", search_options(*values, self._workspace.flag))
+            self._search_values = values
+        return self._recording.values["search options"]
+
+    def batches(self, stride: int, largest: int) -> Iterator[Batch]:
+        """Search every ``stride``-th block of queries, and yield the pairs that the cull leaves in batches.
+
+        The first search tells how many pairs there are. If they are more than the capacity, which grows up to
+        ``largest`` pairs, it is repeated; if they are more than these, in parts.
+        """
+        if not self.tree_pairs:
+            return
+        self._reserve(stride, largest)
+        while True:
+            self._clear_counts()
+            self.play(f"pairs {stride}", lambda stages, recording: self._record_search(stages, recording, stride))
+            found = self._num_found()
+            if all(found[kind] <= self._capacities[kind] for kind in self._kinds):
+                yield self._batch(found, is_only=True)
+                return
+            if sum(found.values()) > largest:
+                break
+            grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in found.items()}
+            self._set_capacities(grown if sum(grown.values()) <= largest else found)
+        yield from self._batches_of_parts(stride, largest, found)
+
+    def _record_search(self, stages: Stages, recording: Recording, stride: int) -> None:
+        with recording.at_once():
+            for tree_pair in self.tree_pairs:
+                items = range(0, self._num_items(tree_pair), stride)
+                stages.search(recording, tree_pair, items, is_needed=lambda t=tree_pair: self._is_needed(t))  # type: ignore[misc]
+
+    def _is_needed(self, tree_pair: TreePair) -> bool:
+        is_needed = self.may_meet(tree_pair)
+        self.num_searches[tree_pair.kind] += is_needed
+        return is_needed
+
+    def _num_items(self, tree_pair: TreePair) -> int:
+        return tree_pair.query.primitives.count if self.execution.is_cuda else tree_pair.query.levels[0]
+
+    def _batches_of_parts(self, stride: int, largest: int, found: dict[PairKind, int]) -> Iterator[Batch]:
+        """Batches of at most ``largest`` pairs, given how many there are of each kind."""
+        level = 0 if self.execution.is_cuda else 1
+        pending: deque[_Part] = deque()
+        for tree_pair in filter(self.may_meet, self.tree_pairs):
+            items = range(0, self._num_items(tree_pair), stride)
+            pending += _Part(tree_pair, level, items).split(_pieces(found[tree_pair.kind], largest))
+        total = sum(part.num_queries for part in pending)
+        self._share_capacity(largest)
+        stages = self._stages.with_values(self._recording.values)
+        while pending:
+            part = pending.popleft()
+            self.execution.progress.begin(
+                "pairs", total, total - part.num_queries - sum(p.num_queries for p in pending)
+            )
+            self._clear_counts()
+            stages.search(self.execution, part.tree_pair, part.items, level=part.level)
+            self.num_searches[part.tree_pair.kind] += 1
+            found = self._num_found()
+            count = found[part.tree_pair.kind]
+            if count > largest:
+                pending.extendleft(reversed(part.split(_pieces(count, largest))))
+                continue
+            batch = self._batch(found, is_only=False)
+            if count > 0:
+                yield batch
+
+    def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
+        """A batch, after it is counted."""
+        self.num_batches += 1
+        for kind in self._kinds:
+            self.num_candidates[kind] += int(self.counts()[kind, CANDIDATES])
+        return Batch(found, is_only)
+
+    def counts(self) -> NDArray[np.int64]:
+        """The counts of the pairs of each kind; on CUDA this waits for the device."""
+        return self._counts.numpy() if self._counts_view is None else self._counts_view
+
+    def _num_found(self) -> dict[PairKind, int]:
+        counts = self.counts()
+        return {kind: int(counts[kind, FOUND]) for kind in self._kinds}
+
+    def num_open(self) -> dict[PairKind, int]:
+        """Number of pairs that the first round of the narrow phase has left open, by kind."""
+        counts = self.counts()
+        return {kind: int(counts[kind, OPEN]) for kind in self._kinds if counts[kind, OPEN]}
+
+    def _clear_counts(self) -> None:
+        if self._counts_view is None:
+            self._counts.zero_()
+        else:
+            self._counts_view[:] = 0
+
+    def _reserve(self, stride: int, largest: int) -> None:
+        """Have capacity for the pairs of the last step, at first for one pair of each query."""
+        wanted = self._capacities
+        if not all(wanted.values()):
+            wanted = dict.fromkeys(self._kinds, 0)
+            for tree_pair in self.tree_pairs:
+                wanted[tree_pair.kind] += tree_pair.query.primitives.count // stride
+            wanted = {kind: max(count, _LEAST_CAPACITY) for kind, count in wanted.items()}
+        total = sum(wanted.values())
+        if total > largest:
+            wanted = {kind: max(count * largest // total, 1) for kind, count in wanted.items()}
+        if wanted != self._capacities or self._buffers.get("keys", 0, wp.int64) is not self._keys_base:
+            self._set_capacities(wanted)
+
+    def _set_capacities(self, capacities: dict[PairKind, int]) -> None:
+        """Divide the memory for pairs among the kinds."""
+        total = sum(capacities.values())
+        keys = self._buffers.get("keys", total, wp.int64)
+        toi = self._buffers.get("keys toi", total, wp.float64) if self._keeps_toi else None
+        begin = 0
+        for kind, capacity in capacities.items():
+            self._set_keys(kind, keys[begin : begin + capacity], None if toi is None else toi[begin : begin + capacity])
+            begin += capacity
+        self._capacities, self._keys_base = capacities, keys
+
+    def _share_capacity(self, largest: int) -> None:
+        """Let every kind use all the memory, one at a time."""
+        keys = self._buffers.get("keys", largest, wp.int64)
+        toi = self._buffers.get("keys toi", largest, wp.float64) if self._keeps_toi else None
+        for kind in self._kinds:
+            self._set_keys(kind, keys, toi)
+        self._keys_base = None
+
+    def _set_keys(self, kind: PairKind, keys: wp.array, toi: wp.array | None) -> None:
+        self._recording.bind(f"{kind.name} keys", keys)
+        if toi is not None:
+            self._recording.bind(f"{kind.name} open toi", toi)
+
+    def solve(self, *, is_second: bool) -> None:
+        """A round of the narrow phase on the pairs of a batch, with all contacts."""
+        section = "narrow phase, second round" if is_second else "narrow phase"
+        self.play(section, lambda stages, recording: stages.solve(recording, is_second=is_second))
+
+    def bound(self, *, is_second: bool) -> None:
+        """A round of the narrow phase on the pairs of a batch, for the least toi alone."""
+        section = "narrow phase, second round" if is_second else "narrow phase"
+        self.play(section, lambda stages, recording: stages.bound(recording, is_second=is_second))
+
+    def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
+        """The marked keys of the open pairs among the first ``count`` of a batch."""
+        keys = self._recording.values[f"{kind.name} keys"][:count].numpy()
+        return keys[keys < 0]
+
+    def open_toi(self, kind: PairKind, count: int) -> NDArray[np.float64]:
+        """The toi of the same pairs so far."""
+        keys, toi = (self._recording.values[f"{kind.name} {name}"][:count].numpy() for name in ("keys", "open toi"))
+        return toi[keys < 0]
+
+    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
+        """Make these marked keys the pairs of the second round."""
+        pairs = self._buffers.get("open keys", len(keys), wp.int64)
+        pairs[: len(keys)].assign(keys)
+        self._set_keys(kind, pairs, None)
+        self._keys_base = None
+        counts = np.zeros(self._counts.shape, dtype=np.int64)
+        counts[kind, [FOUND, OPEN]] = len(keys)
+        self._counts.assign(counts)
+
+    def reset_minima(self, num_contacts: wp.array) -> None:
+        """Set every toi to infinity."""
+
+        def record(stages: Stages, recording: Recording) -> None:
+            stages.reset(recording, num_contacts, self._workspace.flag.array)
+            stages.reset_vertices(recording)
+
+        self.play("reset", record)
+
+    def set_least(self, toi: float) -> None:
+        """Set the least toi so far."""
+        self._least_bits.assign(np.array([toi]).view(np.int64))
+
+    def least(self) -> float:
+        """The least toi so far."""
+        return float(self._least_bits.numpy().view(np.float64)[0])
+
+
+def _pieces(count: int, largest: int) -> int:
+    """Number of parts in which so many pairs are likely to fit one by one, at least two."""
+    return max(2, -(-3 * count // (2 * largest)))

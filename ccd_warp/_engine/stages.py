@@ -1,0 +1,235 @@
+"""The stages of a step, each written once: a driver gives them an `Execution`, or a `Recording` to record them in."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import warp as wp
+
+from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
+from ccd_warp._engine.trees import LONG_SEARCH, Tree, TreePair, fill_trees, search_range
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import box_tree, device_step
+from ccd_warp.kernels.minima import FOUND, OPEN
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
+from ccd_warp.kernels.pair_search import CULL, make_pair_search
+
+Launcher = Execution | Recording
+# Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
+_PARTS_PER_THREAD = 8
+_SMALLEST_SEARCH = 64
+# Largest number of CUDA threads that share the pairs of a kind.
+_MOST_SOLVERS = 1 << 17
+# On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
+# in the cache, and more than which are worth waking a thread.
+_SOLVERS_PER_THREAD = 8
+_CHUNK = 128
+_ALL_PARTS = 1 << 30
+# Pairs from which on a solver may take long: some 0.4 s if all reach the limit of the first round.
+_LONG_PART = 1 << 11
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The launches of a step. Everything from ``vertices_t0`` on may be a slot of a recording.
+
+    Attributes:
+        topology: The mesh on its device.
+        tree_pairs: The tree pairs to search.
+        num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
+        real: Warp scalar type of the narrow phase.
+        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.minima``.
+        vertices_t0: Start positions, wp.vec3d, shape [V].
+        vertices_t1: End positions.
+        vertex_aabbs: AABBs of the vertices.
+        trees: The boxes of each tree, by name of its set.
+        keys: Keys of the pairs that the search finds, by kind.
+        quantization: The map to quantized coordinates.
+        t_end: End of the vertex AABBs, a fraction of the step.
+        inflation: Enlargement of the boxes, a length.
+        search_options: What the search is asked for.
+        options: What the narrow phase is asked for.
+        minima: The earliest toi of every part.
+        contacts: The list of contacts.
+        least_bits: The least toi as bits, where no contacts are kept, shape [1].
+        open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
+    """
+
+    topology: Topology
+    tree_pairs: list[TreePair]
+    num_aabbs: int
+    real: Any
+    counts: wp.array
+    vertices_t0: Any
+    vertices_t1: Any
+    vertex_aabbs: Any
+    trees: dict[str, Any]
+    keys: dict[PairKind, Any]
+    quantization: Any
+    t_end: Any
+    inflation: Any
+    search_options: Any
+    options: Any
+    minima: Any
+    contacts: Any
+    least_bits: Any = None
+    open_toi: dict[PairKind, Any] | None = None
+
+    @property
+    def kinds(self) -> list[PairKind]:
+        """The kinds of pairs that are searched."""
+        return list(self.keys)
+
+    def with_values(self, values: dict[str, Any]) -> "Stages":
+        """The same stages with values in place of slots, for an `Execution`."""
+
+        def value(of: Any) -> Any:
+            if isinstance(of, dict):
+                return {name: value(each) for name, each in of.items()}
+            return values[of.name] if isinstance(of, Slot) else of
+
+        return replace(self, **{field.name: value(getattr(self, field.name)) for field in fields(self)})
+
+    def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
+        """Compute the AABBs of the given vertices, empty ones for those of bodies that are not active."""
+        launcher.launch(
+            box_tree.fill_vertex_aabbs,
+            len(vertices),
+            inputs=[
+                vertices,
+                *self.topology.of_vertices(active),
+                self.vertices_t0,
+                self.vertices_t1,
+                self.t_end,
+                self.inflation,
+                self.quantization,
+                self.num_aabbs,
+            ],
+            outputs=[self.vertex_aabbs],
+        )
+
+    def fill_trees(self, launcher: Launcher, trees: Iterable[Tree]) -> None:
+        """Compute the boxes of trees from the AABBs of the vertices."""
+        fill_trees(trees, self.vertex_aabbs, launcher, lambda tree: self.trees[tree.primitives.name])
+
+    def reset(self, launcher: Launcher, num_contacts: wp.array, stop: wp.array, kept_flags: int = 0) -> None:
+        """Set every toi but those of the vertices to infinity, and all counts to 0; see also ``reset_vertices``."""
+        mesh = self.topology.mesh
+        launcher.launch(
+            device_step.reset,
+            max(mesh.num_bodies, mesh.num_worlds),
+            inputs=[kept_flags],
+            outputs=[self.minima, self.counts, num_contacts, stop],
+        )
+
+    def reset_vertices(self, launcher: Launcher) -> None:
+        """Set the toi of every vertex to infinity, or to 0 in a world with a coordinate that is not finite."""
+        mesh = self.topology.mesh
+        launcher.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[self.minima])
+
+    def search(
+        self,
+        launcher: Launcher,
+        tree_pair: TreePair,
+        items: range | None = None,
+        *,
+        level: int | None = None,
+        marks_overflow: bool = False,
+        is_needed: Callable[[], bool] | None = None,
+    ) -> None:
+        """Search a tree pair, and count all pairs that the cull leaves, whether or not there was capacity for them.
+
+        Args:
+            launcher: Where to launch, or to record.
+            tree_pair: The trees.
+            items: The items to search; all by default.
+            level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as on CUDA.
+            marks_overflow: Whether a pair for which there is no capacity gets toi 0.
+            is_needed: As for :meth:`Execution.launch`.
+        """
+        query, target = tree_pair.query, tree_pair.target
+        level = (0 if launcher.is_cuda else 1) if level is None else level
+        if items is None:
+            items = range(query.primitives.count if level == 0 else query.levels[0])
+        count = len(items)
+        num_tests = count * WIDTH**level * target.primitives.count
+        num_parts = max(1, count // _SMALLEST_SEARCH)
+        is_long = num_tests > LONG_SEARCH * num_parts
+        launcher.launch(
+            make_pair_search(CULL).search_pairs,
+            count,
+            inputs=[
+                search_range(level, int(tree_pair.kind), 0, items.start, items.step, marks_overflow=marks_overflow),
+                self.trees[query.primitives.name],
+                self.trees[target.primitives.name],
+                tree_pair.packed,
+                self.search_options,
+                self.topology.collision_filter,
+                self.vertices_t0,
+                self.vertices_t1,
+            ],
+            outputs=[self.counts, self.keys[tree_pair.kind], self.minima],
+            grain=_SMALLEST_SEARCH,
+            parts_per_thread=_PARTS_PER_THREAD,
+            num_needed=None if is_needed is None else lambda: _ALL_PARTS * is_needed(),
+            is_long=lambda: is_long,
+        )
+
+    def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
+        """A round of the narrow phase: lower the minima, and list the contacts.
+
+        Args:
+            launcher: Where to launch, or to record.
+            is_second: Whether it is the second round, of the pairs that the first has left open.
+            only_moving: Whether stationary pairs are ignored.
+            gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
+        """
+        kernel = make_narrow_phase(self.real).solve_pairs
+        inputs = [int(only_moving), float(gaps_moved)]
+        self._narrow_phase(launcher, kernel, is_second, inputs, lambda kind: [self.minima, self.contacts])
+
+    def bound(self, launcher: Launcher, *, is_second: bool) -> None:
+        """A round of the narrow phase that lowers the least toi alone."""
+        kernel = make_narrow_phase(self.real).pairs_bound
+        self._narrow_phase(launcher, kernel, is_second, [], lambda kind: [self.least_bits, self.open_toi[kind]])  # type: ignore[index]
+
+    def _narrow_phase(
+        self,
+        launcher: Launcher,
+        kernel: Any,
+        is_second: bool,
+        inputs: list[Any],
+        outputs_of: Callable[[PairKind], list[Any]],
+    ) -> None:
+        """Launch a kernel for the pairs of each kind that the search has found; only the device knows their number."""
+        is_strided = launcher.is_cuda or is_second  # the open pairs may be neighbours, so solvers take turns
+        chunk = 1 if is_strided else _CHUNK
+        solvers = _MOST_SOLVERS if launcher.is_cuda else _SOLVERS_PER_THREAD * launcher.num_threads
+        counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
+        with launcher.at_once():
+            for kind in self.kinds:
+                found = None if counts is None else counts[kind]
+                corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
+                launcher.launch(
+                    kernel,
+                    solvers,
+                    inputs=[
+                        solvers,
+                        chunk,
+                        int(kind),
+                        self.counts,
+                        self.keys[kind],
+                        *corners,
+                        self.vertices_t0,
+                        self.vertices_t1,
+                        self.options,
+                        int(is_second),
+                        *inputs,
+                    ],
+                    outputs=outputs_of(kind),
+                    grain=1,
+                    parts_per_thread=_SOLVERS_PER_THREAD,
+                    num_needed=lambda f=found: 0 if is_second and not f[OPEN] else -(-int(f[FOUND]) // chunk),  # type: ignore[misc]
+                    is_long=lambda f=found: bool(f[OPEN] or f[FOUND] > _LONG_PART * solvers),  # type: ignore[misc]
+                )

@@ -1,0 +1,202 @@
+"""Trees of boxes, and the pairs of trees whose primitives form pairs of a kind."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.topology import PRIMITIVES, WIDTH, PrimitiveSet, Topology
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import box_tree as kernels
+from ccd_warp.kernels import pair_search
+
+BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
+# A level of no more boxes than this is united in one launch with all levels above.
+_FEW_BOXES = 2048
+# Box tests from which on a part of a search may take long: some 0.3 s if all boxes overlap.
+LONG_SEARCH = 1 << 22
+
+
+class Tree:
+    """A set of primitives and the tree of their boxes.
+
+    Attributes:
+        primitives: The set.
+        levels: Number of blocks of each level; there are at least two levels.
+        arrays: The boxes and their order, a ``kernels.BoxTree``; None before the first step.
+    """
+
+    def __init__(self, primitives: PrimitiveSet) -> None:
+        self.primitives = primitives
+        self.levels = level_sizes(primitives.count)
+        self.arrays: Any = None
+
+    def lay_out(self, num_aabbs: int, order: tuple[wp.array, wp.array], allocate: Callable[[int], wp.array]) -> None:
+        """Give the tree an order, and arrays for boxes that it does not have yet.
+
+        Args:
+            num_aabbs: AABBs of a box.
+            order: Indices of the primitives, and vertices of their blocks.
+            allocate: Returns an array of the given length.
+        """
+        first = np.concatenate([[0], np.cumsum(self.levels)])
+        size = int(first[-1]) * BLOCK_FLOATS * num_aabbs
+        if size >= 2**31:
+            raise ValueError(f"the mesh has {self.primitives.count} boxes of one kind; expected at most 150 million")
+        arrays = kernels.BoxTree()
+        arrays.num_boxes = self.primitives.count
+        arrays.num_levels = len(self.levels)
+        arrays.num_aabbs = num_aabbs
+        arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
+        arrays.nodes = allocate(size)
+        arrays.primitive, arrays.corners = order
+        self.arrays = arrays
+
+    def level_boxes(self, level: int) -> NDArray[np.float32]:
+        """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
+        size = self.arrays.num_aabbs * BLOCK_FLOATS
+        first = sum(self.levels[:level])
+        floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
+        return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The box around the tree, in quantized coordinates; on the CPU."""
+        block = self.level_boxes(len(self.levels) - 1)[0]
+        return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)
+
+
+def fill_trees(
+    trees: Iterable[Tree],
+    vertex_aabbs: Any,
+    launcher: Execution | Recording,
+    arrays_of: Callable[[Tree], Any] = lambda tree: tree.arrays,
+) -> None:
+    """Compute the boxes of every level of trees from the vertex AABBs; a recording may take slots for both."""
+    next_level = dict.fromkeys(trees, 2)
+    with launcher.at_once():
+        for tree in next_level:
+            inputs = [vertex_aabbs, tree.primitives.num_corners]
+            launcher.launch(kernels.fill_blocks, tree.levels[0], inputs, [arrays_of(tree)], grain=2048)
+    while True:
+        large = [
+            tree
+            for tree, level in next_level.items()
+            if level < len(tree.levels) and (launcher.is_cuda or tree.levels[level - 1] > _FEW_BOXES)
+        ]
+        if not large:
+            break
+        with launcher.at_once():
+            for tree in large:
+                level = next_level[tree]
+                count = tree.levels[level - 1]
+                launcher.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[arrays_of(tree)])
+                next_level[tree] += 1
+    with launcher.at_once():
+        for tree, level in next_level.items():
+            if level < len(tree.levels):
+                inputs = [level, tree.levels[level - 1]]
+                launcher.launch(kernels.unite_levels, 1, inputs, [arrays_of(tree)], grain=2)
+
+
+@dataclass(frozen=True)
+class TreePair:
+    """Two trees whose boxes may overlap; the same tree twice for pairs within a set."""
+
+    kind: PairKind
+    query: Tree
+    target: Tree
+    swapped: bool = False
+
+    @property
+    def within(self) -> bool:
+        """Whether the pairs are those of one set."""
+        return self.query is self.target
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether both primitives are of one kind, and the lower index comes first."""
+        return len(set(PRIMITIVES[self.kind])) == 1
+
+    @lazy_property
+    def packed(self) -> Any:
+        """The struct of the pair_search."""
+        packed = pair_search.TreePair()
+        packed.kind = int(self.kind)
+        packed.within = int(self.within)
+        packed.symmetric = int(self.is_symmetric)
+        packed.swapped = int(self.swapped)
+        packed.num_query_corners = self.query.primitives.num_corners
+        packed.num_target_corners = self.target.primitives.num_corners
+        return packed
+
+
+def search_options(t_end: float, inflation: float, separation: float, flag: StopFlag) -> Any:
+    """What a step asks of the search, as the struct of the pair_search."""
+    packed = pair_search.SearchOptions()
+    packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
+    packed.stop = flag.array
+    return packed
+
+
+def search_range(
+    level: int,
+    row: int,
+    capacity: int = 0,
+    first: int = 0,
+    stride: int = 1,
+    first_key: int = 0,
+    marks_overflow: bool = False,
+) -> Any:
+    """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
+    packed = pair_search.SearchRange()
+    packed.first, packed.stride, packed.level = first, stride, level
+    packed.row, packed.first_key, packed.capacity = row, first_key, capacity
+    packed.marks_overflow = int(marks_overflow)
+    return packed
+
+
+def tree_pairs_of(
+    topology: Topology, kinds: tuple[PairKind, ...], skip_moving: bool, trees: dict[str, Tree]
+) -> list[TreePair]:
+    """The tree pairs to search: never two static trees, and two moving ones unless ``skip_moving`` is set.
+
+    Trees that are not in ``trees`` yet, by name of their sets, are added to it.
+    """
+
+    def tree(kind: str, is_static: bool) -> Tree:
+        primitives = topology.primitives(kind, is_static)
+        if primitives.name not in trees:
+            trees[primitives.name] = Tree(primitives)
+        return trees[primitives.name]
+
+    tree_pairs = []
+    for kind in kinds:
+        first, second = PRIMITIVES[kind]
+        for a_static, b_static in ((False, False), (False, True), (True, False)):
+            is_mirrored = a_static and first == second
+            if is_mirrored or (skip_moving and not a_static and not b_static):
+                continue
+            if topology.primitives(first, a_static).count and topology.primitives(second, b_static).count:
+                a, b = tree(first, a_static), tree(second, b_static)
+                # the moving primitives are the queries, so that the tree of the static ones is only traversed
+                tree_pairs.append(TreePair(kind, b, a, swapped=True) if a_static else TreePair(kind, a, b))
+    return tree_pairs
+
+
+def trees_of(tree_pairs: list[TreePair]) -> list[Tree]:
+    """The trees of the pairs, each once."""
+    return list(dict.fromkeys(tree for pair in tree_pairs for tree in (pair.query, pair.target)))
