@@ -14,13 +14,13 @@ from ccd_warp._engine.scene import moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import WIDTH
 from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
-from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
+    from ccd_warp._input.options import Options
 
 # What a call looks for: all contacts, the least toi alone, or candidate pairs.
 Goal = Literal["contacts", "bound", "candidates"]
@@ -82,7 +82,7 @@ class HostPlan:
     """
 
     @staticmethod
-    def of(workspace: "Workspace", options: Options, goal: Goal) -> "HostPlan":
+    def of(workspace: "Workspace", options: "Options", goal: Goal) -> "HostPlan":
         """The plan of a workspace for such calls."""
         key = (goal, options.kinds, options.real, options.threads)
         if key not in workspace.plans:
@@ -91,7 +91,7 @@ class HostPlan:
             workspace.plans[key] = HostPlan(workspace, options, goal)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: Options, goal: Goal) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal) -> None:
         self._workspace = workspace
         self._buffers = workspace.buffers
         self._boxes = workspace.boxes

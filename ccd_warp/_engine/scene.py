@@ -2,13 +2,16 @@
 
 import math
 import sys
+from typing import TYPE_CHECKING
 
-from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 
+if TYPE_CHECKING:
+    from ccd_warp._input.options import Options
+    from ccd_warp._mesh import CollisionMesh
 
-def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...]:
+
+def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind, ...]:
     """Kinds of pairs that the primitives of a mesh can form and the options select."""
     possible = {
         PairKind.VERTEX_FACE: mesh.num_faces > 0,
@@ -19,7 +22,7 @@ def possible_kinds(mesh: CollisionMesh, options: Options) -> tuple[PairKind, ...
     return tuple(kind for kind in options.kinds if possible[kind])
 
 
-def moves_alone(mesh: CollisionMesh) -> bool:
+def moves_alone(mesh: "CollisionMesh") -> bool:
     """Whether exactly one body moves, and it does not collide with itself."""
     moving = mesh.self_collision[~mesh.static]
     return len(moving) == 1 and not moving.any()
