@@ -2,7 +2,7 @@
 
 from enum import IntEnum, IntFlag
 
-from ccd_warp.kernels import answer, minima, patch
+from ccd_warp.kernels import minima, patch, status
 
 
 class PairKind(IntEnum):
@@ -17,22 +17,22 @@ class PairKind(IntEnum):
 class CCDStatus(IntEnum):
     """How the result of a pair was obtained. Every toi is conservative, whatever the status."""
 
-    NO_COLLISION = int(answer.STATUS_NO_COLLISION)
+    NO_COLLISION = int(status.STATUS_NO_COLLISION)
     """Certainly no contact in [0, t_max]; toi is inf."""
 
-    COLLISION = int(answer.STATUS_COLLISION)
+    COLLISION = int(status.STATUS_COLLISION)
     """The gap at toi is within the tolerance."""
 
-    INITIAL_CONTACT = int(answer.STATUS_INITIAL_CONTACT)
+    INITIAL_CONTACT = int(status.STATUS_INITIAL_CONTACT)
     """The gap is within the tolerance at the start and does not open at once; toi is 0."""
 
-    ITERATION_LIMIT = int(answer.STATUS_ITERATION_LIMIT)
+    ITERATION_LIMIT = int(status.STATUS_ITERATION_LIMIT)
     """``max_iterations``, or the pair's share of ``max_work``, was reached; toi is the earliest time still open."""
 
-    RESOLUTION_LIMIT = int(answer.STATUS_RESOLUTION_LIMIT)
+    RESOLUTION_LIMIT = int(status.STATUS_RESOLUTION_LIMIT)
     """The patch cannot be subdivided further in this precision; toi is the earliest time still open."""
 
-    INVALID = int(answer.STATUS_INVALID)
+    INVALID = int(status.STATUS_INVALID)
     """A coordinate is not finite (Warp arrays only; NumPy input raises a ValueError); toi is 0."""
 
 

@@ -10,14 +10,6 @@ from .patch import POINT_SEGMENT, VERTEX_FACE
 # Largest number of patches or boxes on the stack at the same time.
 STACK_DEPTH = 64
 
-# Status of a pair; ccd_warp.CCDStatus mirrors these.
-STATUS_NO_COLLISION = wp.constant(0)
-STATUS_COLLISION = wp.constant(1)
-STATUS_INITIAL_CONTACT = wp.constant(2)
-STATUS_ITERATION_LIMIT = wp.constant(3)
-STATUS_RESOLUTION_LIMIT = wp.constant(4)
-STATUS_INVALID = wp.constant(5)
-
 
 @once
 def make_answer(real) -> SimpleNamespace:

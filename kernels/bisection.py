@@ -16,19 +16,18 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .answer import (
-    STACK_DEPTH,
-    STATUS_COLLISION,
-    STATUS_ITERATION_LIMIT,
-    STATUS_NO_COLLISION,
-    STATUS_RESOLUTION_LIMIT,
-    make_answer,
-)
+from .answer import STACK_DEPTH, make_answer
 from .facets import make_facets
 from .interrupts import is_stopped
 from .once import once
 from .patch import make_patch
 from .rounding import MAX_SPLITS, MOVING
+from .status import (
+    STATUS_COLLISION,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+    STATUS_RESOLUTION_LIMIT,
+)
 
 
 @once

@@ -9,14 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, FREE, LIMIT, SLOW, make_advance
-from .answer import (
-    STATUS_COLLISION,
-    STATUS_INITIAL_CONTACT,
-    STATUS_INVALID,
-    STATUS_ITERATION_LIMIT,
-    STATUS_NO_COLLISION,
-    make_answer,
-)
+from .answer import make_answer
 from .atomics import atomic_min_int64, claim, claim_int
 from .bisection import make_bisection
 from .closest_point import make_closest_point
@@ -49,6 +42,13 @@ from .rounding import (
     TINY,
     UNIT_ROUNDOFF,
     inverse_power_of_two,
+)
+from .status import (
+    STATUS_COLLISION,
+    STATUS_INITIAL_CONTACT,
+    STATUS_INVALID,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
 )
 from .subdivide import make_subdivide
 from .volume import make_volume

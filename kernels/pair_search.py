@@ -27,46 +27,12 @@ from .once import once
 from .pair_lanes import append_keys, separated_mask
 from .patch import EDGE_EDGE, VERTEX_FACE
 from .points import corners, pair_key, points_of
+from .search_types import SearchOptions, SearchRange, TreePair
 
 vec8u = wp.types.vector(length=8, dtype=wp.uint32)
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
-
-
-@wp.struct
-class TreePair:
-    """The pair kind of a search between a query tree and a target tree."""
-
-    kind: int
-    within: int  # 1: query and target are the same set
-    symmetric: int  # 1: both primitives are of one kind, and the lower index comes first
-    swapped: int  # 1: the query is the second primitive of a pair
-    num_query_corners: int
-    num_target_corners: int
-
-
-@wp.struct
-class SearchOptions:
-    """What a step asks of the search."""
-
-    t_end: wp.float64
-    inflation: wp.float64  # of each box on every side
-    separation: wp.float64  # minimum separation, a length
-    stop: wp.array[wp.int32]  # set when the host wants the search to end
-
-
-@wp.struct
-class SearchRange:
-    """The items that a launch searches, and where it counts and writes the pairs."""
-
-    first: int  # item
-    stride: int
-    level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
-    row: int  # of the counts
-    first_key: int  # of a search without the cull, which writes to a part of the keys
-    capacity: int  # of that part, in keys
-    marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
 
 
 @wp.func

@@ -5,18 +5,17 @@ from types import SimpleNamespace
 import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
-from .answer import (
-    STACK_DEPTH,
-    STATUS_COLLISION,
-    STATUS_ITERATION_LIMIT,
-    STATUS_NO_COLLISION,
-    STATUS_RESOLUTION_LIMIT,
-    make_answer,
-)
+from .answer import STACK_DEPTH, make_answer
 from .interrupts import is_stopped
 from .once import once
 from .patch import make_patch
 from .rounding import MAX_SPLITS
+from .status import (
+    STATUS_COLLISION,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+    STATUS_RESOLUTION_LIMIT,
+)
 
 
 @once

@@ -31,6 +31,7 @@ _GROWTH = 1.25
 _MOST_COPIED = 1 << 12
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
+_POSITIONS = ("vertices_t0", "vertices_t1")
 
 
 @dataclass(frozen=True)
@@ -105,13 +106,14 @@ class HostPlan:
         self._capacities = dict.fromkeys(self._kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._search_values: tuple[float, ...] | None = None
+        self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
         self._least_bits: wp.array = wp.zeros(1, dtype=wp.int64, device=topology.device)
         self.begin_counts()
 
-        names = ["vertices_t0", "vertices_t1", "vertex_aabbs", "quantization", "t_end", "inflation"]
+        names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
         names += ["search options", "options", "contacts"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._kinds}
@@ -151,19 +153,18 @@ class HostPlan:
 
     def set_positions(self, host: tuple[NDArray[np.float64], NDArray[np.float64]]) -> tuple[wp.array, wp.array]:
         """Use the positions of a step, and return them on the device."""
-        device = self._topology.device
-        arrays: list[wp.array] = []
-        for name, values in zip(("vertices_t0", "vertices_t1"), host, strict=True):
-            if device.is_cuda or len(values) <= _MOST_COPIED:
+        arrays = []
+        for name, values in zip(_POSITIONS, host, strict=True):
+            if self._are_copied:
                 arrays.append(self._workspace.positions(name, values))
             else:
-                arrays.append(wp.array(values, dtype=wp.vec3d, device=device, copy=False))
+                arrays.append(wp.array(values, dtype=wp.vec3d, device=self._topology.device, copy=False))
             self._recording.bind(name, arrays[-1])
         return arrays[0], arrays[1]
 
     def release_positions(self) -> None:
         """Do not keep the caller's arrays alive."""
-        for name in ("vertices_t0", "vertices_t1"):
+        for name in () if self._are_copied else _POSITIONS:
             self._recording.release(name)
 
     def set_contacts(self, contacts: Any) -> None:

@@ -14,7 +14,7 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels import pair_search
+from ccd_warp.kernels import search_types
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
@@ -133,8 +133,8 @@ class TreePair:
 
     @lazy_property
     def packed(self) -> Any:
-        """The struct of the pair_search."""
-        packed = pair_search.TreePair()
+        """The struct of the search_types."""
+        packed = search_types.TreePair()
         packed.kind = int(self.kind)
         packed.within = int(self.within)
         packed.symmetric = int(self.is_symmetric)
@@ -145,8 +145,8 @@ class TreePair:
 
 
 def search_options(t_end: float, inflation: float, separation: float, flag: StopFlag) -> Any:
-    """What a step asks of the search, as the struct of the pair_search."""
-    packed = pair_search.SearchOptions()
+    """What a step asks of the search, as the struct of the search_types."""
+    packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
     packed.stop = flag.array
     return packed
@@ -162,7 +162,7 @@ def search_range(
     marks_overflow: bool = False,
 ) -> Any:
     """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
-    packed = pair_search.SearchRange()
+    packed = search_types.SearchRange()
     packed.first, packed.stride, packed.level = first, stride, level
     packed.row, packed.first_key, packed.capacity = row, first_key, capacity
     packed.marks_overflow = int(marks_overflow)

@@ -1,0 +1,38 @@
+"""What a search among two trees takes: the pair of trees, the step, and the part that a launch searches."""
+
+import warp as wp
+
+
+@wp.struct
+class TreePair:
+    """The pair kind of a search between a query tree and a target tree."""
+
+    kind: int
+    within: int  # 1: query and target are the same set
+    symmetric: int  # 1: both primitives are of one kind, and the lower index comes first
+    swapped: int  # 1: the query is the second primitive of a pair
+    num_query_corners: int
+    num_target_corners: int
+
+
+@wp.struct
+class SearchOptions:
+    """What a step asks of the search."""
+
+    t_end: wp.float64
+    inflation: wp.float64  # of each box on every side
+    separation: wp.float64  # minimum separation, a length
+    stop: wp.array[wp.int32]  # set when the host wants the search to end
+
+
+@wp.struct
+class SearchRange:
+    """The items that a launch searches, and where it counts and writes the pairs."""
+
+    first: int  # item
+    stride: int
+    level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
+    row: int  # of the counts
+    first_key: int  # of a search without the cull, which writes to a part of the keys
+    capacity: int  # of that part, in keys
+    marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
