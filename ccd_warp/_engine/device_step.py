@@ -21,6 +21,7 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step
 from ccd_warp.kernels.minima import NUM_COUNTS
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -167,7 +168,7 @@ class DeviceStep:
             topology,
             tree_pairs,
             _NUM_AABBS,
-            options.real,
+            make_narrow_phase(options.real),
             self._counts,
             vertices_t0=self._start,
             vertices_t1=self._end,

@@ -17,6 +17,7 @@ from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, tree
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
@@ -124,7 +125,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            options.real,
+            make_narrow_phase(options.real),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,

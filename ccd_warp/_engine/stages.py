@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -12,7 +13,6 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import CULL, make_pair_search
 
 Launcher = Execution | Recording
@@ -38,7 +38,7 @@ class Stages:
         topology: The mesh on its device.
         tree_pairs: The tree pairs to search.
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
-        real: Warp scalar type of the narrow phase.
+        narrow_phase: The kernels of ``make_narrow_phase`` for a precision.
         counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.minima``.
         vertices_t0: Start positions, wp.vec3d, shape [V].
         vertices_t1: End positions.
@@ -59,7 +59,7 @@ class Stages:
     topology: Topology
     tree_pairs: list[TreePair]
     num_aabbs: int
-    real: Any
+    narrow_phase: SimpleNamespace
     counts: wp.array
     vertices_t0: Any
     vertices_t1: Any
@@ -185,13 +185,13 @@ class Stages:
             only_moving: Whether stationary pairs are ignored.
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
-        kernel = make_narrow_phase(self.real).solve_pairs
+        kernel = self.narrow_phase.solve_pairs
         inputs = [int(only_moving), float(gaps_moved)]
         self._narrow_phase(launcher, kernel, is_second, inputs, lambda kind: [self.minima, self.contacts])
 
     def bound(self, launcher: Launcher, *, is_second: bool) -> None:
         """A round of the narrow phase that lowers the least toi alone."""
-        kernel = make_narrow_phase(self.real).pairs_bound
+        kernel = self.narrow_phase.pairs_bound
         self._narrow_phase(launcher, kernel, is_second, [], lambda kind: [self.least_bits, self.open_toi[kind]])  # type: ignore[index]
 
     def _narrow_phase(
