@@ -11,6 +11,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Sine below which two sides count as parallel, so that their cross product is not used as a direction.
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
+# In place of the index of a first contact: none.
+NO_CONTACT = wp.constant(2**31 - 1)
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 
@@ -145,6 +147,8 @@ def contact_keys(
 ):
     """Keys that order contacts by kind, then by pair: two bits, and 31 for each index."""
     n = begin + wp.tid()
+    if n >= contacts.count[0]:
+        return
     pair = contacts.primitives[n]
     kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
     keys[n] = (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
@@ -161,6 +165,8 @@ def order_contacts(
 ):
     """Copy the contacts in the given order."""
     n = begin + wp.tid()
+    if n >= contacts.count[0]:
+        return
     k = order[n]
     ordered.kind[n] = contacts.kind[k]
     ordered.primitives[n] = contacts.primitives[k]
@@ -170,6 +176,16 @@ def order_contacts(
     ordered.gap[n] = contacts.gap[k]
     ordered.width[n] = contacts.width[k]
     ordered.normal[n] = contacts.normal[k]
+
+
+@wp.kernel
+def reset_first(
+    begin: int,
+    # out
+    first: wp.array[wp.int32],
+):
+    """Let every vertex, or every body, have no contact yet."""
+    first[begin + wp.tid()] = NO_CONTACT
 
 
 @wp.func
@@ -205,6 +221,8 @@ def first_contacts(
 ):
     """The contact that each toi belongs to: the one of lowest index if several have this toi."""
     n = begin + wp.tid()
+    if n >= contacts.count[0]:
+        return
     kind = contacts.kind[n]
     pair = contacts.primitives[n]
     bits = wp.cast(contacts.toi[n], wp.int64)

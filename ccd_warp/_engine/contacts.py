@@ -1,7 +1,7 @@
 """Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import Topology
 from ccd_warp._results import Contacts
-from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels import contacts as kernels
 from ccd_warp.kernels.minima import Minima
 
@@ -31,10 +32,12 @@ _BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
 # twice the size, or an entry of the list and one of the result, with its key and its position in the order.
 BYTES_PER_CONTACT = _BYTES
 BYTES_KEPT = 3 * _BYTES + 16
-_LAST = np.iinfo(np.int32).max
+_LAST = int(kernels.NO_CONTACT)
 # Number of contacts from which on threads share the sorting.
 _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
+# Contacts that are few: their launches are recorded for so many, whatever their number.
+_FEW = 1 << 10
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
@@ -67,6 +70,49 @@ class Gathered:
     body_contact: NDArray[np.int32]
 
 
+class _Ordered:
+    """Arrays for sorted contacts, and for the first contact of every vertex and body.
+
+    Attributes:
+        arrays: The fields of the contacts.
+        views: The same arrays on the host; on the CPU alone.
+        keys: Keys by which the contacts are sorted; on CUDA the array has capacity for twice as many.
+        order: Positions of the contacts in the list, in ascending order of their keys.
+    """
+
+    def __init__(self, topology: Topology, count: wp.array, capacity: int) -> None:
+        """Make arrays for the contacts of a list, whose number is ``count``."""
+        device = topology.device
+        self._topology, self._capacity = topology, capacity
+        self.arrays = {name: wp.empty(capacity, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
+        self.views = {} if device.is_cuda else {name: array.numpy() for name, array in self.arrays.items()}
+        self._contacts = new_contact_list({"count": count, **self.arrays})
+        self.keys: wp.array = wp.empty(2 * capacity if device.is_cuda else capacity, dtype=wp.int64, device=device)
+        self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
+        sizes = (topology.mesh.num_vertices, topology.mesh.num_bodies)
+        self._first: list[wp.array] = [wp.empty(size, dtype=wp.int32, device=device) for size in sizes]
+
+    def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
+        """Compute the keys of the contacts of a list."""
+        launcher.launch(kernels.contact_keys, self._capacity, inputs=[found], outputs=[self.keys])
+
+    def fill(self, launcher: Execution | Recording, found: Any, minima: Any) -> None:
+        """Copy the contacts in order, and find the first of every vertex and body."""
+        for first in self._first:
+            launcher.launch(kernels.reset_first, len(first), inputs=[], outputs=[first])
+        inputs = [self.order, found]
+        launcher.launch(kernels.order_contacts, self._capacity, inputs=inputs, outputs=[self._contacts])
+        corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
+        inputs = [self._contacts, *corners, minima]
+        launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
+
+    def first_contacts(self, count: int) -> list[NDArray[np.int32]]:
+        """Index of the first of ``count`` contacts of every vertex and of every body, -1 where there is none."""
+        if count == 0:
+            return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
+        return [np.where(first == _LAST, np.int32(-1), first) for first in (array.numpy() for array in self._first)]
+
+
 class ContactStore:
     """Contacts of the batches of a step, and the minima over them; its arrays stay for the next step.
 
@@ -93,6 +139,7 @@ class ContactStore:
         self.count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
         self._list: Any = None
         self._capacity = 0
+        self._recording: Any = None
 
     def begin(self, execution: Execution, largest: int) -> None:
         """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
@@ -114,8 +161,15 @@ class ContactStore:
             }
             self._list = new_contact_list({"count": self.count, **arrays})
             self._capacity = min(map(len, arrays.values()))
-        self.count.fill_(kept)
+        if self._topology.device.is_cuda:
+            self.count.fill_(kept)
+        else:
+            self._count_view[0] = kept
         return self._list
+
+    @lazy_property
+    def _count_view(self) -> NDArray[np.int32]:
+        return self.count.numpy()
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""
@@ -123,25 +177,26 @@ class ContactStore:
 
     def gather(self) -> Gathered:
         """All contacts, sorted by kind and pair, and the first contact of every vertex and body."""
-        mesh, topology = self._topology.mesh, self._topology
-        device, count = topology.device, self.total
-        arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        first_of = [np.full(n, -1, dtype=np.int32) for n in (mesh.num_vertices, mesh.num_bodies)]
-        if count > 0:
-            found = self._list
-            ordered = new_contact_list({"count": self.count, **arrays})
-            self._execution.launch(kernels.order_contacts, count, inputs=[self._order(found), found], outputs=[ordered])
-            corners = [topology.corners[name] for name in ("vertex", "edge", "face")]
-            places = [wp.full(len(first), value=_LAST, dtype=wp.int32, device=device) for first in first_of]
-            self._execution.launch(
-                kernels.first_contacts, count, inputs=[ordered, *corners, self.minima], outputs=places
-            )
-            first_of = [np.where(f == _LAST, np.int32(-1), f) for f in (place.numpy() for place in places)]
+        count = self.total
+        if count > _FEW or self._execution.is_cuda:
+            ordered = _Ordered(self._topology, self.count, count)
+            if count > 0:
+                ordered.fill_keys(self._execution, self._list)
+                self._sort(ordered)
+                ordered.fill(self._execution, self._list, self.minima)
+            contacts = {name: array.numpy() for name, array in ordered.arrays.items()}
+        else:
+            ordered = self._few
+            if count > 0:
+                self._play("keys", lambda found: ordered.fill_keys(self._recording, found))
+                self._sort(ordered)
+                self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
+            contacts = {name: values[:count].copy() for name, values in ordered.views.items()}
         toi = self._toi.numpy().copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in itertools.pairwise(self._bounds))
-        vertex_contact, body_contact = first_of
+        vertex_contact, body_contact = ordered.first_contacts(count)
         return Gathered(
-            Contacts(**{name: array.numpy() for name, array in arrays.items()}),
+            Contacts(**contacts),
             float(scene_toi[0]),
             vertex_toi,
             body_toi,
@@ -150,16 +205,32 @@ class ContactStore:
             body_contact,
         )
 
-    def _order(self, found: Any) -> wp.array:
-        """Positions of the contacts in the list, by ascending kind and pair."""
-        device, count = self._execution.device, self.total
-        keys = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
-        self._execution.launch(kernels.contact_keys, count, inputs=[found], outputs=[keys])
-        if not device.is_cuda:
-            return wp.array(self._sorted_places(keys.numpy()), dtype=wp.int32, device=device, copy=False)
-        places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=device)
-        wp.utils.radix_sort_pairs(keys, places, count)
-        return places
+    @lazy_property
+    def _few(self) -> "_Ordered":
+        """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
+        return _Ordered(self._topology, self.count, _FEW)
+
+    def _play(self, section: str, record: Callable[[Slot], None]) -> None:
+        """Run a section of the recording for few contacts, recorded at its first use."""
+        if self._recording is None:
+            self._recording = Recording(self._execution, {"found": None})
+        self._recording.bind("found", self._list)
+        if section not in self._recording:
+            with self._recording.section(section):
+                record(Slot("found"))
+        self._recording.play(section)
+
+    def _sort(self, ordered: "_Ordered") -> None:
+        """Find the order of the contacts by ascending kind and pair."""
+        count = self.total
+        if self._execution.is_cuda:
+            places: wp.array = wp.array(
+                np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=ordered.keys.device
+            )
+            wp.utils.radix_sort_pairs(ordered.keys, places, count)
+            wp.copy(ordered.order, places, count=count)
+        else:
+            ordered.order.numpy()[:count] = self._sorted_places(ordered.keys.numpy()[:count])
 
     def _sorted_places(self, keys: NDArray[np.int64]) -> NDArray[np.int32]:
         """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""

@@ -4,6 +4,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -125,7 +126,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            make_narrow_phase(options.real),
+            SimpleNamespace() if goal == "candidates" else make_narrow_phase(options.real),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,
