@@ -154,7 +154,7 @@ class Stages:
             items = range(query.primitives.count if level == 0 else query.levels[0])
         count = len(items)
         num_tests = count * WIDTH**level * target.primitives.count
-        num_parts = max(1, count // _SMALLEST_SEARCH)
+        num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
             make_pair_search(CULL).search_pairs,
