@@ -38,7 +38,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
 
-DEFAULT_NUM_ROUNDS = 5
+DEFAULT_NUM_ROUNDS = 7
 _MOST_ROUNDS = 100
 
 
@@ -261,16 +261,16 @@ class CollisionPipeline:
 
         Each pass checks the step as :meth:`launch` does, and then limits the motion of every vertex of a contact, and
         of all vertices that share its fraction, to ``safety`` times the toi. Bodies or vertices with their own
-        fractions that touch in a third pass stay where they are, which may stop others in turn. After ``num_rounds``
-        such passes, one pass follows with one fraction for each world that still touches, and then a final pass: a
-        world that touches even then stays where it is. With one fraction for the scene or for each world, the step is
-        shortened at most twice before the final pass. The number of launches is always the same, so that a graph can
-        contain them; a world that a pass finds free of contacts has no boxes in the following passes.
+        fractions that touch in a third pass stay where they are, which may stop others in turn. The last pass but one
+        has one fraction for each world that still touches, and in the final pass a world that touches even then stays
+        where it is. With one fraction for the scene or for each world there are three passes. The number of launches is
+        always the same, so that a graph can contain them; a world that a pass finds free of contacts has no boxes in
+        the following passes.
 
         A small gap is lost in the rounding of a long motion, and the toi is then 0. Where the first pass finds a toi
         below 1e-6, the pair is therefore allowed to move by at least an eighth of its gap. If its toi is 0 in the
         second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
-        body or vertex this requires ``num_rounds`` of at least 2.
+        body or vertex this requires ``num_rounds`` of at least 4.
 
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
 
@@ -280,8 +280,7 @@ class CollisionPipeline:
                 Rows of static bodies are neither read nor written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
-            num_rounds: Passes in which bodies or vertices have their own fractions, at least one; two more passes
-                follow.
+            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
 
         Returns:
             The result of the final pass: the toi of a world in which something moves is inf, and that of a world that
@@ -301,7 +300,7 @@ class CollisionPipeline:
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
             per, safety = _validated_line_search(per, safety)
-            num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS)
+            num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS, least=3)
             check_step_is_whole(self._options.t_max)
         return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 

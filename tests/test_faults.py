@@ -104,7 +104,7 @@ def launch(objects, frames=None):
 def launch_line_search(objects, frames=None, **options):
     objects.put(frames)
     result = objects.pipeline.launch_line_search(
-        objects.vertices_t0, objects.vertices_t1, per="body", num_rounds=2, **options
+        objects.vertices_t0, objects.vertices_t1, per="body", num_rounds=4, **options
     )
     return {"result": result, "vertices_t1": objects.vertices_t1}
 

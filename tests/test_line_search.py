@@ -392,7 +392,7 @@ def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
         vertices_t0, vertices_t1 = (
             wp.array(x.astype(real), dtype=dtype, device=device) for x in (mesh.vertices, wished)
         )
-        pipeline.launch_line_search(vertices_t0, vertices_t1, per=per, num_rounds=int(rng.integers(1, 7)))
+        pipeline.launch_line_search(vertices_t0, vertices_t1, per=per, num_rounds=int(rng.integers(3, 9)))
         start, end = (x.numpy().astype(np.float64) for x in (vertices_t0, vertices_t1))
         end[mesh.static[mesh.vertex_body]] = start[mesh.static[mesh.vertex_body]]
         assert num_touching(mesh, start, end, length_scale=1.0, **options) == 0
@@ -496,7 +496,7 @@ def test_line_search_in_a_graph(device):
     [
         ({"per": "face"}, "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'"),
         ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
-        ({"num_rounds": 0}, "num_rounds is 0; expected a positive integer"),
+        ({"num_rounds": 2}, "num_rounds is 2; expected an integer of at least 3"),
     ],
 )
 def test_bad_options_on_the_device_are_named(options, message):

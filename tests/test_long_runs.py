@@ -41,7 +41,7 @@ class Calls:
     def launch_line_search(self, k):
         self.host[1][:] = self.end
         self.held.launch_line_search(
-            self.vertices_t0, self.vertices_t1, per="body", safety=0.3 + 1e-5 * k, num_rounds=1 + k % 5
+            self.vertices_t0, self.vertices_t1, per="body", safety=0.3 + 1e-5 * k, num_rounds=3 + k % 5
         )
 
     def launch_on_new_arrays(self, k):

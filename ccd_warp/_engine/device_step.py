@@ -42,6 +42,8 @@ _SAFETY = Slot("safety")
 _MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
 _ROUNDS_BY_TOI = 2
+# The last rounds, in which all vertices of a world move by one fraction, or not at all.
+_ROUNDS_BY_WORLD = 2
 # Fraction of its gap by which a pair may move where the first of these rounds finds toi 0, because the gap may only be
 # lost in the rounding of a long motion; vertices with toi 0 in the second round stay where they are. Of a half, a
 # quarter and an eighth, only an eighth let all the draped cloths in float32 move.
@@ -67,7 +69,7 @@ class LineSearch:
     """The kind of a line search, which determines its launches; ``safety`` is an argument of the launches."""
 
     per: str
-    num_rounds: int  # 0 where it is not used
+    num_rounds: int  # of all passes; 0 where it is not used
 
     @staticmethod
     def of(per: str, num_rounds: int) -> "LineSearch":
@@ -79,8 +81,9 @@ class LineSearch:
         if self.per in ("scene", "world"):
             return [(self.per, _SAFETY)] * _ROUNDS_BY_TOI + [("world", 0.0)]
         # Stopped vertices may stop others in turn; one fraction for the world settles the contacts that remain.
-        by_toi = min(_ROUNDS_BY_TOI, self.num_rounds)
-        shares = [_SAFETY] * by_toi + [0.0] * (self.num_rounds - by_toi)
+        num_own = self.num_rounds - _ROUNDS_BY_WORLD
+        by_toi = min(_ROUNDS_BY_TOI, num_own)
+        shares = [_SAFETY] * by_toi + [0.0] * (num_own - by_toi)
         return [*((self.per, share) for share in shares), ("world", _SAFETY), ("world", 0.0)]
 
 
