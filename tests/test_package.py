@@ -85,6 +85,8 @@ def test_installation_imports_from_any_folder(tmp_path, source, python, editable
     assert _run(python, "-m", "ccd_warp", "--version", cwd=elsewhere) == f"ccd-warp {PROJECT['version']}\n"
     script = python.parent / ("ccd-warp.exe" if sys.platform == "win32" else "ccd-warp")
     assert _run(script, "--version", cwd=elsewhere) == f"ccd-warp {PROJECT['version']}\n"
+    _run(script, "explore", "--quiet", cwd=elsewhere)  # its page is made of files that are no modules
+    assert (elsewhere / "ccd_warp_explore.html").stat().st_size > 50_000
 
 
 def test_wheel_holds_the_kernels_the_types_and_the_page_and_no_path_of_this_machine(tmp_path, source):

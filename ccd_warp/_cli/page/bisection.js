@@ -86,7 +86,7 @@ function bisect(pair, tolerance, maxBoxes = MAX_ITERATIONS) {
       stack.push(...children);
       boxes.push(...children);
     }
-    bounds.push(Math.min(answer.toi, ...stack.map((other) => other.t0)));
+    bounds.push(Math.min(answer.toi, 1.0, ...stack.map((other) => other.t0)));
   }
   return { ...reported(answer, problem), iterations: examined.length, boxes, examined, bounds, contacts };
 }

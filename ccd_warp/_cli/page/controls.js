@@ -78,7 +78,8 @@ function start() {
   byId("delta").addEventListener("input", setTolerance);
   byId("example").addEventListener("change", () => {
     stopPlaying();
-    showPair(EXAMPLES[byId("example").value], state.tolerance);
+    const chosen = EXAMPLES[byId("example").value];
+    if (chosen !== undefined) showPair(chosen, state.tolerance);
   });
   byId("step").addEventListener("input", () => {
     stopPlaying();

@@ -80,6 +80,9 @@ function setClip(count) {
   showNumber("clip-count", state.clip, `${state.clip} of ${clipping.clips.length}`);
   byId("clip-text").textContent = describeClip(clipping, state.clip);
   byId("clip-rows").innerHTML = rowsOfClips(clipping, state.clip);
+  const row = byId("clip-rows").querySelector(".current");
+  const table = byId("clip-table");
+  if (row !== null) table.scrollTop = row.offsetTop - 0.5 * table.clientHeight;
   showResult("clipping", clipping, "steps");
   drawPair();
 }
