@@ -12,6 +12,9 @@ sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _R
 
 import pytest  # noqa: E402
 import warp as wp  # noqa: E402
+from browser import find_browser, opened_browser  # noqa: E402
+
+from ccd_warp._cli.explore import write_page  # noqa: E402
 
 wp.config.log_level = wp.LOG_WARNING
 
@@ -47,3 +50,32 @@ def device(request) -> str:
 def precision(request) -> str:
     """Both precisions of the kernels."""
     return request.param
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A page of a headless Chromium; what needs it is skipped where there is none."""
+    path = find_browser()
+    if path is None:
+        pytest.skip("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
+    with opened_browser(path) as page:
+        yield page
+
+
+@pytest.fixture(scope="session")
+def explore_file(tmp_path_factory) -> Path:
+    """The page of `ccd-warp explore`."""
+    return write_page(tmp_path_factory.mktemp("page") / "explore.html")
+
+
+@pytest.fixture
+def explore_page(browser, explore_file):
+    """That page, newly opened; in the end it must have asked for nothing else and complained of nothing."""
+    browser.messages.clear()
+    browser.requests.clear()
+    browser.resize(1280)
+    browser.set_theme("light")
+    browser.open(explore_file)
+    yield browser
+    assert browser.messages == []
+    assert browser.requests == [explore_file.as_uri()]

@@ -229,7 +229,9 @@ def test_incomplete_command_lines_are_refused_in_one_line(capfd, arguments):
     assert "--help" in _refused(capfd, *arguments)
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("run", "--help"), ("demo", "--help"), ("--version",)])
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("run", "--help"), ("demo", "--help"), ("explore", "--help"), ("--version",)]
+)
 def test_help_and_version_end_well(capfd, arguments):
     with pytest.raises(SystemExit) as ended:
         main(arguments)

@@ -85,9 +85,11 @@ def test_installation_imports_from_any_folder(tmp_path, source, python, editable
     assert _run(python, "-m", "ccd_warp", "--version", cwd=elsewhere) == f"ccd-warp {PROJECT['version']}\n"
     script = python.parent / ("ccd-warp.exe" if sys.platform == "win32" else "ccd-warp")
     assert _run(script, "--version", cwd=elsewhere) == f"ccd-warp {PROJECT['version']}\n"
+    _run(script, "explore", "--quiet", cwd=elsewhere)  # its page is made of files that are no modules
+    assert (elsewhere / "ccd_warp_explore.html").stat().st_size > 50_000
 
 
-def test_wheel_holds_the_kernels_and_the_types_and_no_path_of_this_machine(tmp_path, source):
+def test_wheel_holds_the_kernels_the_types_and_the_page_and_no_path_of_this_machine(tmp_path, source):
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     _run(*pip, "wheel", "--wheel-dir", tmp_path / "wheels", *_build_options(), source, cwd=tmp_path)
     (wheel,) = (tmp_path / "wheels").glob("*.whl")
@@ -97,7 +99,9 @@ def test_wheel_holds_the_kernels_and_the_types_and_no_path_of_this_machine(tmp_p
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp").rglob("*.py")}
     for name in ("benchmarks", "kernels"):
         modules |= {f"ccd_warp/{name}/{path.name}" for path in (ROOT / name).glob("*.py")}
-    assert modules | {"ccd_warp/py.typed"} == {name for name in names if ".dist-info/" not in name}
+    pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp" / "_cli" / "page").iterdir()}
+    assert len(pages) > 5
+    assert modules | pages | {"ccd_warp/py.typed"} == {name for name in names if ".dist-info/" not in name}
     assert any(name.endswith("LICENSE") for name in names)
     for name, content in contents.items():
         for path in (str(ROOT), str(Path.home()) + "/", str(tmp_path)):

@@ -1,4 +1,4 @@
-"""The command ``ccd-warp``: CCD (continuous collision detection) of two mesh files, and a demo on built-in scenes."""
+"""The command ``ccd-warp``: CCD (continuous collision detection) of two mesh files, a demo, a page, a benchmark."""
 
 import argparse
 import logging
@@ -120,6 +120,22 @@ def _make_parser() -> argparse.ArgumentParser:
     demo.add_argument("--pictures", metavar="DIR", type=Path, help="draw the scenes as .png there (extra 'viz')")
     _add_options(demo)
     demo.set_defaults(command=_demo)
+
+    explore = commands.add_parser(
+        "explore",
+        help="a page to play with the method",
+        description="Writes one HTML page that opens in a browser, without a network: a bullet and a wall, tested at "
+        "samples and by CCD; and a point and a segment, solved by bisection and by clips, step by step.",
+    )
+    explore.add_argument(
+        "--output",
+        metavar="FILE",
+        type=Path,
+        default=Path("ccd_warp_explore.html"),
+        help="where to write it (ccd_warp_explore.html)",
+    )
+    explore.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    explore.set_defaults(command=_explore)
 
     bench = commands.add_parser(
         "bench",
@@ -260,6 +276,15 @@ def _demo(arguments: argparse.Namespace) -> int:
         print(f"\nwrote the meshes and results to {printable(str(folder))}")
     if pictures is not None and not arguments.quiet:
         print(f"\nwrote the pictures to {printable(str(pictures))}")
+    return 0
+
+
+def _explore(arguments: argparse.Namespace) -> int:
+    from ccd_warp._cli.explore import write_page
+
+    path = write_page(arguments.output)
+    if not arguments.quiet:
+        print(f"wrote {printable(str(path))}; open it in a browser")
     return 0
 
 

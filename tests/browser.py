@@ -1,0 +1,213 @@
+"""A headless Chromium that tests drive by the Chrome DevTools Protocol, over a pipe: no port and no further package."""
+
+import base64
+import itertools
+import json
+import math
+import os
+import select
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+# Any of these will do: `apt-get install chromium` has the first.
+_NAMES = (
+    "chromium",
+    "chromium-browser",
+    "chromium-headless-shell",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome-headless-shell",
+)
+_ARGUMENTS = (
+    "--headless",
+    "--remote-debugging-pipe",
+    "--no-sandbox",  # it cannot run as root otherwise, as in most containers; the page is our own
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--force-color-profile=srgb",
+)
+_SECONDS = 120.0  # for an answer; a start on a busy machine takes some seconds
+
+
+def find_browser() -> str | None:
+    """The path of a Chromium: that of the variable CCD_WARP_BROWSER, or the first on the search path."""
+    if os.name != "posix":
+        return None  # it could not be given the descriptors of the pipe
+    chosen = os.environ.get("CCD_WARP_BROWSER")
+    found = [shutil.which(name) for name in ([chosen] if chosen else _NAMES)]
+    return next((path for path in found if path), None)
+
+
+class Page:
+    """One page in a browser.
+
+    Attributes:
+        messages: What the page has written to the console, and its uncaught errors.
+        requests: The addresses that it has asked for.
+    """
+
+    def __init__(self, read_end: int, write_end: int):
+        self.messages: list[str] = []
+        self.requests: list[str] = []
+        self._read_end = read_end
+        self._write_end = write_end
+        self._rest = b""
+        self._events: list[dict[str, Any]] = []
+        self._numbers = itertools.count(1)
+        self._session: str | None = None
+        target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.send(f"{domain}.enable")
+
+    def send(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send a command of the protocol and return its result."""
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        data = json.dumps(message).encode() + b"\0"
+        while data:
+            data = data[os.write(self._write_end, data) :]
+        while True:
+            answer = self._next_message()
+            if answer.get("id") == number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']['message']}")
+                return answer["result"]
+
+    def _next_message(self) -> dict[str, Any]:
+        deadline = time.monotonic() + _SECONDS
+        while b"\0" not in self._rest:
+            ready, _, _ = select.select([self._read_end], [], [], max(0.0, deadline - time.monotonic()))
+            data = os.read(self._read_end, 1 << 16) if ready else b""
+            if not data:
+                raise RuntimeError("the browser has ended" if ready else f"no answer in {_SECONDS:.0f} s")
+            self._rest += data
+        text, _, self._rest = self._rest.partition(b"\0")
+        message = json.loads(text)
+        self._note(message)
+        return message
+
+    def _note(self, message: dict[str, Any]) -> None:
+        parameters = message.get("params", {})
+        match message.get("method"):
+            case "Runtime.consoleAPICalled":
+                self.messages.append(" ".join(str(value.get("value")) for value in parameters["args"]))
+            case "Runtime.exceptionThrown":
+                details = parameters["exceptionDetails"]
+                self.messages.append(details.get("exception", {}).get("description", details["text"]))
+            case "Log.entryAdded":
+                self.messages.append(parameters["entry"]["text"])
+            case "Network.requestWillBeSent":
+                self.requests.append(parameters["request"]["url"])
+            case str(name):
+                self._events.append({"method": name})
+
+    def resize(self, width: int, height: int = 900, *, scale: float = 1.0) -> None:
+        """Show the page in a window of this many CSS pixels."""
+        self.send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
+        )
+
+    def set_theme(self, theme: str) -> None:
+        """Show the page as a reader sees it who prefers "light" or "dark"."""
+        self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+
+    def open(self, path: Path) -> None:
+        """Open a file and wait until it is loaded."""
+        self._events.clear()
+        self.send("Page.navigate", url=path.resolve().as_uri())
+        while {"method": "Page.loadEventFired"} not in self._events:
+            self._next_message()
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of an expression in the page, which JSON can hold."""
+        answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(answer["exceptionDetails"]["exception"]["description"])
+        return answer["result"].get("value")
+
+    def number(self, name: str) -> float:
+        """A number as an element shows it, with all the digits of its value; NaN where it shows none."""
+        text = self.evaluate(f"document.getElementById({json.dumps(name)}).value")
+        return float(text) if text else math.nan
+
+    def wait_for_frame(self) -> None:
+        """Wait until the page has drawn what it was told."""
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
+
+    def centre_of(self, name: str) -> tuple[float, float]:
+        """Scroll to an element, and return the middle of it in the window."""
+        box = f"document.getElementById({json.dumps(name)})"
+        self.evaluate(f"{box}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+        x, y, w, h = self.evaluate(f"(r => [r.x, r.y, r.width, r.height])({box}.getBoundingClientRect())")
+        return x + 0.5 * w, y + 0.5 * h
+
+    def _mouse(self, kind: str, x: float, y: float) -> None:
+        buttons = {"mousePressed": 1, "mouseReleased": 0}.get(kind, 1)
+        self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
+
+    def drag(self, name: str, dx: float, dy: float) -> None:
+        """Press the mouse on an element, move it by so many pixels, and release it."""
+        x, y = self.centre_of(name)
+        self._mouse("mousePressed", x, y)
+        for k in (1, 2, 3):
+            self._mouse("mouseMoved", x + dx * k / 3, y + dy * k / 3)
+        self._mouse("mouseReleased", x + dx, y + dy)
+
+    def click(self, name: str) -> None:
+        x, y = self.centre_of(name)
+        self._mouse("mousePressed", x, y)
+        self._mouse("mouseReleased", x, y)
+
+    def press(self, key: str, *, count: int = 1) -> None:
+        """Press a key such as ArrowLeft, Tab or End where the focus is."""
+        code = {"Tab": 9, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
+        for _ in range(count):
+            for kind in ("keyDown", "keyUp"):
+                self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def picture(self, path: Path, *, clip: tuple[float, float, float, float]) -> None:
+        """Write a part of the page, given by its left, top, width and height, as a PNG."""
+        part = dict(zip(("x", "y", "width", "height"), clip, strict=True)) | {"scale": 1}
+        data = self.send("Page.captureScreenshot", format="png", clip=part, captureBeyondViewport=True)["data"]
+        path.write_bytes(base64.b64decode(data))
+
+
+@contextmanager
+def opened_browser(browser: str) -> Iterator[Page]:
+    """A page of a browser that is started here and ended in any case."""
+    import fcntl  # not on every system
+
+    to_browser, from_browser = os.pipe(), os.pipe()
+    # descriptors above 9, so that neither is 3 or 4, where the browser reads and writes
+    theirs = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (to_browser[0], from_browser[1])]
+    os.close(to_browser[0])
+    os.close(from_browser[1])
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, open(Path(folder) / "log", "wb") as log:
+        actions = [(os.POSIX_SPAWN_DUP2, theirs[0], 3), (os.POSIX_SPAWN_DUP2, theirs[1], 4)]
+        actions += [(os.POSIX_SPAWN_DUP2, log.fileno(), 1), (os.POSIX_SPAWN_DUP2, log.fileno(), 2)]
+        arguments = [browser, *_ARGUMENTS, f"--user-data-dir={folder}/profile"]
+        environment = os.environ | {"HOME": folder}
+        process = os.posix_spawn(browser, arguments, environment, file_actions=actions, setpgroup=0)
+        for end in theirs:
+            os.close(end)
+        try:
+            yield Page(from_browser[0], to_browser[1])
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process, signal.SIGKILL)
+            os.waitpid(process, 0)
+            os.close(to_browser[1])
+            os.close(from_browser[0])
