@@ -10,7 +10,7 @@ from typing import Any, NoReturn, TypeVar, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._engine.candidates import Candidates, candidates_of, validated_inflation
+from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_step import (
     MOST_CONTACTS,
     MOST_PAIRS,
@@ -350,7 +350,7 @@ class CollisionPipeline:
         """
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: candidates_of(step, inflation))
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation))
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
         """Like :func:`ccd_warp.mesh_ccd`.

@@ -32,7 +32,7 @@ def in_step(
     """Two threads wait for each other, and then go for the same places, in each round another first."""
     for k in range(num_rounds):
         for what in range(2):
-            claim(barrier, 0, 0)
+            claim(barrier, 0, 0, 1)
             patience = wp.int32(MOST_SPINS)
             while patience > 0 and first_now(barrier) < wp.int64(2 * (2 * k + what + 1)):
                 patience -= 1
@@ -46,7 +46,7 @@ def in_step(
 def count_up(count: int, rows: wp.array2d[wp.int64], counter: wp.array[wp.int32]):
     """As fast as it goes, one counter after the other."""
     for _k in range(count):
-        claim(rows, 1, 0)
+        claim(rows, 1, 0, 1)
     for _k in range(count):
         claim_int(counter, 0)
 

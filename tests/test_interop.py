@@ -50,7 +50,7 @@ def library(request):
 def recorded(pipeline, name):
     """The array that the launches of a pipeline read."""
     (recording,) = pipeline._device_step._recordings.values()
-    return recording._values[name]
+    return recording.values[name]
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

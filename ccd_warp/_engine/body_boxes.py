@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.topology import WIDTH, Topology
+from ccd_warp._engine.topology import WIDTH, Positions, Topology
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels import body_boxes as kernels
 
@@ -14,26 +14,24 @@ _MORTON_BITS = 10  # of each axis
 # Shifts and masks that move the bits of a number three places apart.
 _SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
 _LARGEST = np.finfo(np.float64).max
-# Pairs of bodies from which on a search may take long, should all boxes meet and no pair be allowed.
+# Pairs of bodies above which a search may take long in the worst case: all boxes overlap, and no pair is allowed.
 _LONG_SEARCH = 1 << 24
 
 
-def bodies_near(
-    topology: Topology, host: tuple[NDArray[np.float64], NDArray[np.float64]], inflation: float, execution: Execution
-) -> NDArray[np.bool_]:
+def bodies_near(topology: Topology, positions: Positions, inflation: float, execution: Execution) -> NDArray[np.bool_]:
     """Which moving bodies may collide: with themselves, or with another whose swept box meets theirs.
 
     Args:
         topology: The bodies.
-        host: Start and end positions, shape [V, 3].
+        positions: Start and end positions.
         inflation: Growth of every box on every side, a length.
         execution: Where to search.
 
     Returns:
         Flags, shape [B].
 
-    Guarantee: two bodies, one of which moves, that the mesh lets collide and whose boxes, inflated, have a point in
-    common are never left out.
+    Guarantee: if two bodies may collide, one of them moves, and their inflated boxes intersect, each of them that moves
+    is marked.
     """
     mesh = topology.mesh
     near = mesh.self_collision & ~mesh.static
@@ -43,7 +41,7 @@ def bodies_near(
         return near
     device = execution.device
     with np.errstate(over="ignore", under="ignore"):
-        lower, upper = _swept_boxes(host, mesh.body_vertex_range[filled], inflation)
+        lower, upper = _swept_boxes(positions, mesh.body_vertex_range[filled], inflation)
         tree, order = _tree(lower, upper, filled, device)
     queries = np.flatnonzero(is_query[order]).astype(np.int32)
     found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
@@ -66,11 +64,11 @@ def bodies_near(
 
 
 def _swept_boxes(
-    host: tuple[NDArray[np.float64], NDArray[np.float64]], first: NDArray[np.int32], inflation: float
+    positions: Positions, first: NDArray[np.int32], inflation: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Boxes around both frames of bodies that begin at these vertices, inflated and rounded outward."""
-    lower = np.minimum.reduceat(np.minimum(*host), first, axis=0)
-    upper = np.maximum.reduceat(np.maximum(*host), first, axis=0)
+    lower = np.minimum.reduceat(np.minimum(*positions), first, axis=0)
+    upper = np.maximum.reduceat(np.maximum(*positions), first, axis=0)
     if inflation > 0.0:
         lower = np.nextafter(lower - inflation, -np.inf)
         upper = np.nextafter(upper + inflation, np.inf)

@@ -13,6 +13,7 @@ from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
     VERTEX_AABB_FLOATS,
     WIDTH,
+    Positions,
     PrimitiveSet,
     Topology,
     choose_quantization,
@@ -71,7 +72,7 @@ class StepBoxes:
 
     def begin(
         self,
-        host: tuple[NDArray[np.float64], NDArray[np.float64]],
+        positions: Positions,
         inflation: float,
         num_aabbs: int,
         trees: Sequence[Tree],
@@ -80,16 +81,16 @@ class StepBoxes:
         """Start a step: choose its quantization, and build the trees of static bodies where they are not up to date.
 
         Args:
-            host: Start and end positions, shape [V, 3].
+            positions: Start and end positions.
             inflation: Enlargement of every box, a length.
             num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
             trees: The trees that the step needs.
             execution: Where to build them.
         """
-        start, end = host
+        start = positions[0]
         mesh = self.topology.mesh
         self.num_boxes = self.num_sorted = 0
-        self.quantization = choose_quantization(self.topology, start, end, num_aabbs)
+        self.quantization = choose_quantization(self.topology, positions, num_aabbs)
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
             self._rest.clear()

@@ -3,7 +3,6 @@
 import itertools
 import sys
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import default_num_threads, run
 from ccd_warp._status import PairKind
 
-# Number of pairs of a kind from which on several threads sort them.
+# Number of pairs of a kind above which several threads sort them.
 _WORTH_RANGES = 100_000
 # Pairs copied at a time: source and target stay in the cache between the two columns.
 _CHUNK = 1 << 14
@@ -61,7 +60,7 @@ class _Piece:
     pairs: NDArray[np.int32]
 
 
-class _Collector:
+class Collector:
     """Collects the pairs of a search batch by batch, and puts them in the order of the trees."""
 
     def __init__(self, execution: Execution) -> None:
@@ -85,9 +84,11 @@ class _Collector:
                 self._batches[kind].append(pairs)
         self._copy(copies)
 
-    def pairs(self) -> Candidates:
+    def candidates(self) -> Candidates:
         """All collected pairs, in order."""
-        return Candidates(*map(self._pairs_of, PairKind))
+        found = Candidates(*map(self._pairs_of, PairKind))
+        # the threads of a GPU write in arbitrary order
+        return found.sorted() if self._execution.is_cuda else found
 
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
         batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: _place(piece.found))
@@ -117,17 +118,6 @@ class _Collector:
                 _copy_pairs(*part)
         else:
             self._execution.run([lambda p=p: _copy_pairs(*p) for p in parts])  # type: ignore[misc]
-
-
-def candidates_of(step: Any, inflation: float) -> Candidates:
-    """All pairs of a `host_step.Step` whose boxes overlap; that module imports this one, hence the type."""
-    step.begin("candidates", 1.0, inflation)
-    collector = _Collector(step.execution)
-    step.candidates(collector.take)
-    with step.timed("copy"):
-        found = collector.pairs()
-        # the threads of a GPU write in arbitrary order
-        return found.sorted() if step.execution.is_cuda else found
 
 
 def validated_inflation(value: float) -> float:

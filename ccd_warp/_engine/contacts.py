@@ -33,7 +33,7 @@ _BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
 BYTES_PER_CONTACT = _BYTES
 BYTES_KEPT = 3 * _BYTES + 16
 _LAST = int(kernels.NO_CONTACT)
-# Number of contacts from which on threads share the sorting.
+# Number of contacts above which threads share the sorting.
 _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
 # Contacts that are few: their launches are recorded for so many, whatever their number.
@@ -80,14 +80,14 @@ class _Ordered:
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
-    def __init__(self, topology: Topology, count: wp.array, capacity: int) -> None:
+    def __init__(self, topology: Topology, count: wp.array, capacity: int, is_cuda: bool) -> None:
         """Make arrays for the contacts of a list, whose number is ``count``."""
         device = topology.device
         self._topology, self._capacity = topology, capacity
         self.arrays = {name: wp.empty(capacity, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
         self.views = {} if device.is_cuda else {name: array.numpy() for name, array in self.arrays.items()}
         self._contacts = new_contact_list({"count": count, **self.arrays})
-        self.keys: wp.array = wp.empty(2 * capacity if device.is_cuda else capacity, dtype=wp.int64, device=device)
+        self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
         sizes = (topology.mesh.num_vertices, topology.mesh.num_bodies)
         self._first: list[wp.array] = [wp.empty(size, dtype=wp.int32, device=device) for size in sizes]
@@ -179,7 +179,7 @@ class ContactStore:
         """All contacts, sorted by kind and pair, and the first contact of every vertex and body."""
         count = self.total
         if count > _FEW or self._execution.is_cuda:
-            ordered = _Ordered(self._topology, self.count, count)
+            ordered = _Ordered(self._topology, self.count, count, self._execution.is_cuda)
             if count > 0:
                 ordered.fill_keys(self._execution, self._list)
                 self._sort(ordered)
@@ -208,7 +208,7 @@ class ContactStore:
     @lazy_property
     def _few(self) -> "_Ordered":
         """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
-        return _Ordered(self._topology, self.count, _FEW)
+        return _Ordered(self._topology, self.count, _FEW, is_cuda=False)
 
     def _play(self, section: str, record: Callable[[Slot], None]) -> None:
         """Run a section of the recording for few contacts, recorded at its first use."""

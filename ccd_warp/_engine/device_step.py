@@ -178,7 +178,7 @@ class DeviceStep:
             vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
             trees={tree.primitives.name: tree.arrays for tree in trees},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
-            quantization=choose_quantization(topology, vertices, vertices, _NUM_AABBS),
+            quantization=choose_quantization(topology, (vertices, vertices), _NUM_AABBS),
             t_end=options.t_max,
             inflation=inflation,
             search_options=search_options(options.t_max, inflation, separation, self._flag),
@@ -287,7 +287,7 @@ class DeviceStep:
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
         stages = line_search.stages()
         for number, (per, share) in enumerate(stages):
-            # only where the next pass, if this was in vain, stops the same bodies or vertices and not their world
+            # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and stages[1][0] == per
             self._record_step(recording, form, _KEPT_FLAGS if number > 0 else 0, _GAPS_MOVED if may_cut else 0.0)
             if number < len(stages) - 1:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.scene import moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
-from ccd_warp._engine.topology import WIDTH
+from ccd_warp._engine.topology import WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
@@ -153,10 +153,10 @@ class HostPlan:
                 record(self._stages, self._recording)
         self._recording.play(section)
 
-    def set_positions(self, host: tuple[NDArray[np.float64], NDArray[np.float64]]) -> tuple[wp.array, wp.array]:
+    def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
         """Use the positions of a step, and return them on the device."""
         arrays = []
-        for name, values in zip(_POSITIONS, host, strict=True):
+        for name, values in zip(_POSITIONS, positions, strict=True):
             if self._are_copied:
                 arrays.append(self._workspace.positions(name, values))
             else:
@@ -177,12 +177,10 @@ class HostPlan:
         """Use these options in the narrow phase."""
         self._recording.bind("options", options)
 
-    def fill_boxes(
-        self, host: tuple[NDArray[np.float64], NDArray[np.float64]], t_end: float, inflation: float, active: wp.array
-    ) -> None:
+    def fill_boxes(self, positions: Positions, t_end: float, inflation: float, active: wp.array) -> None:
         """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
         boxes, recording = self._boxes, self._recording
-        boxes.begin(host, inflation, self._num_aabbs, self.trees, self.execution)
+        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution)
         recording.bind("quantization", boxes.quantization)
         recording.bind("vertex_aabbs", boxes.vertex_aabbs)
         recording.bind("inflation", inflation)

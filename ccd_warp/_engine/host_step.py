@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
-from ccd_warp._engine.scene import half_up
-from ccd_warp._engine.search import KEY_BYTES, Found, PairSearch
+from ccd_warp._engine.scene import half_up, possible_kinds
+from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
+from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
@@ -37,12 +38,11 @@ _SAMPLE_STRIDE = 32
 _WORTH_SAMPLING = 1 << 14  # vertices
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
-# Pairs left by the cull, in total and for each primitive, from which on there are suspiciously many overlaps.
+# Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
 _LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
-_MOST_PAIRS = np.iinfo(np.int32).max
 
 _T = TypeVar("_T")
 
@@ -53,7 +53,7 @@ class Step:
     def __init__(
         self,
         workspace: Workspace,
-        host: tuple[NDArray[np.float64], NDArray[np.float64]],
+        positions: Positions,
         options: Options,
         checking_seconds: float = 0.0,
         show: Callable[[Progress], None] | None = None,
@@ -67,7 +67,7 @@ class Step:
         self.mesh = workspace.topology.mesh
         self.buffers = workspace.buffers
         self.boxes = workspace.boxes
-        self.host = host
+        self.positions = positions
         self.counts = Counts()
         self._num_active_bodies = self.mesh.num_bodies
         self.is_warned = False
@@ -79,11 +79,11 @@ class Step:
             self.plan = plan = HostPlan.of(self.workspace, self.options, goal)
             self.execution = plan.execution
             plan.begin_counts()
-            self.vertices_t0, self.vertices_t1 = plan.set_positions(self.host)
+            self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
         with self.timed("boxes"):
             self.inflation = half_up(self.separation) if inflation is None else inflation
             active = self.workspace.active(self._bodies_near())
-            plan.fill_boxes(self.host, t_end, self.inflation, active)
+            plan.fill_boxes(self.positions, t_end, self.inflation, active)
         return plan
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
@@ -91,7 +91,7 @@ class Step:
         mesh = self.mesh
         if mesh.num_bodies == 1 or mesh.num_worlds > 1 or mesh.self_collision[~mesh.static].all():
             return None
-        near = bodies_near(self.topology, self.host, self.inflation, self.execution)
+        near = bodies_near(self.topology, self.positions, self.inflation, self.execution)
         self._num_active_bodies = int((near | mesh.static).sum())
         return near
 
@@ -133,14 +133,16 @@ class Step:
             return 0.0
         return self.options.separation(self.length_scale)
 
-    def capacity(self, bytes_per_pair: int) -> int:
-        """Largest number of pairs at a time within the memory limit."""
-        # what one query may find; the threads of a search for candidates need as much each
+    def capacity(self, bytes_per_pair: int, num_parts: int = 1) -> int:
+        """Largest number of pairs at a time within the memory limit, where so many parts are searched at once.
+
+        Every part needs capacity for all partners of one query.
+        """
         least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.plan.tree_pairs)])
-        least *= 1 if self.execution.is_cuda else self.execution.num_threads
+        least *= num_parts
         limit = self.options.memory_limit
         if limit is None:
-            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), _MOST_PAIRS)
+            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), MOST_PAIRS)
         # half of what is left is for the pairs, half for the contacts
         needed = self.fixed_bytes + 2 * least * bytes_per_pair
         if needed > limit:
@@ -148,7 +150,7 @@ class Step:
                 f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
                 f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
             )
-        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, _MOST_PAIRS)
+        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, MOST_PAIRS)
 
     @property
     def fixed_bytes(self) -> int:
@@ -170,24 +172,28 @@ class Step:
                 return
             yield batch
 
-    def candidates(self, take: Callable[[list[Found]], None]) -> None:
-        """Pass the keys of all pairs whose boxes overlap to ``take`` in batches; each overwrites the previous one."""
-        plan = self.plan
+    def candidates(self, inflation: float) -> Candidates:
+        """All pairs whose boxes, enlarged by ``inflation``, overlap."""
+        plan = self.begin("candidates", 1.0, inflation)
+        collector = Collector(self.execution)
         with self.timed("pairs"):
             search = PairSearch(
                 self.topology,
                 self.execution,
                 self.buffers,
                 (self.vertices_t0, self.vertices_t1),
-                plan.set_search(1.0, self.inflation, 0.0),
+                plan.set_search(1.0, inflation, 0.0),
             )
-            search.largest_capacity = self.capacity(KEY_BYTES)  # counts what the search has just allocated
+            # counts what the search has just allocated
+            search.largest_capacity = self.capacity(KEY_BYTES, search.num_workers)
             batches = search.ranges(list(filter(plan.may_meet, plan.tree_pairs)))
         for ranges in self.timed_batches(batches):
             with self.timed("copy"):
-                take(ranges)
+                collector.take(ranges)
         plan.release_positions()
         self.finish_counts(search.num_launches, search.candidates, search.num_batches)
+        with self.timed("copy"):
+            return collector.candidates()
 
     def bound(self) -> float:
         """Earliest toi of all pairs, or t_max.
@@ -316,9 +322,9 @@ class Step:
         survivors: Counter[PairKind] | None = None,
         contacts: Contacts | None = None,
     ) -> None:
-        """Say what the call did, with what survived the cull and touches if it looked for contacts."""
+        """Set the counts; those of the cull and of contacts only if they are given."""
         mesh = self.mesh
-        kinds = [kind for kind in _kinds(mesh) if kind in self.options.kinds]
+        kinds = possible_kinds(mesh, self.options)
         counts = Counts(
             num_bodies=mesh.num_bodies,
             num_vertices=mesh.num_vertices,
@@ -365,14 +371,6 @@ def _level_of_caller() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
         frame, level = frame.f_back, level + 1
     return level
-
-
-def _kinds(mesh: CollisionMesh) -> list[PairKind]:
-    """Pair kinds that the primitives of a mesh can form."""
-    kinds = [PairKind.VERTEX_FACE, PairKind.EDGE_EDGE]
-    if len(mesh.codimensional_points):
-        kinds += [PairKind.POINT_SEGMENT, PairKind.POINT_POINT]
-    return kinds
 
 
 def longest_side(vertices_t0: wp.array, vertices_t1: wp.array, execution: Execution, buffers: Buffers) -> float:

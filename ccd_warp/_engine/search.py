@@ -27,12 +27,13 @@ _NUM_COUNTS = int(NUM_COUNTS)
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
-_MOST_PAIRS = int(np.iinfo(np.int32).max)
-# The calling thread works on a long search, too, in pieces, where one that is certain to be short has this many items;
-# up to so many times as many while launches take less than so many seconds.
+MOST_PAIRS = int(np.iinfo(np.int32).max)
+# In a long search the calling thread takes pieces of a part, so that it answers an interrupt soon, provided that a
+# piece that is certainly short has this many items.
 _WORTH_A_PIECE = 4
-_LARGEST_PACE = 16
+# While a launch takes less than so many seconds, the next piece is four times as long, up to so many short pieces.
 _SHORT_LAUNCH = 0.01
+_LARGEST_PACE = 16
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,8 @@ class PairSearch:
         candidates: Pairs of each kind that passed the box test and the mesh's filter.
         num_batches: Number of batches.
         num_launches: Launches of the search, by kind.
-        capacity: Capacity of the last batch, in pairs.
         largest_capacity: Largest capacity of a batch, in pairs.
+        num_workers: Number of parts that are searched at once.
     """
 
     def __init__(
@@ -144,28 +145,27 @@ class PairSearch:
         buffers: Buffers,
         positions: tuple[wp.array, wp.array],
         options: Any,
-        largest_capacity: int = _MOST_PAIRS,
     ) -> None:
         """A search in a step, given its positions at both ends and the options of the search."""
         self.execution = execution
         self.buffers = buffers
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
-        self.num_batches = self.capacity = 0
+        self.num_batches = 0
         self._made_progress = True
         self._topology = topology
         self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
         self._kernel = make_pair_search(kernels.BOXES).search_pairs
-        self.largest_capacity = largest_capacity
+        self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
-        self._num_workers = 1 if execution.is_cuda else execution.num_threads
+        self.num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
 
     @property
     def _num_slots(self) -> int:
-        return 64 if self.execution.is_cuda else self._num_workers
+        return 64 if self.execution.is_cuda else self.num_workers
 
     def ranges(self, tree_pairs: list[TreePair]) -> Iterator[list[Found]]:
         """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
@@ -185,11 +185,10 @@ class PairSearch:
         least = max(tree_pair.target.primitives.count for tree_pair in tree_pairs)
         wanted = 16 * sum(tree_pair.query.primitives.count for tree_pair in tree_pairs)
         last = self.buffers.capacity  # what the last step needed
-        capacity = min(self.largest_capacity, max(self._num_workers * least, wanted, last, 1 << 16))
+        capacity = min(self.largest_capacity, max(self.num_workers * least, wanted, last, 1 << 16))
         total = 0
         while pending:
             self.buffers.get("keys", capacity, wp.int64)
-            self.capacity = capacity
             self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
             regions = (
                 self._cuda_batch(pending, capacity)
@@ -209,7 +208,7 @@ class PairSearch:
         count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
         parts = 1
         if not self.execution.is_cuda:
-            parts = max(1, min(_PARTS_PER_THREAD * self._num_workers, count // _SMALLEST_PART))
+            parts = max(1, min(_PARTS_PER_THREAD * self.num_workers, count // _SMALLEST_PART))
         bounds = [count * k // parts for k in range(parts + 1)]
         return [_Part(tree_pair, number, level, bounds[k], bounds[k + 1] - bounds[k]) for k in range(parts)]
 
@@ -252,8 +251,8 @@ class PairSearch:
 
     def _cpu_batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
         """Threads take parts until none is left or their capacity is exhausted."""
-        bounds = [capacity * k // self._num_workers for k in range(self._num_workers + 1)]
-        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self._num_workers)]
+        bounds = [capacity * k // self.num_workers for k in range(self.num_workers + 1)]
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self.num_workers)]
         lock = threading.Lock()
         host = self._counts.numpy()
 

@@ -26,7 +26,7 @@ _MOST_SOLVERS = 1 << 17
 _SOLVERS_PER_THREAD = 8
 _CHUNK = 128
 _ALL_PARTS = 1 << 30
-# Pairs from which on a solver may take long: some 0.4 s if all reach the limit of the first round.
+# Pairs above which a solver may take long: some 0.4 s if all reach the limit of the first round.
 _LONG_PART = 1 << 11
 
 

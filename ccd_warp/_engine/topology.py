@@ -25,6 +25,8 @@ WIDTH = int(kernels.WIDTH)
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
+# Positions at the start and at the end of a step, each of shape [V, 3].
+Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 _CLASS_BITS = int(kernels.CLASS_BITS)
 _LARGEST_EXPONENT = 1000
 _LARGEST_ORIGIN = 2.0**1022
@@ -193,7 +195,7 @@ class Topology:
         """The same for the mesh at other positions, computed anew."""
         mesh = self.mesh
         positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
-        quantization = choose_quantization(self, vertices, vertices, 1)
+        quantization = choose_quantization(self, (vertices, vertices), 1)
         vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=self.device)
         every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
         active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
@@ -276,9 +278,7 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         keys.numpy()[:count].sort()
 
 
-def choose_quantization(
-    topology: Topology, start: NDArray[np.float64], end: NDArray[np.float64], num_aabbs: int
-) -> Any:
+def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Any:
     """The map to float32 and the typical extent of a box, from samples of the step.
 
     The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
@@ -286,6 +286,7 @@ def choose_quantization(
     the same as long as the scene stays in place.
     """
     quantization = kernels.Quantization()
+    start, end = positions
     if len(start) == 0:
         return quantization
     vertices, primitives = topology.samples

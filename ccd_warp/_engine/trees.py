@@ -19,7 +19,7 @@ from ccd_warp.kernels import search_types
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
-# Box tests from which on a part of a search may take long: some 0.3 s if all boxes overlap.
+# Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
 
 

@@ -20,9 +20,9 @@ _MOST_OPTIONS = 8
 
 
 class Workspace:
-    """A mesh's own on a device; used by one step at a time.
+    """The state of one mesh on one device, used by one step at a time.
 
-    A step that does not end well leaves it half-made: it is dropped then, and the next step makes one anew.
+    After a step that fails it may be inconsistent; it is then discarded, and the next step makes a new one.
     """
 
     def __init__(self, mesh: CollisionMesh, device: Any) -> None:
@@ -39,7 +39,7 @@ class Workspace:
 
     @lazy_property
     def contacts(self) -> ContactStore:
-        """Where a step puts its contacts."""
+        """The contacts and the minima of a step."""
         return ContactStore(self.topology, self.buffers)
 
     def positions(self, name: str, values: NDArray[np.float64]) -> wp.array:
@@ -67,7 +67,7 @@ class Workspace:
         return self._active
 
     def packed(self, options: Options, length_scale: float, max_iterations: int | None = None) -> Any:
-        """Options as the kernels take them, with the stop flag; packed once, which takes as long as a launch."""
+        """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""
         key = (options, length_scale, max_iterations)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
