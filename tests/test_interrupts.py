@@ -77,26 +77,39 @@ class Sender:
         self._process.wait()
 
 
+class Handler:
+    """The handler of SIGINT: an interrupt reaches the call alone, not what waits for its end."""
+
+    is_armed = False
+
+    def __call__(self, *_):
+        if self.is_armed:
+            raise KeyboardInterrupt
+
+
+_handler = Handler()
+
+
 def interrupted(sender, call, delay, gap):
     """Seconds from a signal in the middle of a call until the caller had control again, or None if it came too late."""
     back = None
-    has_begun = has_ended = False
-    while True:
+    has_ended = False
+    sender.ask(delay, gap)
+    try:
         try:
-            try:
-                if not has_begun:
-                    has_begun = True
-                    sender.ask(delay, gap)
-                    call()
-                    has_ended = True
-                while not sender.is_done():
-                    time.sleep(1e-3)
-                time.sleep(3e-3)  # a signal that was sent has arrived by then
-                break
-            except KeyboardInterrupt:
-                back = back or time.monotonic()
-        except KeyboardInterrupt:  # the second one, while the first was caught
-            back = back or time.monotonic()
+            _handler.is_armed = True
+            call()
+            has_ended = True
+            _handler.is_armed = False
+        except KeyboardInterrupt:
+            back = time.monotonic()
+            _handler.is_armed = False
+    except KeyboardInterrupt:  # the second one, while the first was caught; no third one is sent
+        back = back or time.monotonic()
+        _handler.is_armed = False
+    while not sender.is_done():
+        time.sleep(1e-3)
+    time.sleep(3e-3)  # a signal that was sent has arrived by then
     return None if has_ended or back is None else back - sender.time_sent()
 
 
@@ -194,7 +207,7 @@ def pairs(count, num_threads):
 def run(count, num_threads, num_faces, num_pairs, only=None):
     """Interrupt each call in turn; prints a line of JSON for each signal that came in time."""
     # a shell that starts the tests in the background may have them ignore it
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _handler)
     steps = Steps(num_faces, num_threads)
     calls = steps.calls() | steps.long_calls() | pairs(num_pairs, num_threads)
     calls = {name: call for name, call in calls.items() if only in (None, name)}
