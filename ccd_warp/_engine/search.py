@@ -1,7 +1,6 @@
 """The search for candidates in parts, whose pairs fit the available capacity."""
 
 import threading
-import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -28,12 +27,6 @@ _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
 KEY_BYTES = 8
 MOST_PAIRS = int(np.iinfo(np.int32).max)
-# In a long search the calling thread takes pieces of a part, so that it answers an interrupt soon, provided that a
-# piece that is certainly short has this many items.
-_WORTH_A_PIECE = 4
-# While a launch takes less than so many seconds, the next piece is four times as long, up to so many short pieces.
-_SHORT_LAUNCH = 0.01
-_LARGEST_PACE = 16
 
 
 @dataclass(frozen=True)
@@ -60,19 +53,6 @@ class _Part:
     def num_tests(self) -> int:
         """Number of pairs of boxes, most of which the tree rejects early."""
         return self.num_queries * self.tree_pair.target.primitives.count
-
-    @property
-    def num_short_items(self) -> int:
-        """Items whose search does not take long even if all their boxes overlap all others."""
-        return max(1, LONG_SEARCH // (WIDTH**self.level * self.tree_pair.target.primitives.count))
-
-    def cut(self, pace: int) -> tuple["_Part", list["_Part"]]:
-        """A first part of ``pace`` times the items that do not take long, and what is left."""
-        count = min(self.count, pace * self.num_short_items)
-        if count == self.count:
-            return self, []
-        rest = replace(self, first=self.first + count, count=self.count - count)
-        return replace(self, count=count), [rest]
 
     def split(self) -> list["_Part"]:
         """Smaller parts of the same items."""
@@ -152,7 +132,6 @@ class PairSearch:
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
         self.num_batches = 0
-        self._made_progress = True
         self._topology = topology
         self._positions, self._options = positions, options
         assert execution.flag
@@ -161,11 +140,8 @@ class PairSearch:
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
-        self._counts = buffers.rows("search counts", self._num_slots, _NUM_COUNTS, wp.int64)
-
-    @property
-    def _num_slots(self) -> int:
-        return 64 if self.execution.is_cuda else self.num_workers
+        self._counts = buffers.rows("search counts", self.num_workers, _NUM_COUNTS, wp.int64)
+        self._counts_view = None if execution.is_cuda else self._counts.numpy()
 
     def ranges(self, tree_pairs: list[TreePair]) -> Iterator[list[Found]]:
         """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
@@ -190,11 +166,7 @@ class PairSearch:
         while pending:
             self.buffers.get("keys", capacity, wp.int64)
             self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
-            regions = (
-                self._cuda_batch(pending, capacity)
-                if self.execution.is_cuda
-                else self._cpu_batch(pending, capacity, is_long)
-            )
+            regions = self._batch(pending, capacity, is_long)
             self.num_batches += 1
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
@@ -232,11 +204,16 @@ class PairSearch:
             record_cmd=True,
         )
 
-    @staticmethod
-    def _launch(command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> None:
+    def _launch(self, command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
+        """Search a part, and return its counts."""
+        if self._counts_view is None:
+            self._counts.zero_()
+        else:
+            self._counts_view[slot] = 0
         command.set_param_at_index(1, search_range(part.level, slot, capacity, part.first, 1, begin))
         command.set_dim(part.count)
         command.launch()
+        return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
     def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
         self.candidates[part.tree_pair.kind] += int(counts[_CANDIDATES])
@@ -249,34 +226,23 @@ class PairSearch:
         is_cut = part.level == 0
         region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
 
-    def _cpu_batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
-        """Threads take parts until none is left or their capacity is exhausted."""
+    def _batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
+        """Threads take parts until none is left or their capacity is exhausted; on CUDA this thread alone."""
         bounds = [capacity * k // self.num_workers for k in range(self.num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self.num_workers)]
         lock = threading.Lock()
-        host = self._counts.numpy()
 
-        def work(region: _Region, pace: int = 0) -> None:
-            """Take parts; with a pace only so much of them that a launch ends soon, more where launches are short."""
-            counts = host[region.slot]
-            commands: dict[int, wp.Launch] = {}
-            seconds = 0.0
+        def work(region: _Region) -> None:
+            commands: dict[TreePair, wp.Launch] = {}
             while True:
                 with lock:
                     if not pending:
                         return
                     part = pending.popleft()
-                    if pace:
-                        pace = min(4 * pace, _LARGEST_PACE) if seconds < _SHORT_LAUNCH else 1
-                        part, rest = part.cut(pace)
-                        pending.extendleft(rest)
+                if part.tree_pair not in commands:
+                    commands[part.tree_pair] = self._record(part.tree_pair)
                 begin = region.begin + region.filled
-                counts[:] = 0
-                command = commands.get(id(part.tree_pair)) or self._record(part.tree_pair)
-                commands[id(part.tree_pair)] = command
-                start = time.perf_counter()
-                self._launch(command, part, region.slot, begin, region.end - begin)
-                seconds = time.perf_counter() - start
+                counts = self._launch(commands[part.tree_pair], part, region.slot, begin, region.end - begin)
                 if self._flag.is_set:
                     return  # the kernel has stopped early, so its result is incomplete
                 with lock:
@@ -289,30 +255,5 @@ class PairSearch:
                     else:
                         pending.extendleft(part.split())
 
-        tasks = [lambda r=r: work(r) for r in regions]  # type: ignore[misc]
-        if is_long and all(part.num_short_items >= _WORTH_A_PIECE for part in pending):
-            self.execution.run(tasks[1:], is_long=True, own=lambda: work(regions[0], 1))
-        else:
-            self.execution.run(tasks, is_long=is_long)
-        return regions
-
-    def _cuda_batch(self, pending: deque[_Part], capacity: int) -> list[_Region]:
-        """Launch every part with an equal share of the capacity, and read all counts back at once."""
-        # where no part fitted its share of the capacity, one part gets all of it
-        most = self._num_slots if self._made_progress else 1
-        parts = [pending.popleft() for _ in range(min(len(pending), most))]
-        self._counts.zero_()
-        bounds = [capacity * k // len(parts) for k in range(len(parts) + 1)]
-        for k, part in enumerate(parts):
-            self._launch(self._record(part.tree_pair), part, k, bounds[k], bounds[k + 1] - bounds[k])
-        host = self._counts.numpy()
-        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(len(parts))]
-        self._made_progress = False
-        for k, part in enumerate(parts):
-            if host[k, _FOUND] <= bounds[k + 1] - bounds[k]:
-                self._keep(regions[k], part, bounds[k], host[k])
-                self._made_progress = True
-            else:
-                # split the part only where even the whole capacity does not suffice
-                pending.extendleft([part] if host[k, _FOUND] <= capacity else part.split())
+        self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
         return regions

@@ -129,19 +129,14 @@ class Execution:
             parts = max(1, min(self.num_threads * parts_per_thread, count // grain), -(-count // _MOST_ITEMS))
         return list(itertools.pairwise(count * k // parts for k in range(parts + 1)))
 
-    def run(
-        self, tasks: Sequence[Callable[[], Any]], *, is_long: bool = False, own: Callable[[], Any] | None = None
-    ) -> list[Any]:
+    def run(self, tasks: Sequence[Callable[[], Any]], *, is_long: bool = False) -> list[Any]:
         """Call the tasks, at most ``num_threads`` at a time, and return their results in order once all have ended.
 
-        Long tasks run on other threads, while this one waits and handles an interrupt, or does ``own`` work in pieces.
+        Long tasks run on other threads, while this one waits and handles an interrupt.
         """
         if self.is_serial:
-            results = [task() for task in tasks]
-            if own is not None:
-                own()
-            return results
-        return run(tasks, self.num_threads, self.flag, is_long=is_long, own=own, tick=self.progress.tick)
+            return [task() for task in tasks]
+        return run(tasks, self.num_threads, self.flag, is_long=is_long, tick=self.progress.tick)
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,6 @@ def run(
     flag: StopFlag | None = None,
     *,
     is_long: bool = False,
-    own: Callable[[], Any] | None = None,
     tick: Callable[[], None] | None = None,
 ) -> list[Any]:
     """Call the tasks, at most ``num_threads`` at a time, and return their results in order.
@@ -195,7 +194,6 @@ def run(
         flag: The flag to set if the job must end early.
         is_long: Whether a task may delay the response to an interrupt noticeably: then the calling thread only waits.
             Otherwise it works on tasks itself, which saves waking another thread.
-        own: What the calling thread does besides, in short pieces: while it waits, or after the tasks that it takes.
         tick: Called ten times a second while the calling thread waits.
 
     Raises:
@@ -203,7 +201,7 @@ def run(
     """
     # a thread of the pool may work instead of waiting
     is_here = getattr(_this_thread, "job", None) is not None
-    if own is None and not is_long and (num_threads == 1 or len(tasks) == 1):
+    if not is_long and (num_threads == 1 or len(tasks) == 1):
         return [task() for task in tasks]
     takes_part = is_here or not is_long
     job = _Job(tasks, flag)
@@ -212,8 +210,6 @@ def run(
             _pool.submit(job, min(num_threads, len(tasks)) - (1 if takes_part else 0))
         if takes_part:
             job.work()
-        if own is not None:
-            own()
         job.wait(tick)
     except BaseException:
         job.stop()
