@@ -252,6 +252,15 @@ class CollisionMesh:
         """Number of worlds, at least one; some may be empty."""
         return int(self.vertex_world.max(initial=0)) + 1
 
+    @lazy_property
+    def length_scale(self) -> float:
+        """Longest side of the box around ``vertices``: the default unit of tolerance and separation in every step."""
+        if self.num_vertices == 0:
+            return 0.0
+        with np.errstate(over="ignore"):
+            side = float(np.ptp(self.vertices, axis=0).max())
+        return min(side, float(np.finfo(np.float64).max))
+
     @property
     def num_vertices(self) -> int:
         """Number of vertices of all bodies."""

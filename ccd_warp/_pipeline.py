@@ -179,8 +179,8 @@ class CollisionPipeline:
             The arrays to which later launches write.
 
         Raises:
-            ValueError: If a capacity is out of its range, the positions do not match the mesh, or they all coincide and
-                no ``length_scale`` is given.
+            ValueError: If a capacity is out of its range, the positions do not match the mesh, or all vertices of the
+                mesh coincide and no ``length_scale`` is given.
             RuntimeError: If a graph is being captured.
         """
         with self._lock:
@@ -214,8 +214,7 @@ class CollisionPipeline:
         contents of the same arrays; on CUDA a first call outside the capture is required. Float64 positions of a mesh
         without static bodies are read in place; others are converted by the kernel that checks them.
 
-        Unless it was given, ``length_scale`` is the longest side of the box around the positions of :meth:`reserve`, so
-        that it is the same in every step. ``memory_limit`` is ignored here; the capacities are the limits.
+        ``memory_limit`` is ignored here; the capacities are the limits.
 
         Args:
             vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library

@@ -81,25 +81,3 @@ def inflated(box: Box, inflation: wp.float64) -> Box:
             box.lower[k] = inflated_below(box.lower[k], inflation)
             box.upper[k] = -inflated_below(-box.upper[k], inflation)
     return box
-
-
-@wp.kernel
-def chunk_bounds(
-    begin: int,
-    # in
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    chunk: int,
-    # out
-    lower: wp.array[wp.vec3d],
-    upper: wp.array[wp.vec3d],
-):
-    """Box around a chunk of vertices at both ends of the step: a reduction without atomics."""
-    c = begin + wp.tid()
-    low = vertices_t0[c * chunk]
-    high = low
-    for i in range(c * chunk, wp.min((c + 1) * chunk, vertices_t0.shape[0])):
-        low = wp.min(low, wp.min(vertices_t0[i], vertices_t1[i]))
-        high = wp.max(high, wp.max(vertices_t0[i], vertices_t1[i]))
-    lower[c] = low
-    upper[c] = high

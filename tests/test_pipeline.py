@@ -245,7 +245,8 @@ def test_t_max_cuts_the_step():
 def test_power_of_two_scale_changes_no_bit(exponent):
     mesh, start, end = bullet_and_wall()
     a = ccd.mesh_ccd(mesh, start, end)
-    b = ccd.mesh_ccd(mesh, np.ldexp(start, exponent), np.ldexp(end, exponent))
+    scaled = ccd.CollisionMesh.from_arrays([(np.ldexp(mesh.vertices, exponent), mesh.faces)])
+    b = ccd.mesh_ccd(scaled, np.ldexp(start, exponent), np.ldexp(end, exponent))
     assert a.contacts.toi.tobytes() == b.contacts.toi.tobytes()
     assert a.contacts.primitives.tobytes() == b.contacts.primitives.tobytes()
 

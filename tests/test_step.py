@@ -31,7 +31,7 @@ def check_contacts(mesh, start, end, **options):
     step = ccd.collision_free_step(mesh, start, end, **options)
     candidates = ccd.find_candidates(mesh, start, end)
     frames = mesh.frames(start, end)
-    scale = max(float(np.ptp(np.concatenate(frames), axis=0).max()), 5e-324)
+    scale = mesh.length_scale
     least = np.inf
     for kind, solve, pairs, name in (
         (ccd.PairKind.VERTEX_FACE, ccd.vertex_face_ccd, candidates.vertex_face, "vertex-face"),

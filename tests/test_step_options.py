@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from ccd_warp.benchmarks.oracle import exact_tois
 from launches import CAPACITIES, check_same, on_device
 from oracles import corners_of
@@ -173,25 +174,45 @@ def falling_by(height):
     return mesh, start, start - [0, 0, height] * (mesh.vertex_body == 1)[:, None]
 
 
-def test_lengths_are_shares_of_the_whole_motion():
-    mesh, start, end = falling_by(4.0)  # from 1 down to -3
-    result = ccd.mesh_ccd(mesh, start, end, minimum_separation=0.1, device="cpu")
-    assert result.toi == pytest.approx((1.0 - 0.1 * 4.0) / 4.0, abs=1e-5)
-    explicit = ccd.mesh_ccd(mesh, start, end, minimum_separation=0.1, length_scale=4.0, device="cpu")
+@pytest.mark.parametrize("height", [1.5, 4.0, 100.0])
+def test_default_separation_is_the_same_however_far_the_body_falls(height):
+    mesh, start, end = falling_by(height)
+    unit = float(np.ptp(mesh.vertices, axis=0).max())
+    assert mesh.length_scale == unit
+    options = {"minimum_separation": 0.1, "device": "cpu"}
+    result = ccd.mesh_ccd(mesh, start, end, **options)
+    assert result.toi == pytest.approx((1.0 - 0.1 * unit) / height, abs=1e-5)
+    explicit = ccd.mesh_ccd(mesh, start, end, length_scale=unit, **options)
     assert result.contacts.toi.tobytes() == explicit.contacts.toi.tobytes()
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    check_same(pipeline.launch(on_device(start), on_device(end)), result)
+    pipeline.reserve(vertices=2.0 * mesh.vertices)  # where trees are laid out changes no length
+    check_same(pipeline.launch(on_device(start), on_device(end)), result)
 
 
-def test_lengths_of_a_launch_are_shares_of_the_positions_it_is_laid_out_for():
-    mesh, start, end = falling_by(4.0)
-    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=0.1, device="cpu")
-    for scale in (1.0, 2.0, None):
-        if scale != 1.0:
-            pipeline.reserve(vertices=None if scale is None else scale * mesh.vertices)  # None leaves all as it is
-        unit = (scale or 2.0) * float(np.ptp(mesh.vertices, axis=0).max())
-        result = pipeline.launch(on_device(start), on_device(end))
-        assert result.toi.numpy()[0] == pytest.approx((1.0 - 0.1 * unit) / 4.0, abs=1e-5)
-        options = {"minimum_separation": 0.1, "length_scale": unit, "device": "cpu"}
-        check_same(result, ccd.mesh_ccd(mesh, start, end, **options))
+def test_sheet_over_a_ball_that_moves_away_is_free_for_every_trial_step():
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    sheet = np.array([[-1, -1, 1.005], [1, -1, 1.005], [1, 1, 1.005], [-1, 1, 1.005]], dtype=float)
+    mesh = ccd.CollisionMesh.from_arrays([(sheet, [[0, 1, 2], [0, 2, 3]]), (ball.vertices, ball.faces)])
+    for trial in (0.1, 1.0, 5.0, 10.0, 100.0):
+        end = mesh.vertices - [0, 0, trial] * (mesh.vertex_body == 1)[:, None]
+        options = {"minimum_separation": 1e-3, "device": "cpu"}
+        assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == 1.0
+        result = ccd.CollisionPipeline(mesh, **options).launch(on_device(mesh.vertices), on_device(end))
+        assert result.toi.numpy()[0] == np.inf
+
+
+def test_mesh_without_extent_needs_a_length_scale():
+    mesh = ccd.CollisionMesh.from_arrays([(np.zeros((3, 3)), [[0, 1, 2]]), (np.zeros((3, 3)), [[0, 1, 2]])])
+    end = np.arange(18.0).reshape(6, 3)
+    message = "length_scale is None, and all vertices of the mesh coincide; expected a length_scale above 0"
+    for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.line_search):
+        with pytest.raises(ValueError, match=message):
+            call(mesh, mesh.vertices, end, device="cpu")
+    with pytest.raises(ValueError, match=message):
+        ccd.CollisionPipeline(mesh, device="cpu").reserve()
+    assert len(ccd.find_candidates(mesh, mesh.vertices, end, device="cpu").edge_edge) == 9
+    assert ccd.mesh_ccd(mesh, mesh.vertices, end, length_scale=1.0, device="cpu").toi == 0.0
 
 
 def test_counts_after_a_launch_are_those_of_the_last_call_on_the_host(device):

@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
-from ccd_warp._engine.scene import half_up, moves_alone, possible_kinds
+from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
@@ -139,7 +139,7 @@ class DeviceStep:
         self._flag = StopFlag(topology.device)
         self._execution = execution = Execution(topology.device, options.threads, self._flag)
         self._vertices = vertices
-        length_scale = options.length_scale or _longest_side(vertices)
+        length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         inflation = half_up(separation)
         self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
@@ -408,12 +408,3 @@ def _worlds_are_apart(mesh: CollisionMesh) -> bool:
     """Whether no body has vertices in more than one world."""
     within = np.diff(mesh.vertex_body) == 0
     return not (within & (np.diff(mesh.vertex_world) != 0)).any()
-
-
-def _longest_side(vertices: NDArray[np.float64]) -> float:
-    """Longest side of the box around positions, the unit of tolerance and separation."""
-    with np.errstate(over="ignore"):
-        side = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 1.0
-    if not 0.0 < side <= np.finfo(np.float64).max:
-        raise ValueError(f"length_scale is None, and the vertices span {side}; expected a length_scale above 0")
-    return side

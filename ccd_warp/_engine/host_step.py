@@ -14,21 +14,17 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import bodies_near
-from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
-from ccd_warp._engine.scene import half_up, possible_kinds
+from ccd_warp._engine.scene import half_up, length_scale_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
 from ccd_warp._results import Contacts, Counts, MeshResult
-from ccd_warp._runtime.launch import Execution
-from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp.kernels import boxes as box_kernels
 
 # Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
@@ -41,7 +37,6 @@ _WORTH_SHORTENING = 0.5
 # Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
-_LARGEST = float(np.finfo(np.float64).max)
 _LEAST_KEYS = 1 << 12
 
 _T = TypeVar("_T")
@@ -80,6 +75,9 @@ class Step:
             self.execution = plan.execution
             plan.begin_counts()
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
+            if inflation is None:
+                self.length_scale = length_scale_of(self.mesh, self.options)
+                self.separation = self.options.separation(self.length_scale)
         with self.timed("boxes"):
             self.inflation = half_up(self.separation) if inflation is None else inflation
             active = self.workspace.active(self._bodies_near())
@@ -118,20 +116,6 @@ class Step:
             self.timings[stage] = self.timings.get(stage, 0.0) + seconds
         self._events.clear()
         self.timings["total"] = sum(self.timings.values())
-
-    @lazy_property
-    def length_scale(self) -> float:
-        """The unit of tolerance and separation."""
-        if self.options.length_scale is not None:
-            return self.options.length_scale
-        return longest_side(self.vertices_t0, self.vertices_t1, self.execution, self.buffers)
-
-    @property
-    def separation(self) -> float:
-        """The minimum separation, a length."""
-        if self.options.minimum_separation == 0.0:
-            return 0.0
-        return self.options.separation(self.length_scale)
 
     def capacity(self, bytes_per_pair: int, num_parts: int = 1) -> int:
         """Largest number of pairs at a time within the memory limit, where so many parts are searched at once.
@@ -371,18 +355,3 @@ def _level_of_caller() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
         frame, level = frame.f_back, level + 1
     return level
-
-
-def longest_side(vertices_t0: wp.array, vertices_t1: wp.array, execution: Execution, buffers: Buffers) -> float:
-    """Longest side of the box around the start and end positions."""
-    if len(vertices_t0) == 0:
-        return 0.0
-    chunk = 64 if execution.is_cuda else 2048
-    count = -(-len(vertices_t0) // chunk)
-    lower, upper = (buffers.get(f"chunk {side}", count, wp.vec3d) for side in ("lower", "upper"))
-    execution.launch(
-        box_kernels.chunk_bounds, count, inputs=[vertices_t0, vertices_t1, chunk], outputs=[lower, upper], grain=8
-    )
-    with np.errstate(over="ignore"):
-        sides = upper.numpy()[:count].max(axis=0) - lower.numpy()[:count].min(axis=0)
-    return float(min(sides.max(), _LARGEST))

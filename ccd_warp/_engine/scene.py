@@ -28,6 +28,19 @@ def moves_alone(mesh: "CollisionMesh") -> bool:
     return len(moving) == 1 and not moving.any()
 
 
+def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
+    """The unit of tolerance and separation: that of the options, or the size of the mesh.
+
+    Raises:
+        ValueError: If none is given, and all vertices of the mesh coincide.
+    """
+    if options.length_scale is not None:
+        return options.length_scale
+    if mesh.length_scale == 0.0 and mesh.num_vertices > 1:
+        raise ValueError("length_scale is None, and all vertices of the mesh coincide; expected a length_scale above 0")
+    return mesh.length_scale or 1.0
+
+
 def half_up(separation: float) -> float:
     """Half a length, rounded up, for the boxes of both primitives of a pair."""
     if separation <= 0.0:

@@ -65,8 +65,9 @@ class MeshOptions(_Solver, _End, _Search, _Limits, _Place, total=False):
             the same status as at ``max_iterations``. The share depends only on the pairs, so results are reproducible.
             Default: ``5000000``.
         length_scale: Length that ``tolerance`` and ``minimum_separation`` are multiples of, above 0. None stands for
-            the longest side of the box around the whole motion, in the pair functions around the motion of each pair;
-            scaling a scene, or a pair, by a power of two then changes no bit of its toi. Default: ``None``.
+            that of the mesh, the longest side of the box around its vertices (``CollisionMesh.length_scale``), which is
+            the same in every step; in the pair functions for that of the box around the motion of each pair. Scaling a
+            scene, or a pair, by a power of two then changes no bit of its toi. Default: ``None``.
         precision: Precision of the iteration, ``"float64"`` or ``"float32"``. Differences are always formed in float64.
             Default: ``"float64"``.
         method: ``"clipping"``, or for comparison ``"bisection"``, the plain inclusion bisection of the literature.
