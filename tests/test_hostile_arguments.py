@@ -56,6 +56,7 @@ BODIES = {
     "body_pairs": None,
     "exclusion_rings": 1,
     "vertex_world": np.zeros(6, dtype=int),
+    "names": ["face", "cable"],
 }
 LAUNCHED = {"vertices_t0": START, "vertices_t1": END}
 
@@ -128,6 +129,7 @@ def _calls(folder):
             ccd.CollisionMesh.from_trimesh,
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
         ),
+        "replicate": (MESH.replicate, {"count": 2}),
         "frame": (MESH.frame, {"vertices": START}),
         "frames": (MESH.frames, {"vertices_t0": START, "vertices_t1": END}),
         "CollisionPipeline": (
@@ -208,7 +210,7 @@ OPTIONAL = {
         "max_pairs",
         "camera",
     ),
-    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices"),
+    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names"),
 }
 REQUIRED = {("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 PATHS = {"path", "folder", "start_path", "end_path"}
@@ -231,6 +233,7 @@ TAKEN = {
     "text": {"name"},
     "empty text": {"name"},
     "text with a null": {"name"},
+    "array of texts": {"names"},
 }
 EXCEPTIONS = REQUIRED | {("render_step", "t_max")}
 
@@ -256,9 +259,10 @@ def _run(function, arguments):
 
 def _check_refusal(error, name, *words):
     text = str(error)
-    assert isinstance(error, IndexError if name == "i" and "an index" in text else ValueError), (
-        f"{type(error).__name__}: {text}"
-    )
+    kind = IndexError if name == "i" and "an index" in text else ValueError
+    if "trimesh.Trimesh" in text:  # what from_trimesh does not know is of a wrong type
+        kind = TypeError
+    assert isinstance(error, kind), f"{type(error).__name__}: {text}"
     for word in (name, "expected", *words):
         assert word in text, text
     assert "\n" not in text and len(text) < 400, text

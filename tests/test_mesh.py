@@ -61,6 +61,81 @@ def test_from_trimesh():
     assert mesh.num_edges == len(box.edges_unique) + len(ball.edges_unique)
 
 
+def test_from_trimesh_takes_a_single_mesh():
+    box = trimesh.creation.box()
+    mesh = CollisionMesh.from_trimesh(box)
+    assert mesh.num_bodies == 1 and mesh.names == ("body 0",) and np.array_equal(mesh.vertices, box.vertices)
+
+
+def _scene():
+    """A box used by two nodes, the second moved and turned, and points."""
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box(), node_name="floor", geom_name="box")
+    turned = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    turned[:3, 3] = [0.1, 0.2, 5.0]
+    scene.graph.update(frame_to="crate", matrix=turned, geometry="box")
+    scene.add_geometry(trimesh.PointCloud(np.eye(2, 3)), node_name="dust")
+    return scene, turned
+
+
+def test_a_scene_is_a_body_a_node_with_its_name_and_transformation():
+    scene, turned = _scene()
+    mesh = CollisionMesh.from_trimesh(scene, static=["floor"])
+    assert mesh.names == ("floor", "crate", "dust") and mesh.static.tolist() == [True, False, False]
+    corners = scene.geometry["box"].vertices
+    assert np.array_equal(mesh.vertices[:8], corners)  # the identity changes no bit
+    assert np.allclose(mesh.vertices[8:16], corners @ turned[:3, :3].T + turned[:3, 3], atol=1e-15)
+    assert mesh.codimensional_points.tolist() == [16, 17]
+
+
+def test_scenes_and_meshes_mix_in_a_list_and_keep_names_apart():
+    scene, _ = _scene()
+    mesh = CollisionMesh.from_trimesh([trimesh.creation.icosphere(1), scene, scene])
+    names = ("body 0", "floor", "crate", "dust", "floor (2)", "crate (2)", "dust (2)")
+    assert mesh.names == names
+    with pytest.raises(ValueError, match="body 0 is a Scene without geometry"):
+        CollisionMesh.from_trimesh(trimesh.Scene())
+
+
+def test_messages_call_bodies_by_their_names():
+    named = {"names": ["cloth", "ball"]}
+    with pytest.raises(ValueError, match=r"faces of body 1 \(ball\) holds index 7"):
+        CollisionMesh.from_arrays([TRIANGLE, (np.eye(3), [[0, 1, 7]])], **named)
+    with pytest.raises(ValueError, match=r"at \(0, 1\) and \(1, 0\), body 0 \(cloth\) and body 1 \(ball"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, body_pairs=[[False, True], [False, False]])
+    with pytest.raises(ValueError, match=r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, static=["bal"])
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], **named, static=["cloth"])
+    assert mesh.static.tolist() == [True, False]
+    bad = np.zeros((7, 3))
+    bad[5] = np.nan
+    with pytest.raises(
+        ValueError, match=r"vertices_t0 holds nan in row 5 \(vertex 2 of ball\); expected finite values"
+    ):
+        mesh.frame(bad)
+    with pytest.raises(
+        ValueError, match=r"vertices_t1 holds nan in row 2 \(vertex 2 of ball\); expected finite values"
+    ):
+        mesh.frames(np.zeros((7, 3)), bad[3:])
+    assert repr(mesh) == "CollisionMesh(2 bodies (cloth, ball), 7 vertices, 9 edges, 5 faces)"
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["cloth"], "names has 1 entries; expected 2, one a body"),
+        (["cloth", "cloth"], "names holds 'cloth' twice; expected a name of its own"),
+        (["cloth", 7], "names holds 7; expected printable texts"),
+        (["cloth", ""], "names holds ''; expected printable texts"),
+        (["cloth", "a\nb"], r"names holds 'a\\nb'; expected printable texts"),
+        ("cloth", "names is 'cloth'; expected a list of texts"),
+    ],
+)
+def test_bad_names_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], names=names)
+
+
 def test_codimensional_edges_are_added_to_the_edges_of_faces():
     cable = (np.zeros((5, 3)), [[0, 1, 2]], [[3, 2], [4, 3], [2, 3], [1, 0], [4, 4]])
     mesh = CollisionMesh.from_arrays([TRIANGLE, cable, (np.zeros((2, 3)), [], [[1, 0]])])
@@ -205,8 +280,13 @@ def test_bad_bodies_are_named(bodies, options, message):
 
 
 def test_from_trimesh_names_what_is_not_a_mesh():
-    with pytest.raises(ValueError, match=r"body 0 is a ndarray; expected a trimesh\.Trimesh"):
+    with pytest.raises(
+        TypeError, match=r"body 0 is a ndarray; expected a trimesh\.Trimesh, Path3D, PointCloud or Scene"
+    ):
         CollisionMesh.from_trimesh([np.eye(3)])
+    for value in (7, "ball.ply", {"a": trimesh.creation.box()}, trimesh.Trimesh):
+        with pytest.raises(TypeError, match=r"bodies is .*; expected a trimesh\.Trimesh, .* or a list of these"):
+            CollisionMesh.from_trimesh(value)
 
 
 def test_frames_of_static_bodies_rest():

@@ -1,0 +1,43 @@
+"""How objects show themselves: in a line or two as text, and as a table in a notebook."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+_MOST_LISTED = 4
+_MOST_ROWS = 20
+
+
+def counted(count: int, singular: str, plural: str) -> str:
+    """A number and what it counts: "1 body", "2 bodies"."""
+    return f"{count:,} {singular if count == 1 else plural}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """The first few of some words, and how many more there are."""
+    shown = ", ".join(words[:_MOST_LISTED])
+    return shown if len(words) <= _MOST_LISTED else f"{shown}, … {len(words) - _MOST_LISTED} more"
+
+
+def point_text(point: Iterable[float]) -> str:
+    """A position in six digits, for reading only."""
+    return f"({', '.join(f'{x + 0.0:.6g}' for x in point)})"
+
+
+def array_text(array: Any) -> str:
+    """What an array is, without its values: "float64 [170, 3]"."""
+    dtype = array.dtype if isinstance(array, np.ndarray) else getattr(array.dtype, "__name__", array.dtype)
+    return f"{dtype} {list(array.shape)}"
+
+
+def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table for a notebook: its first rows, and how many more there are."""
+
+    def line(cells: Iterable[Any], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{escape(str(cell))}</{tag}>' for cell in cells)}</tr>"
+
+    body = "".join(line(row, "td") for row in rows[:_MOST_ROWS])
+    more = f"<p>… {len(rows) - _MOST_ROWS:,} more</p>" if len(rows) > _MOST_ROWS else ""
+    return f"<p>{escape(title)}</p><table><thead>{line(header, 'th')}</thead><tbody>{body}</tbody></table>{more}"
