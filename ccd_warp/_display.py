@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 _MOST_LISTED = 4
-_MOST_ROWS = 20
+MOST_ROWS = 20
 
 
 def counted(count: int, singular: str, plural: str) -> str:
@@ -32,12 +32,13 @@ def array_text(array: Any) -> str:
     return f"{dtype} {list(array.shape)}"
 
 
-def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table for a notebook: its first rows, and how many more there are."""
+def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], total: int | None = None) -> str:
+    """A table for a notebook: its first rows, and how many more there are; ``total`` where not all are given."""
+    total = len(rows) if total is None else total
 
     def line(cells: Iterable[Any], tag: str) -> str:
         return f"<tr>{''.join(f'<{tag}>{escape(str(cell))}</{tag}>' for cell in cells)}</tr>"
 
-    body = "".join(line(row, "td") for row in rows[:_MOST_ROWS])
-    more = f"<p>… {len(rows) - _MOST_ROWS:,} more</p>" if len(rows) > _MOST_ROWS else ""
+    body = "".join(line(row, "td") for row in rows[:MOST_ROWS])
+    more = f"<p>… {total - MOST_ROWS:,} more</p>" if total > MOST_ROWS else ""
     return f"<p>{escape(title)}</p><table><thead>{line(header, 'th')}</thead><tbody>{body}</tbody></table>{more}"

@@ -1,49 +1,20 @@
 """Results of the mesh functions."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, NoReturn
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._status import PairKind
+from ccd_warp._contacts import Contact, Contacts, DeviceContacts
+from ccd_warp._display import counted, html_table
+from ccd_warp._status import LaunchFlag, PairKind
 
-
-@dataclass(frozen=True)
-class Contacts:
-    """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
-
-    Attributes:
-        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge, or of the vertices of two codimensional points, int32, shape [m, 2].
-        toi: Earliest time of impact in [0, t_max], float64, shape [m].
-        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
-        normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
-            comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
-            sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
-            or points along the gap where that velocity is zero.
-        status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
-        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
-        width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
-            shape [m].
-    """
-
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int32]
-    toi: NDArray[np.float64]
-    parameters: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    status: NDArray[np.int32]
-    gap: NDArray[np.float64]
-    width: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.toi)
+__all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Counts:
     """Sizes of the scene, and what a call looked at and found.
 
@@ -88,8 +59,27 @@ class Counts:
     num_contacts_at_limit: int = 0
     num_batches: int = 0
 
+    def __repr__(self) -> str:
+        shown = {
+            "candidates": sum(self.num_candidates.values()),
+            "after the cull": sum(self.num_after_cull.values()),
+            "contacts": sum(self.num_contacts.values()),
+        }
+        text = ", ".join(f"{count:,} {name}" for name, count in shown.items())
+        bodies, vertices = counted(self.num_bodies, "body", "bodies"), f"{self.num_vertices:,} vertices"
+        return f"Counts({bodies}, {vertices}, {self.num_edges:,} edges, {self.num_faces:,} faces; {text})"
 
-@dataclass(frozen=True)
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, str]] = []
+        for each in fields(self):
+            value, name = getattr(self, each.name), each.name.removeprefix("num_").replace("_", " ")
+            by_kind = value.items() if isinstance(value, dict) else ()
+            rows += [(f"{kind.name.lower().replace('_', '-')} {name}", f"{count:,}") for kind, count in by_kind]
+            rows += [] if isinstance(value, dict) else [(name, f"{value:,}")]
+        return html_table("Counts", ("", ""), rows)
+
+
+@dataclass(frozen=True, repr=False)
 class MeshResult:
     """Result of :func:`ccd_warp.mesh_ccd`.
 
@@ -121,43 +111,63 @@ class MeshResult:
         """Whether any pair has a finite toi."""
         return bool(np.isfinite(self.toi))
 
+    @property
+    def first(self) -> Contact | None:
+        """The earliest contact, the first where several have the same toi; None if there is certainly none."""
+        return self.contacts._first()
 
-@dataclass(frozen=True)
-class DeviceContacts:
-    """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
+    def __repr__(self) -> str:
+        return f"MeshResult({_outcome(self.toi, self.world_toi, self.contacts)})"
+
+    def _repr_html_(self) -> str:
+        return self.contacts._repr_html_().replace("<p>Contacts(", f"<p>toi {self.toi!r}, Contacts(", 1)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class HostLaunchResult:
+    """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
 
     Attributes:
-        count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
-            [1].
-        kind: int32, shape [max_contacts], as for all that follow.
-        primitives: vec2i.
-        toi: float64.
-        parameters: vec2d.
-        normal: vec3d.
-        status: int32.
-        gap: float64.
-        width: float64.
+        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
+        world_toi: The same for each world, float64, shape [W].
+        body_toi: The same for each body, float64, shape [B].
+        vertex_toi: The same for each vertex, float64, shape [V].
+        contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
+        flags: Flags of the scene.
+        world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
+        num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
+        num_contacts: Number of contacts found, including those beyond the capacity.
     """
 
-    count: wp.array
-    kind: wp.array
-    primitives: wp.array
-    toi: wp.array
-    parameters: wp.array
-    normal: wp.array
-    status: wp.array
-    gap: wp.array
-    width: wp.array
+    toi: float
+    world_toi: NDArray[np.float64]
+    body_toi: NDArray[np.float64]
+    vertex_toi: NDArray[np.float64]
+    contacts: Contacts
+    flags: LaunchFlag
+    world_flags: NDArray[np.int32]
+    num_pairs: dict[PairKind, int]
+    num_contacts: int
 
-    def to_host(self) -> Contacts:
-        """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device."""
-        count = min(int(self.count.numpy()[0]), len(self.kind))
-        host = {name: array.numpy()[:count] for name, array in vars(self).items() if name != "count"}
-        order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
-        return Contacts(**{name: values[order] for name, values in host.items()})
+    @property
+    def hit(self) -> bool:
+        """Whether any pair has a finite toi."""
+        return bool(np.isfinite(self.toi))
+
+    @property
+    def first(self) -> Contact | None:
+        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
+        return self.contacts._first()
+
+    def __repr__(self) -> str:
+        flags = "" if not self.flags else f", {self.flags!r}"
+        return f"HostLaunchResult({_outcome(self.toi, self.world_toi, self.contacts)}{flags})"
+
+    def _repr_html_(self) -> str:
+        return self.contacts._repr_html_().replace("<p>Contacts(", f"<p>toi {self.toi!r}, Contacts(", 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LaunchResult:
     """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch` writes, the same ones each time.
 
@@ -184,3 +194,54 @@ class LaunchResult:
     world_flags: wp.array
     num_pairs: wp.array
     _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses
+
+    def __post_init__(self) -> None:
+        """Let the contacts know the step to which they belong."""
+        object.__setattr__(self.contacts, "_place", self._step)
+
+    def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
+        """What all arrays hold now, on the host; this waits for the device.
+
+        Args:
+            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
+                default what the arrays of the last launch hold now; give them if these have changed since.
+            vertices_t1: End positions, likewise; both are given or neither is.
+
+        Returns:
+            A copy that later launches do not change.
+
+        Raises:
+            ValueError: If one of the positions is given without the other, or they do not match the mesh.
+        """
+        contacts = self.contacts.to_host(vertices_t0, vertices_t1)
+        names = ("world_toi", "body_toi", "vertex_toi", "world_flags")
+        arrays = {name: getattr(self, name).numpy().copy() for name in names}
+        return HostLaunchResult(
+            toi=float(self.toi.numpy()[0]),
+            contacts=contacts,
+            flags=LaunchFlag(int(self.flags.numpy()[0])),
+            num_pairs={kind: int(count) for kind, count in zip(PairKind, self.num_pairs.numpy(), strict=True)},
+            num_contacts=int(self.contacts.count.numpy()[0]),
+            **arrays,
+        )
+
+    def __repr__(self) -> str:
+        sizes = [counted(len(self.body_toi), "body", "bodies"), f"{len(self.vertex_toi):,} vertices"]
+        sizes += [f"{len(self.world_toi):,} worlds"] if len(self.world_toi) > 1 else []
+        return f"LaunchResult({', '.join(sizes)}, arrays on {self.toi.device}; to_host() reads them)"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: the arrays are on a device, and launches go on writing to them."""
+        raise TypeError("a LaunchResult cannot be copied or pickled; copy or pickle what to_host() returns")
+
+
+def _outcome(toi: float, world_toi: NDArray[np.float64], contacts: Contacts) -> str:
+    """The outcome of a step in a line: its toi, in how many worlds, how many contacts, and the first."""
+    if not np.isfinite(toi):
+        return "toi=inf, no contact"
+    parts = [f"toi={toi!r}"]
+    if len(world_toi) > 1:
+        parts.append(f"{np.isfinite(world_toi).sum():,} of {len(world_toi):,} worlds")
+    parts.append(counted(len(contacts), "contact", "contacts"))
+    first = contacts._first()
+    return ", ".join(parts) + (f", first: {first._described()}" if first else "")

@@ -332,9 +332,11 @@ def test_every_public_argument_is_among_those_tried(calls):
     outputs = {
         ccd.CandidateOptions,
         ccd.Candidates,
+        ccd.Contact,
         ccd.Contacts,
         ccd.Counts,
         ccd.DeviceContacts,
+        ccd.HostLaunchResult,
         ccd.LaunchResult,
         ccd.LineSearchOptions,
         ccd.LineSearchResult,

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contact_place import located
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore, Gathered
@@ -541,7 +542,8 @@ class Step:
         )
 
     def result(self, gathered: Gathered, search: PairSearch, survivors: Counter[PairKind]) -> MeshResult:
-        contacts = gathered.contacts
+        with self.timed("gather"):
+            contacts = located(gathered.contacts, self.mesh, *self.host)
         self.count_pairs(search)
         self.finish_counts(survivors, contacts)
         self.finish_timings()

@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_place import points_at_toi
 from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp.viz._contacts import contact_points
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
@@ -121,7 +121,7 @@ def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLi
         static=mesh.static,
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
-        contact_points=(contact_points(mesh, start, end, contacts) - centre) / unit,
+        contact_points=(points_at_toi(mesh, start, end, contacts) - centre) / unit,
         contact_normals=np.asarray(contacts.normal),
         contact_is_first=is_first,
         first_contact=first,
