@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._display import MOST_ROWS, counted, html_table, point_text
+from ccd_warp._display import MOST_ROWS, counted, html_table, point_text, shortened
 from ccd_warp._status import CCDStatus, PairKind
 
 # Number of vertices of a pair of each kind; where it is less than four, `Contacts.vertices` repeats some.
@@ -262,8 +262,8 @@ class Contact:
         text = _kind_name(self.kind)
         if place is None:
             return text
-        a, b = self.body_names
-        text += f" of {a} and {b}" if a != b else f" of {a} and itself"
+        a, b = map(shortened, self.body_names)
+        text += f" of {a} and {b}" if len({*self.bodies}) == 2 else f" of {a} and itself"
         return text if not place.has_points else f"{text} at {point_text(self.point)}"
 
     def _cells(self) -> tuple[str, ...]:

@@ -4,10 +4,9 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
-
 _MOST_LISTED = 4
-MOST_ROWS = 20
+_MOST_LETTERS = 32  # of a name
+MOST_ROWS = 30
 
 
 def counted(count: int, singular: str, plural: str) -> str:
@@ -17,19 +16,18 @@ def counted(count: int, singular: str, plural: str) -> str:
 
 def listed(words: Sequence[str]) -> str:
     """The first few of some words, and how many more there are."""
-    shown = ", ".join(words[:_MOST_LISTED])
+    shown = ", ".join(shortened(word) for word in words[:_MOST_LISTED])
     return shown if len(words) <= _MOST_LISTED else f"{shown}, … {len(words) - _MOST_LISTED} more"
+
+
+def shortened(word: str) -> str:
+    """A name, cut where it is long."""
+    return word if len(word) <= _MOST_LETTERS else f"{word[: _MOST_LETTERS - 1]}…"
 
 
 def point_text(point: Iterable[float]) -> str:
     """A position in six digits, for reading only."""
     return f"({', '.join(f'{x + 0.0:.6g}' for x in point)})"
-
-
-def array_text(array: Any) -> str:
-    """What an array is, without its values: "float64 [170, 3]"."""
-    dtype = array.dtype if isinstance(array, np.ndarray) else getattr(array.dtype, "__name__", array.dtype)
-    return f"{dtype} {list(array.shape)}"
 
 
 def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], total: int | None = None) -> str:

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
@@ -30,7 +30,7 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real
+from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
@@ -123,6 +123,14 @@ class CollisionPipeline:
         finally:
             if pipeline._workspace is not None:
                 idle.append(pipeline._workspace)
+
+    def __repr__(self) -> str:
+        given = [
+            f", {each.name}={shown(value)}"
+            for each in fields(self._options)
+            if (value := getattr(self._options, each.name)) != each.default
+        ]
+        return f"CollisionPipeline({self.mesh!r}{''.join(given)}, on {self._topology.device})"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled: its contents live on a device and belong to this process."""

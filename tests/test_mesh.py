@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import multiprocessing
 import pickle
 import weakref
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ccd_warp import mesh_ccd
+from ccd_warp import CollisionPipeline, mesh_ccd
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._mesh import CollisionMesh
 
@@ -218,6 +219,48 @@ def test_a_copy_of_a_mesh_that_was_used_begins_with_nothing_on_a_device(copied):
     assert MeshCache.of(mesh).topologies and MeshCache.of(mesh).idle_workspaces
     cache = MeshCache.of(copied(mesh))
     assert not cache.topologies and not cache.idle_workspaces
+
+
+def _toi_of(mesh):
+    """The result of a step in which the upper body falls by 1; also called in other processes."""
+    return mesh_ccd(mesh, mesh.vertices, mesh.vertices - (mesh.vertices[:, 2:] > 0.25) * [0.0, 0.0, 1.0])
+
+
+def _used_mesh():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, 0.5], [0.4, 0.2, 0.7], [0.2, 0.4, 0.7]])
+    mesh = CollisionMesh.from_arrays([(vertices[:3], [[0, 1, 2]]), (vertices[3:], [[0, 1, 2]])], names=["floor", "leg"])
+    return mesh, _toi_of(mesh)
+
+
+def test_a_mesh_that_was_used_goes_to_other_processes_and_its_results_come_back():
+    mesh, expected = _used_mesh()
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        (result,) = pool.map(_toi_of, [mesh])
+    assert result.toi == expected.toi < np.inf
+    assert repr(result.first) == repr(expected.first) and "leg" in repr(result)
+
+
+def test_joblib_takes_a_mesh_that_was_used():
+    joblib = pytest.importorskip("joblib")
+    mesh, expected = _used_mesh()
+    results = joblib.Parallel(n_jobs=2)(joblib.delayed(_toi_of)(each) for each in (mesh, mesh))
+    assert [result.toi for result in results] == [expected.toi] * 2
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))])
+def test_a_copy_of_a_mesh_that_was_used_is_the_same_mesh(copied):
+    mesh, expected = _used_mesh()
+    same = copied(mesh)
+    for field in fields(mesh):
+        np.testing.assert_array_equal(getattr(same, field.name), getattr(mesh, field.name))
+    assert _toi_of(same).toi == expected.toi and same.names == ("floor", "leg")
+
+
+def test_a_pipeline_says_that_it_is_built_again_from_its_mesh_and_options():
+    pipeline = CollisionPipeline(_used_mesh()[0])
+    for refused in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match=r"a CollisionPipeline cannot be copied or pickled; .* CollisionPipeline\("):
+            refused(pipeline)
 
 
 def test_a_mesh_that_was_used_goes_with_all_that_was_kept_for_it():
