@@ -10,9 +10,12 @@ the L∞ gap falls below separation + δ + ε, with δ the tolerance and ε the 
 was reached, which the status says. It holds in floating point, in both precisions, for every finite input.
 """
 
-from ccd_warp import datasets
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
+from ccd_warp._frames import Frames, read_frames
 from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
@@ -32,6 +35,7 @@ __all__ = [
     "Contacts",
     "Counts",
     "DeviceContacts",
+    "Frames",
     "HostLaunchResult",
     "LaunchFlag",
     "LaunchResult",
@@ -51,5 +55,25 @@ __all__ = [
     "mesh_ccd",
     "point_point_ccd",
     "point_segment_ccd",
+    "read_frames",
     "vertex_face_ccd",
+    "viz",
 ]
+
+if TYPE_CHECKING:
+    from ccd_warp import datasets, viz
+
+# Loaded when they are first asked for.
+_PARTS = ("datasets", "viz")
+
+
+def __getattr__(name: str) -> Any:
+    """A part of the package that is loaded when it is used."""
+    if name in _PARTS:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names, those of parts that are not loaded included."""
+    return sorted({*globals(), *__all__})

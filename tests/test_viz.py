@@ -146,13 +146,15 @@ def test_contact_points_of_nothing():
     assert viz.contact_points(mesh, start, end, _contacts([], [], [], [])).shape == (0, 3)
 
 
-def test_package_imports_without_the_viewer():
+def test_package_imports_without_its_parts_and_loads_them_when_used():
     code = (
-        "import sys, ccd_warp; print('ccd_warp.viz' in sys.modules);"
-        "import ccd_warp.viz; print('pyvista' in sys.modules, 'vtkmodules' in sys.modules)"
+        "import sys, ccd_warp as c; print(*(f'ccd_warp.{p}' in sys.modules for p in ('viz', 'datasets')));"
+        "print({'viz', 'datasets'} <= set(dir(c)), callable(c.viz.render_step), callable(c.datasets.find_queries));"
+        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules); c.nothing"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split()[-3:] == ["False", "False", "False"]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-7:] == ["False", "False", "True", "True", "True", "False", "False"]
+    assert "AttributeError: module 'ccd_warp' has no attribute 'nothing'" in done.stderr
 
 
 @pytest.mark.parametrize(("toi", "text"), [(0.3, "0.3"), (0.4877777777, "0.487777"), (1.0, "1"), (0.0, "0")])

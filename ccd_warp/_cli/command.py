@@ -23,6 +23,7 @@ from ccd_warp._cli.report import format_report, format_toi
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, InputError, make_body, read_frames, read_static, write_mesh
 from ccd_warp._input.messages import printable
+from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options, resolve_device
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
@@ -319,6 +320,7 @@ def _solve(
         [(body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
+        names=distinct_names([body.name for body in bodies]),
     )
     vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
