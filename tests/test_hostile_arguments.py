@@ -58,6 +58,7 @@ BODIES = {
     "vertex_world": np.zeros(6, dtype=int),
     "names": ["face", "cable"],
 }
+PICTURE = viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8))
 LAUNCHED = {"vertices_t0": START, "vertices_t1": END}
 
 
@@ -93,6 +94,7 @@ def no_drawing(monkeypatch):
 
     monkeypatch.setattr(viz, "drawing_without_display", draw)
     monkeypatch.setattr(viz, "import_pyvista", draw)
+    monkeypatch.setattr(viz._export, "import_pyvista", draw)
 
 
 def _calls(folder):
@@ -151,7 +153,10 @@ def _calls(folder):
         "pipeline.collision_free_step": (PIPELINE.collision_free_step, {"vertices_t0": START, "vertices_t1": END}),
         "pipeline.line_search": (PIPELINE.line_search, {"vertices_t0": START, "vertices_t1": END} | SEARCH),
         "render_step": (viz.render_step, picture | {"path": folder / "a.png", "size": (900, 300), "t_max": 1.0}),
+        "draw_step": (viz.draw_step, picture | {"size": (900, 300), "t_max": 1.0}),
         "show_step": (viz.show_step, picture),
+        "Picture.save": (PICTURE.save, {"path": folder / "a.png"}),
+        "to_pyvista": (viz.to_pyvista, FRAMES | {"result": RESULT, "t": 0.0}),
         "contact_points": (viz.contact_points, FRAMES | {"contacts": RESULT.contacts}),
         "Queries": (
             datasets.Queries,
@@ -202,7 +207,7 @@ class _Anywhere:
 
 EVERY = [(call, argument) for call, (_, arguments) in _calls(_Anywhere()).items() for argument in arguments]
 
-REALS = {"tolerance", "minimum_separation", "start_gap_fraction", "t_max", "length_scale", "inflation", "safety"}
+REALS = {"tolerance", "minimum_separation", "start_gap_fraction", "t_max", "length_scale", "inflation", "safety", "t"}
 OPTIONAL = {
     *(
         "start_gap_fraction",
@@ -222,7 +227,7 @@ PATHS = {"path", "folder", "start_path", "end_path"}
 FLAGS = {"self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
-    "negative zero": {"minimum_separation", "t_max", "inflation"},
+    "negative zero": {"minimum_separation", "t_max", "inflation", "t"},
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
@@ -239,10 +244,12 @@ TAKEN = {
     "text with a null": {"name"},
     "array of texts": {"names"},
 }
-EXCEPTIONS = REQUIRED | {("render_step", "t_max")}
+EXCEPTIONS = REQUIRED | {("render_step", "t_max"), ("draw_step", "t_max")}
 
 
 def is_taken(name, call, argument):
+    if (name, call, argument) == ("None", "to_pyvista", "result"):
+        return True
     if (call, argument) in EXCEPTIONS and name in ("None", "negative zero"):
         return False
     return argument in TAKEN.get(name, ())
@@ -333,7 +340,8 @@ def test_what_no_argument_expects_is_refused_by_its_name(calls, call, argument, 
 
 def test_every_public_argument_is_among_those_tried(calls):
     functions = [getattr(ccd, name) for name in ccd.__all__] + [getattr(datasets, name) for name in datasets.__all__]
-    functions += [viz.render_step, viz.show_step, viz.contact_points, datasets.Queries.id, datasets.Queries.joined]
+    functions += [getattr(viz, name) for name in viz.__all__ if name != "drawing_without_display"]
+    functions += [viz.Picture.save, datasets.Queries.id, datasets.Queries.joined]
     functions += [member for owner in (ccd.CollisionMesh, ccd.CollisionPipeline) for member in _methods(owner)]
     outputs = {
         ccd.CandidateOptions,
@@ -350,6 +358,7 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.MeshOptions,
         ccd.MeshResult,
         ccd.PairOptions,
+        viz.Picture,
     }
     outputs |= {ccd.PairResult, ccd.CCDStatus, ccd.LaunchFlag, ccd.PairKind, datasets.SimulationStep, ccd.CollisionMesh}
     tried = {}

@@ -291,7 +291,8 @@ def _draw(path: Path, bodies: list[Body], mesh, result, options: dict[str, Any])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
     try:
         with _closed_stderr():
-            return viz.render_step(path, mesh, vertices_t0, vertices_t1, result, t_max=options.get("t_max", 1.0))
+            viz.render_step(path, mesh, vertices_t0, vertices_t1, result, t_max=options.get("t_max", 1.0))
+            return path
     except OSError as error:
         raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
