@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn, overload
+from typing import Any, overload
 
 import numpy as np
-import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ccd_warp._display import MOST_ROWS, counted, html_table, point_text, shortened
 from ccd_warp._status import CCDStatus, PairKind
@@ -20,7 +19,7 @@ _CORNERS = {
 }
 
 
-class _Placed:
+class Placed:
     """Keeps what contacts know beside their arrays in a slot, so that ``vars()`` gives the arrays alone.
 
     It is a ``ContactPlace`` of `ccd_warp._contact_place`, or of contacts on a device a ``DeviceStep``. These modules
@@ -35,7 +34,7 @@ class _Placed:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Contacts(_Placed):
+class Contacts(Placed):
     """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
 
     ``contacts[k]`` is a :class:`ccd_warp.Contact`, and so is each item of an iteration; ``contacts[chosen]``, with a
@@ -273,64 +272,6 @@ class Contact:
         return _kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class DeviceContacts(_Placed):
-    """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
-
-    Attributes:
-        count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
-            [1].
-        kind: int32, shape [max_contacts], as for all that follow.
-        primitives: vec2i.
-        toi: float64.
-        parameters: vec2d.
-        normal: vec3d.
-        status: int32.
-        gap: float64.
-        width: float64.
-    """
-
-    count: wp.array
-    kind: wp.array
-    primitives: wp.array
-    toi: wp.array
-    parameters: wp.array
-    normal: wp.array
-    status: wp.array
-    gap: wp.array
-    width: wp.array
-
-    def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> Contacts:
-        """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.
-
-        Args:
-            vertices_t0: Start positions, for ``points``, as :func:`ccd_warp.mesh_ccd` takes them. By default what the
-                arrays of the last launch hold now.
-            vertices_t1: End positions, likewise; both are given or neither is.
-
-        Returns:
-            The contacts, with their points, vertices, bodies and worlds.
-
-        Raises:
-            ValueError: If one of the positions is given without the other, or they do not match the mesh.
-        """
-        if (vertices_t0 is None) != (vertices_t1 is None):
-            missing = "vertices_t0" if vertices_t0 is None else "vertices_t1"
-            raise ValueError(f"{missing} is None; expected both vertices_t0 and vertices_t1, or neither")
-        count = min(int(self.count.numpy()[0]), len(self.kind))
-        host = {name: array.numpy()[:count] for name, array in vars(self).items() if name != "count"}
-        order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
-        contacts = Contacts(**{name: values[order] for name, values in host.items()})
-        return contacts if self._place is None else self._place.locate(contacts, vertices_t0, vertices_t1)
-
-    def __repr__(self) -> str:
-        return f"DeviceContacts(up to {len(self.kind):,} contacts on {self.kind.device}; to_host() reads them)"
-
-    def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled: the arrays are on a device, and launches go on writing to them."""
-        raise TypeError("DeviceContacts cannot be copied or pickled; copy or pickle what to_host() returns")
-
-
 def _kind_name(kind: PairKind) -> str:
     return kind.name.lower().replace("_", "-")
 
@@ -340,3 +281,15 @@ def _by_kind(kinds: NDArray[np.int32]) -> str:
     counts = np.bincount(kinds, minlength=len(PairKind)) if len(kinds) else np.zeros(len(PairKind), dtype=np.int64)
     parts = [f"{counts[kind]:,} {_kind_name(kind)}" for kind in PairKind if counts[kind]]
     return f": {', '.join(parts)}" if parts else ""
+
+
+def outcome(toi: float, world_toi: NDArray[np.float64], contacts: Contacts) -> str:
+    """The outcome of a step in a line: its toi, in how many worlds, how many contacts, and the first."""
+    if not np.isfinite(toi):
+        return "toi=inf, no contact"
+    parts = [f"toi={toi!r}"]
+    if len(world_toi) > 1:
+        parts.append(f"{np.isfinite(world_toi).sum():,} of {len(world_toi):,} worlds")
+    parts.append(counted(len(contacts), "contact", "contacts"))
+    first = contacts._first()
+    return ", ".join(parts) + (f", first: {first._described()}" if first else "")

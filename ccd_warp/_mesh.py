@@ -1,5 +1,6 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field, fields
 from typing import Any
@@ -22,7 +23,7 @@ from ccd_warp._input.mesh_checks import (
     validated_static,
     validated_worlds,
 )
-from ccd_warp._input.names import body_label, is_default_name, validated_names
+from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
@@ -273,7 +274,12 @@ class CollisionMesh:
             with_codimensional_points=validated_flags(codimensional_points, len(bodies), "codimensional_points"),
             body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
-            vertex_world=validated_worlds(vertex_world, offsets[-1], {"face": faces, "codimensional edge": edges}),
+            vertex_world=validated_worlds(
+                vertex_world,
+                offsets[-1],
+                {"face": faces, "codimensional edge": edges},
+                lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
+            ),
             names=names,
         )
 

@@ -106,6 +106,8 @@ def test_messages_call_bodies_by_their_names():
         CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, body_pairs=[[False, True], [False, False]])
     with pytest.raises(ValueError, match=r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"):
         CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, static=["bal"])
+    with pytest.raises(ValueError, match=r"vertex_world gives face 1 of ball worlds \[0, 0, 1\]; expected one"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, vertex_world=[0, 0, 0, 0, 0, 1])
     mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], **named, static=["cloth"])
     assert mesh.static.tolist() == [True, False]
     bad = np.zeros((7, 3))

@@ -135,9 +135,12 @@ def validated_rings(value: int) -> int:
 
 
 def validated_worlds(
-    values: ArrayLike | None, num_vertices: int, primitives: dict[str, NDArray[np.int32]]
+    values: ArrayLike | None,
+    num_vertices: int,
+    primitives: dict[str, NDArray[np.int32]],
+    where: Callable[[int], str],
 ) -> NDArray[np.int32]:
-    """A world for each vertex, the same for all vertices of a primitive, or a ValueError."""
+    """A world for each vertex, the same for all vertices of a primitive, or a ValueError; ``where`` names its body."""
     if values is None:
         return np.zeros(num_vertices, dtype=np.int32)
     array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")
@@ -156,5 +159,6 @@ def validated_worlds(
         is_torn = (worlds != worlds[:, :1]).any(axis=1)
         if is_torn.any():
             at = int(np.argmax(is_torn))
-            raise ValueError(f"vertex_world gives {name} {at} worlds {worlds[at].tolist()}; expected one")
+            place = f"{name} {at}{where(int(corners[at, 0]))}"
+            raise ValueError(f"vertex_world gives {place} worlds {worlds[at].tolist()}; expected one")
     return array.astype(np.int32)

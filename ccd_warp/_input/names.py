@@ -53,3 +53,8 @@ def body_label(body: int, names: Sequence[str]) -> str:
     """What a message calls a body: by its number, and by its name if it was given one."""
     name = names[body]
     return f"body {body}" if is_default_name(name, body) else f"body {body} ({on_one_line(name)})"
+
+
+def of_body(body: int, names: Sequence[str]) -> str:
+    """What a message adds to a primitive: " of wall", or nothing where the body was given no name."""
+    return "" if is_default_name(names[body], body) else f" of {on_one_line(names[body])}"
