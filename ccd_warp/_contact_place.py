@@ -77,8 +77,10 @@ def located(
     Without positions the points stay unknown.
     """
     place = ContactPlace(mesh)
-    if start is not None and end is not None:
-        if len(contacts) and len(start) < len(contacts) + _WORTH_POINTS:
+    if len(contacts) == 0:
+        place.points = np.zeros((0, 3))
+    elif start is not None and end is not None:
+        if len(start) < len(contacts) + _WORTH_POINTS:
             place.frames = start.copy(), end.copy()
         else:
             place.points = points_at_toi(mesh, start, end, contacts)

@@ -101,12 +101,16 @@ class Contacts(Placed):
         return f"Contacts({counted(len(self), 'contact', 'contacts')}{_by_kind(self.kind)})"
 
     def _repr_html_(self) -> str:
-        header = ("", "kind", "bodies", "toi", "point", "status")
+        return self._table(repr(self))
+
+    def _table(self, title: str) -> str:
+        """A table of the earliest contacts for a notebook; empty if the mesh is not known."""
         if self._place is None:
-            return html_table(repr(self), (), [])
+            return html_table(title, (), [])
         earliest = np.argsort(self.toi, kind="stable")[:MOST_ROWS].tolist()
         rows = [(k, *self[k]._cells()) for k in earliest]
-        return html_table(f"{self!r}, the earliest first", header, rows, len(self))
+        header = ("", "kind", "bodies", "toi", "point", "status")
+        return html_table(f"{title}, the earliest first" if rows else title, header, rows, len(self))
 
     @property
     def points(self) -> NDArray[np.float64]:

@@ -111,7 +111,7 @@ class HostLaunchResult:
         return f"HostLaunchResult({outcome(self.toi, self.world_toi, self.contacts)}{flags})"
 
     def _repr_html_(self) -> str:
-        return self.contacts._repr_html_().replace("<p>Contacts(", f"<p>toi {self.toi!r}, Contacts(", 1)
+        return self.contacts._table(repr(self))
 
 
 @dataclass(frozen=True, repr=False)

@@ -119,4 +119,4 @@ class MeshResult:
         return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)})"
 
     def _repr_html_(self) -> str:
-        return self.contacts._repr_html_().replace("<p>Contacts(", f"<p>toi {self.toi!r}, Contacts(", 1)
+        return self.contacts._table(repr(self))

@@ -154,6 +154,7 @@ def test_a_launch_locates_its_contacts(step, dtype, has_static):
     before = pipeline.reserve()
     with pytest.raises(ValueError, match="vertices_t1 is None; expected both"):
         before.to_host(start)
+    assert before.to_host().contacts.points.shape == (0, 3) and before.to_host().first is None
     x, y = (wp.array(v.astype(real), dtype=dtype, device="cpu") for v in (start, end))
     result = pipeline.launch(x, y)
     found = result.to_host()

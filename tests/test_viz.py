@@ -294,6 +294,8 @@ def test_a_picture_is_shown_by_a_notebook_and_stands_for_its_file(tmp_path):
     assert os.fspath(saved) == str(tmp_path / "step.png") and np.array_equal(_read(saved), saved.image)
     assert repr(saved) == f"Picture(600 × 200 pixels, {tmp_path / 'step.png'})"
     assert picture.save(tmp_path / "again.png").path.exists()
+    launched = ccd.CollisionPipeline(step[0], device="cpu").launch(*step[1:3]).to_host()
+    assert viz.draw_step(*step[:3], launched, size=SIZE).image.shape == picture.image.shape
 
 
 def test_a_step_goes_to_pyvista_with_its_names_and_data():

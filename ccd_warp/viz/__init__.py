@@ -20,12 +20,12 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import MeshResult
+from ccd_warp._results import HostLaunchResult, MeshResult
 from ccd_warp.viz._camera import make_camera, validated_direction
 from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista
 from ccd_warp.viz._file import Picture, check_picture_path, reduced
-from ccd_warp.viz._scene import make_scene
+from ccd_warp.viz._scene import check_result, make_scene
 from ccd_warp.viz._window import check_display, drawing_without_display, import_pyvista
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def draw_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    result: MeshResult,
+    result: MeshResult | HostLaunchResult,
     *,
     size: tuple[int, int] = (1600, 520),
     camera: ArrayLike | None = None,
@@ -71,7 +71,7 @@ def draw_step(
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: The result of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
         size: Width and height in pixels.
         camera: Direction from the scene to the viewer, shape [3]; by default across the motion and from a little above.
             The view is parallel, with z up, fits the whole motion, and is the same at all three times.
@@ -88,7 +88,7 @@ def draw_step(
         ValueError: If an argument is not as described.
     """
     check_instance("mesh", mesh, CollisionMesh)
-    check_instance("result", result, MeshResult)
+    check_result(result)
     width, height = _validated_size(size)
     t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
     toi_range = _toi_range(result, colour)
@@ -122,7 +122,7 @@ def render_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    result: MeshResult,
+    result: MeshResult | HostLaunchResult,
     *,
     size: tuple[int, int] = (1600, 520),
     camera: ArrayLike | None = None,
@@ -136,7 +136,7 @@ def render_step(
         mesh: The mesh of the step.
         vertices_t0: Start positions, as in :func:`draw_step`.
         vertices_t1: End positions, as in :func:`draw_step`.
-        result: The result of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
         size: Width and height in pixels.
         camera: Direction from the scene to the viewer, as in :func:`draw_step`.
         colour: Colours of the bodies at t = 1, as in :func:`draw_step`.
@@ -181,7 +181,7 @@ def show_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    result: MeshResult,
+    result: MeshResult | HostLaunchResult,
     *,
     camera: ArrayLike | None = None,
     colour: Colour = "body",
@@ -192,7 +192,7 @@ def show_step(
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: The result of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
         camera: Initial direction from the scene to the viewer, as in :func:`render_step`.
         colour: Colours of the bodies, as in :func:`render_step`.
 
@@ -202,7 +202,7 @@ def show_step(
         ValueError: If an argument is not as described.
     """
     check_instance("mesh", mesh, CollisionMesh)
-    check_instance("result", result, MeshResult)
+    check_result(result)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result)
     validated_direction(camera)
@@ -243,7 +243,7 @@ def show_step(
     plotter.show()
 
 
-def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None:
+def _toi_range(result: MeshResult | HostLaunchResult, colour: Colour) -> tuple[float, float] | None:
     """Range of the colour map, or None to colour by body."""
     check_choice("colour", colour, ("vertex_toi", "body"))
     toi = np.asarray(result.vertex_toi)

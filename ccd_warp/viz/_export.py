@@ -10,6 +10,7 @@ from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import HostLaunchResult, MeshResult
+from ccd_warp.viz._scene import check_result
 from ccd_warp.viz._window import import_pyvista
 
 
@@ -44,8 +45,8 @@ def to_pyvista(
         ValueError: If an argument is not as described.
     """
     check_instance("mesh", mesh, CollisionMesh)
-    if result is not None and not isinstance(result, HostLaunchResult):
-        check_instance("result", result, MeshResult)
+    if result is not None:
+        check_result(result)
     t = check_real("t", t, "a number in [0, 1]", lambda x: 0 <= x <= 1)
     start, end = mesh.frames(vertices_t0, vertices_t1)
     if result is not None and result.vertex_toi.shape != (len(start),):

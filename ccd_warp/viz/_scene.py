@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._contact_place import points_at_toi
 from ccd_warp._display import listed, shortened
 from ccd_warp._engine.contact_corners import contact_corners
+from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._status import PairKind
 
 STATIC_COLOUR = "#c6c6c2"
@@ -120,7 +122,15 @@ class StepScene:
         return np.array(trails).reshape(-1, 2, 3)
 
 
-def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult) -> StepScene:
+def check_result(result: Any) -> None:
+    """Raise a ValueError if it is no result with the contacts of a step on the host."""
+    if not isinstance(result, HostLaunchResult):
+        check_instance("result", result, MeshResult)
+
+
+def make_scene(
+    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult | HostLaunchResult
+) -> StepScene:
     """Transform a step into the coordinates of the picture.
 
     Raises:
