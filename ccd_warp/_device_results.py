@@ -1,5 +1,7 @@
 """What launches on a device return: arrays that later launches overwrite, and copies of them on the host."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 

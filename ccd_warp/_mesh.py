@@ -1,5 +1,7 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field, fields
@@ -152,7 +154,7 @@ class CollisionMesh:
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
-    ) -> "CollisionMesh":
+    ) -> CollisionMesh:
         """Build a mesh from objects of trimesh.
 
         Args:
@@ -210,7 +212,7 @@ class CollisionMesh:
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
-    ) -> "CollisionMesh":
+    ) -> CollisionMesh:
         """Build a mesh from the arrays of each body.
 
         Args:
@@ -283,7 +285,7 @@ class CollisionMesh:
             names=names,
         )
 
-    def replicate(self, count: int) -> "CollisionMesh":
+    def replicate(self, count: int) -> CollisionMesh:
         """Copies of all bodies in worlds of their own, for many simulations of one scene at once.
 
         Args:

@@ -1,5 +1,7 @@
 """The object for a time loop: a mesh, its options, and everything that stays the same from step to step."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -107,7 +109,7 @@ class CollisionPipeline:
 
     @classmethod
     @contextmanager
-    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
         """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)

@@ -11,6 +11,8 @@ Pictures need no display and no GPU, but an OpenGL library that works without th
 systems have; otherwise install it, for example with ``apt-get install libegl1 libgl1-mesa-dri``.
 """
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from decimal import ROUND_FLOOR, Context
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -157,7 +159,7 @@ def render_step(
     return picture.save(path)
 
 
-def _draw_panels(panels: list["Panel"], toi_range: tuple[float, float] | None, t_max: float) -> None:
+def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_max: float) -> None:
     from ccd_warp.viz._front import draw_close_up, draw_contacts
 
     scene = panels[0].scene

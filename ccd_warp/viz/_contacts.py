@@ -1,5 +1,7 @@
 """Positions of the contacts of a step."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

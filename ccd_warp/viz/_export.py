@@ -1,5 +1,7 @@
 """A step as data sets of PyVista, for pictures of one's own."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from typing import Any
 
 import numpy as np
