@@ -10,15 +10,18 @@ the L∞ gap falls below separation + δ + ε, with δ the tolerance and ε the 
 was reached, which the status says. It holds in floating point, in both precisions, for every finite input.
 """
 
-from ccd_warp import datasets
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
+from ccd_warp._frames import Frames, read_frames
 from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
-from ccd_warp._results import Contacts, Counts, DeviceContacts, LaunchResult, MeshResult
+from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
 from ccd_warp._version import __version__
 
@@ -28,9 +31,12 @@ __all__ = [
     "Candidates",
     "CollisionMesh",
     "CollisionPipeline",
+    "Contact",
     "Contacts",
     "Counts",
     "DeviceContacts",
+    "Frames",
+    "HostLaunchResult",
     "LaunchFlag",
     "LaunchResult",
     "LineSearchOptions",
@@ -49,5 +55,25 @@ __all__ = [
     "mesh_ccd",
     "point_point_ccd",
     "point_segment_ccd",
+    "read_frames",
     "vertex_face_ccd",
+    "viz",
 ]
+
+if TYPE_CHECKING:
+    from ccd_warp import datasets, viz
+
+# Loaded when they are first asked for.
+_PARTS = ("datasets", "viz")
+
+
+def __getattr__(name: str) -> Any:
+    """A part of the package that is loaded when it is used."""
+    if name in _PARTS:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names, those of parts that are not loaded included."""
+    return sorted({*globals(), *__all__})

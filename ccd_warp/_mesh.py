@@ -1,5 +1,8 @@
 """Triangle meshes, cables and particles of one or several bodies, joined into one set of vertices, edges and faces."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field, fields
 from typing import Any
@@ -7,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._display import counted, html_table, listed
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.mesh_checks import (
-    arrays_of_trimesh,
     as_positions,
     find_codimensional_points,
     validated_body_pairs,
@@ -22,6 +25,9 @@ from ccd_warp._input.mesh_checks import (
     validated_static,
     validated_worlds,
 )
+from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
+from ccd_warp._input.trimesh_bodies import trimesh_bodies
+from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 
 
@@ -58,6 +64,9 @@ class CollisionMesh:
             pairs that share a vertex, with 2 also those with two vertices joined by an edge, and so on.
         vertex_world: World of each vertex, int32, shape [V]. Worlds are independent scenes: their primitives never
             collide with those of another world.
+        names: Name of each body, B texts; "body 0", "body 1" and so on where none were given.
+
+    A mesh can be copied and pickled at any time. What earlier calls have left on a device stays behind.
     """
 
     vertices: NDArray[np.float64]
@@ -75,6 +84,7 @@ class CollisionMesh:
     body_pairs: NDArray[np.bool_] | None
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
+    names: tuple[str, ...]
     # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
@@ -109,35 +119,55 @@ class CollisionMesh:
         vars(self).update(state)
 
     def __repr__(self) -> str:
-        parts = [f"{self.num_bodies} bodies", f"{self.num_vertices} vertices", f"{self.num_edges} edges"]
-        parts += [f"{self.num_faces} faces"]
-        parts += [f"{len(self.codimensional_edges)} codimensional edges"] if len(self.codimensional_edges) else []
-        parts += [f"{len(self.codimensional_points)} codimensional points"] if len(self.codimensional_points) else []
+        parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
+        parts += [f"{count} {name}" for name, count in self._sizes() if count]
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
         return f"CollisionMesh({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        counts = [np.bincount(body, minlength=self.num_bodies) for body in (self.vertex_body, self.face_body)]
+        rows = [
+            (name, "static" if is_static else "moving", *(f"{of_body[b]:,}" for of_body in counts))
+            for b, (name, is_static) in enumerate(zip(self.names, self.static, strict=True))
+        ]
+        return html_table(repr(self), ("body", "", "vertices", "faces"), rows)
+
+    def _sizes(self) -> list[tuple[str, int]]:
+        """What the mesh is made of: the numbers that its text shows, codimensional primitives where there are any."""
+        return [
+            ("vertices", self.num_vertices),
+            ("edges", self.num_edges),
+            ("faces", self.num_faces),
+            ("codimensional edges", len(self.codimensional_edges)),
+            ("codimensional points", len(self.codimensional_points)),
+        ]
 
     @classmethod
     def from_trimesh(
         cls,
-        bodies: Sequence[Any],
-        static: Iterable[int] = (),
+        bodies: Any,
+        static: Iterable[int | str] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
+        names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
-    ) -> "CollisionMesh":
-        """Build a mesh from trimesh objects, one for each body.
+    ) -> CollisionMesh:
+        """Build a mesh from objects of trimesh.
 
         Args:
-            bodies: One object for each body: a mesh (``trimesh.Trimesh``); a path of straight lines
-                (``trimesh.path.Path3D``), whose segments become codimensional edges; or points
-                (``trimesh.PointCloud``), which become codimensional points.
-            static: Indices of the bodies that do not move.
+            bodies: One object, or a list with one object for each body: a mesh (``trimesh.Trimesh``); a path of
+                straight lines (``trimesh.path.Path3D``), whose segments become codimensional edges; points
+                (``trimesh.PointCloud``), which become codimensional points; or a scene (``trimesh.Scene``), which is
+                one body for each node that has a geometry, placed by the node's transformation and called by its name.
+            static: Indices or names of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
                 one flag for all bodies or one for each. The points of a point cloud always are.
+            names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
+                own. By default those of a scene's nodes, and "body 0", "body 1" and so on.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
                 ignored (see ``self_collision``). By default all pairs may.
             exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
@@ -151,18 +181,20 @@ class CollisionMesh:
             The mesh.
 
         Raises:
+            TypeError: If ``bodies`` is no object of trimesh and no list of these.
             ValueError: If there is no body, or an argument is not as described.
         """
-        bodies = check_items("bodies", bodies, "a list of trimesh objects, one a body")
-        given = validated_flags(codimensional_points, len(bodies), "codimensional_points")
-        arrays = [arrays_of_trimesh(body, b) for b, body in enumerate(bodies)]
-        is_cloud = [not hasattr(body, "faces") and not hasattr(body, "entities") for body in bodies]
-        with_points = (given | np.array(is_cloud, dtype=bool)).tolist()
+        parts = trimesh_bodies(bodies)
+        given = validated_flags(codimensional_points, len(parts), "codimensional_points")
+        with_points = (given | np.array([part.is_cloud for part in parts], dtype=bool)).tolist()
+        if names is None and any(part.name for part in parts):
+            names = [str(part.name) for part in parts]
         return cls.from_arrays(
-            arrays,
+            [part.arrays for part in parts],
             static,
             self_collision,
             with_points,
+            names=names,
             body_pairs=body_pairs,
             exclusion_rings=exclusion_rings,
             vertex_world=vertex_world,
@@ -172,24 +204,27 @@ class CollisionMesh:
     def from_arrays(
         cls,
         bodies: Sequence[tuple[ArrayLike, ...]],
-        static: Iterable[int] = (),
+        static: Iterable[int | str] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
+        names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
         vertex_world: ArrayLike | None = None,
-    ) -> "CollisionMesh":
+    ) -> CollisionMesh:
         """Build a mesh from the arrays of each body.
 
         Args:
             bodies: One tuple for each body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape
                 [V_b, 3]; faces, integer indices into these vertices, shape [F_b, 3]; codimensional edges, also indices
                 into these vertices, shape [E_b, 2].
-            static: Indices of the bodies that do not move.
+            static: Indices or names of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
                 one flag for all bodies or one for each.
+            names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
+                own. By default "body 0", "body 1" and so on.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
                 ignored (see ``self_collision``). By default all pairs may.
             exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
@@ -208,18 +243,20 @@ class CollisionMesh:
         bodies = check_items("bodies", bodies, "a list of (vertices, faces) or (vertices, faces, edges), one a body")
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
+        names = validated_names(names, len(bodies))
         all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
         for b, body in enumerate(bodies):
             if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
                 raise ValueError(
-                    f"body {b} is a {type(body).__name__}; "
+                    f"{body_label(b, names)} is a {type(body).__name__}; "
                     f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
                 )
-            vertices = validated_positions(body[0], f"vertices of body {b}")
+            label = body_label(b, names)
+            vertices = validated_positions(body[0], f"vertices of {label}")
             all_vertices.append(vertices)
-            all_faces.append(validated_indices(body[1], 3, len(vertices), f"faces of body {b}") + offsets[-1])
+            all_faces.append(validated_indices(body[1], 3, len(vertices), f"faces of {label}") + offsets[-1])
             if len(body) == 3:
-                all_edges.append(validated_indices(body[2], 2, len(vertices), f"edges of body {b}") + offsets[-1])
+                all_edges.append(validated_indices(body[2], 2, len(vertices), f"edges of {label}") + offsets[-1])
             offsets.append(offsets[-1] + len(vertices))
         num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
         if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
@@ -233,14 +270,36 @@ class CollisionMesh:
             vertices=np.concatenate(all_vertices),
             faces=faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
-            static=validated_static(static, len(bodies)),
+            static=validated_static(static, names),
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=edges,
             with_codimensional_points=validated_flags(codimensional_points, len(bodies), "codimensional_points"),
-            body_pairs=validated_body_pairs(body_pairs, len(bodies)),
+            body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
-            vertex_world=validated_worlds(vertex_world, offsets[-1], {"face": faces, "codimensional edge": edges}),
+            vertex_world=validated_worlds(
+                vertex_world,
+                offsets[-1],
+                {"face": faces, "codimensional edge": edges},
+                lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
+            ),
+            names=names,
         )
+
+    def replicate(self, count: int) -> CollisionMesh:
+        """Copies of all bodies in worlds of their own, for many simulations of one scene at once.
+
+        Args:
+            count: Number of copies.
+
+        Returns:
+            A mesh with ``count`` times as many bodies, vertices and worlds, copy after copy. The bodies of copy w are
+            called ``name[w]``. Wherever positions are taken, those of all copies may be given as one array of shape
+            [count, V, 3], with the vertices of this mesh in each copy.
+
+        Raises:
+            ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
+        """
+        return type(self)(**replicated(self, count))
 
     @property
     def num_bodies(self) -> int:
@@ -276,6 +335,35 @@ class CollisionMesh:
         """Number of faces of all bodies."""
         return len(self.faces)
 
+    @lazy_property
+    def rows_by_world(self) -> tuple[tuple[int, int], ...]:
+        """Numbers of worlds and of rows in each, as positions may be given with an axis of worlds: [W, n, 3].
+
+        The first is for all vertices, the second for the vertices of bodies that move. Either is left out where the
+        worlds do not follow one another with equally many of them.
+        """
+        forms = []
+        for world in (self.vertex_world, self.vertex_world[self.moving_vertices]):
+            rows, rest = divmod(len(world), self.num_worlds)
+            if rest == 0 and np.array_equal(world, np.repeat(np.arange(self.num_worlds), rows)):
+                forms.append((self.num_worlds, rows))
+        return tuple(forms)
+
+    @lazy_property
+    def _has_names(self) -> bool:
+        """Whether a body was given a name."""
+        return not all(is_default_name(name, b) for b, name in enumerate(self.names))
+
+    def _where(self, vertex: int) -> str:
+        """What a message adds to the number of a vertex, where bodies have names."""
+        if not self._has_names:
+            return ""
+        body = int(self.vertex_body[vertex])
+        return f" (vertex {vertex - int(self.body_vertex_range[body])} of {self.names[body]})"
+
+    def _where_moving(self, row: int) -> str:
+        return self._where(int(self.moving_vertices[row]))
+
     @property
     def static_vertex_ranges(self) -> list[tuple[int, int]]:
         """Vertex range [begin, end) of each run of consecutive static bodies; bodies without vertices are skipped."""
@@ -292,7 +380,8 @@ class CollisionMesh:
         """Validate the positions of all vertices at one time.
 
         Args:
-            vertices: Positions, float, same length unit as the mesh, shape [V, 3].
+            vertices: Positions, float, same length unit as the mesh, shape [V, 3]; or [W, V / W, 3] of a mesh whose W
+                worlds have equally many vertices, as those of :meth:`replicate` have.
             name: Name of the argument, for the messages.
 
         Returns:
@@ -301,7 +390,13 @@ class CollisionMesh:
         Raises:
             ValueError: If the shape differs or a value is not finite.
         """
-        return validated_positions(vertices, name, self.num_vertices, "one row a vertex of the mesh")
+        reason = "one row a vertex of the mesh" + self._or_by_world(self.num_vertices)
+        return validated_positions(vertices, name, self.num_vertices, reason, self.rows_by_world, self._where)
+
+    def _or_by_world(self, count: int) -> str:
+        """What a message adds where positions may have an axis of worlds."""
+        shapes = [form for form in self.rows_by_world if form[0] > 1 and form[0] * form[1] == count]
+        return f", or {(*shapes[0], 3)}, with an axis of worlds" if shapes else ""
 
     def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Validate the positions at both ends of a step, and keep static bodies at their start positions.
@@ -309,23 +404,28 @@ class CollisionMesh:
         Args:
             vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
             vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
-                vertices only, in the order of ``moving_vertices``, shape [V_moving, 3].
+                vertices only, in the order of ``moving_vertices``, shape [V_moving, 3]. Of a mesh whose worlds have
+                equally many of them, either may have an axis of worlds before the others.
 
         Returns:
             Start and end positions, float64, C order, shape [V, 3]; rows of static vertices are the same in both. An
-            array that already has this form is returned as it is; otherwise the returned array is new.
+            array that already has this form is returned as it is; otherwise the returned array is new, or a view.
 
         Raises:
             ValueError: If a shape does not match or a value that is read is not finite.
         """
         start = self.frame(vertices_t0, "vertices_t0")
+        by_world = self.rows_by_world
         if not self.static.any():
-            return start, validated_positions(vertices_t1, "vertices_t1", self.num_vertices, "like vertices_t0")
-        end = as_positions(vertices_t1, "vertices_t1")
+            reason = "like vertices_t0"
+            return start, validated_positions(
+                vertices_t1, "vertices_t1", self.num_vertices, reason, by_world, self._where
+            )
+        end = as_positions(vertices_t1, "vertices_t1", by_world=by_world)
         moving = self.moving_vertices
         ranges = self.static_vertex_ranges
         if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):
-            check_finite(end, "vertices_t1")
+            check_finite(end, "vertices_t1", where=self._where)
             return start, end  # nothing to copy
         if len(end) == self.num_vertices:
             end = end[moving]
@@ -334,7 +434,7 @@ class CollisionMesh:
                 f"vertices_t1 has shape {end.shape}; expected {start.shape} like vertices_t0 "
                 f"or {(len(moving), 3)}, the moving vertices alone"
             )
-        check_finite(end, "vertices_t1")
+        check_finite(end, "vertices_t1", where=self._where_moving)
         full = start.copy()
         full[moving] = end
         return start, full

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64, check_finite
 from ccd_warp._input.foreign import is_device_array
 from ccd_warp._input.interop import as_warp
@@ -60,6 +61,14 @@ class PairResult:
         hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
         wp.map(wp.isfinite, self.toi, out=hit)
         return hit
+
+    def __repr__(self) -> str:
+        pairs = counted(len(self.toi), "pair", "pairs")
+        if not isinstance(self.toi, np.ndarray):
+            return f"PairResult({pairs}, arrays on {self.toi.device})"
+        toi = float(self.toi.min(initial=np.inf))
+        hits = f"{np.count_nonzero(self.hit):,} touching, earliest toi={toi!r}" if np.isfinite(toi) else "none touching"
+        return f"PairResult({pairs}, {hits})"
 
 
 def vertex_face_ccd(

@@ -1,10 +1,12 @@
 """The object for a time loop: a mesh, its options, and everything that stays the same from step to step."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
@@ -30,8 +32,8 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real
-from ccd_warp._input.interop import check_writable
+from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real, shown
+from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._mesh import CollisionMesh
@@ -107,7 +109,7 @@ class CollisionPipeline:
 
     @classmethod
     @contextmanager
-    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator["CollisionPipeline"]:
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
         """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
@@ -123,6 +125,14 @@ class CollisionPipeline:
         finally:
             if pipeline._workspace is not None:
                 idle.append(pipeline._workspace)
+
+    def __repr__(self) -> str:
+        given = [
+            f", {each.name}={shown(value)}"
+            for each in fields(self._options)
+            if (value := getattr(self._options, each.name)) != each.default
+        ]
+        return f"CollisionPipeline({self.mesh!r}{''.join(given)}, on {self._topology.device})"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled: its contents live on a device and belong to this process."""
@@ -219,7 +229,8 @@ class CollisionPipeline:
         Args:
             vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
                 that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
-                rows of the moving vertices only, if the static bodies stay where they were.
+                rows of the moving vertices only, if the static bodies stay where they were. Of a mesh whose W worlds
+                have equally many vertices, n each, also of shape [W, n] or [W, n, 3].
             vertices_t1: End positions of the same type. Rows of static bodies are ignored.
             displacements: Displacements in place of end positions; they are added to the start positions in float64. A
                 solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
@@ -312,6 +323,9 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
+            name_t1 = arguments.get("name_t1", "vertices_t1")
+            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world)
+            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world)
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
@@ -334,7 +348,7 @@ class CollisionPipeline:
         """Like :func:`ccd_warp.find_candidates`.
 
         Args:
-            vertices_t0: Start positions, shape [V, 3].
+            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: End positions, as in that function.
             inflation: Enlargement of every box on every side, a length.
 
@@ -355,7 +369,7 @@ class CollisionPipeline:
         """Like :func:`ccd_warp.mesh_ccd`.
 
         Args:
-            vertices_t0: Start positions, shape [V, 3].
+            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: End positions, as in that function.
 
         Returns:
@@ -372,7 +386,7 @@ class CollisionPipeline:
         """Like :func:`ccd_warp.collision_free_step`.
 
         Args:
-            vertices_t0: Start positions, shape [V, 3].
+            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: End positions, as in that function.
 
         Returns:
@@ -397,7 +411,7 @@ class CollisionPipeline:
         """Like :func:`ccd_warp.line_search`.
 
         Args:
-            vertices_t0: Start positions, shape [V, 3].
+            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: Desired end positions, as in that function.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
             safety: Fraction of its toi by which a vertex in contact may move.

@@ -1,49 +1,19 @@
 """Results of the mesh functions."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contacts import Contact, Contacts, outcome
+from ccd_warp._device_results import DeviceContacts, HostLaunchResult, LaunchResult
+from ccd_warp._display import counted, html_table
 from ccd_warp._status import PairKind
 
-
-@dataclass(frozen=True)
-class Contacts:
-    """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
-
-    Attributes:
-        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge, or of the vertices of two codimensional points, int32, shape [m, 2].
-        toi: Earliest time of impact in [0, t_max], float64, shape [m].
-        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
-        normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
-            comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
-            sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
-            or points along the gap where that velocity is zero.
-        status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
-        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
-        width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
-            shape [m].
-    """
-
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int32]
-    toi: NDArray[np.float64]
-    parameters: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    status: NDArray[np.int32]
-    gap: NDArray[np.float64]
-    width: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.toi)
+__all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Counts:
     """Sizes of the scene, and what a call looked at and found.
 
@@ -88,8 +58,27 @@ class Counts:
     num_contacts_at_limit: int = 0
     num_batches: int = 0
 
+    def __repr__(self) -> str:
+        shown = {
+            "candidates": sum(self.num_candidates.values()),
+            "after the cull": sum(self.num_after_cull.values()),
+            "contacts": sum(self.num_contacts.values()),
+        }
+        text = ", ".join(f"{count:,} {name}" for name, count in shown.items())
+        bodies, vertices = counted(self.num_bodies, "body", "bodies"), f"{self.num_vertices:,} vertices"
+        return f"Counts({bodies}, {vertices}, {self.num_edges:,} edges, {self.num_faces:,} faces; {text})"
 
-@dataclass(frozen=True)
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, str]] = []
+        for each in fields(self):
+            value, name = getattr(self, each.name), each.name.removeprefix("num_").replace("_", " ")
+            by_kind = value.items() if isinstance(value, dict) else ()
+            rows += [(f"{kind.name.lower().replace('_', '-')} {name}", f"{count:,}") for kind, count in by_kind]
+            rows += [] if isinstance(value, dict) else [(name, f"{value:,}")]
+        return html_table("Counts", ("", ""), rows)
+
+
+@dataclass(frozen=True, repr=False)
 class MeshResult:
     """Result of :func:`ccd_warp.mesh_ccd`.
 
@@ -121,66 +110,13 @@ class MeshResult:
         """Whether any pair has a finite toi."""
         return bool(np.isfinite(self.toi))
 
+    @property
+    def first(self) -> Contact | None:
+        """The earliest contact, the first where several have the same toi; None if there is certainly none."""
+        return self.contacts._first()
 
-@dataclass(frozen=True)
-class DeviceContacts:
-    """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
+    def __repr__(self) -> str:
+        return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)})"
 
-    Attributes:
-        count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
-            [1].
-        kind: int32, shape [max_contacts], as for all that follow.
-        primitives: vec2i.
-        toi: float64.
-        parameters: vec2d.
-        normal: vec3d.
-        status: int32.
-        gap: float64.
-        width: float64.
-    """
-
-    count: wp.array
-    kind: wp.array
-    primitives: wp.array
-    toi: wp.array
-    parameters: wp.array
-    normal: wp.array
-    status: wp.array
-    gap: wp.array
-    width: wp.array
-
-    def to_host(self) -> Contacts:
-        """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device."""
-        count = min(int(self.count.numpy()[0]), len(self.kind))
-        host = {name: array.numpy()[:count] for name, array in vars(self).items() if name != "count"}
-        order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
-        return Contacts(**{name: values[order] for name, values in host.items()})
-
-
-@dataclass(frozen=True)
-class LaunchResult:
-    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch` writes, the same ones each time.
-
-    The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
-
-    Attributes:
-        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none; float64, shape [1].
-        world_toi: The same for each world, float64, shape [W]; with a single world the array ``toi`` itself.
-        body_toi: The same for each body, float64, shape [B].
-        vertex_toi: The same for each vertex, float64, shape [V].
-        contacts: Every pair with a finite toi, up to the capacity.
-        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
-        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
-        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [4].
-    """
-
-    toi: wp.array
-    world_toi: wp.array
-    body_toi: wp.array
-    vertex_toi: wp.array
-    contacts: DeviceContacts
-    flags: wp.array
-    world_flags: wp.array
-    num_pairs: wp.array
-    _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses
+    def _repr_html_(self) -> str:
+        return self.contacts._table(repr(self))

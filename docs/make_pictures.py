@@ -16,12 +16,15 @@ def draw(scene: DemoScene) -> Path:
         [(body.vertices_t0, body.faces) for body in scene.bodies],
         static=[k for k, body in enumerate(scene.bodies) if body.is_static],
         self_collision=scene.self_collision,
+        names=[body.name for body in scene.bodies],
     )
     vertices_t0, vertices_t1 = (
         np.vstack([getattr(body, frame) for body in scene.bodies]) for frame in ("vertices_t0", "vertices_t1")
     )
     result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1)
-    return viz.render_step(FIGURES / f"demo_{scene.name}.png", mesh, vertices_t0, vertices_t1, result)
+    path = FIGURES / f"demo_{scene.name}.png"
+    viz.render_step(path, mesh, vertices_t0, vertices_t1, result)
+    return path
 
 
 def main() -> None:

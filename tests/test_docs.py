@@ -52,5 +52,11 @@ def test_the_reference_names_every_public_function(tmp_path):
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "ccd_warp.html").read_text(encoding="utf-8")
     for name in ccd.__all__:
-        if name not in ("__version__", "datasets"):
+        if name not in ("__version__", "datasets", "viz"):
             assert f'id="{name}"' in page, name
+    for part in (ccd.datasets, ccd.viz):
+        name = part.__name__.partition(".")[2]
+        page_of_part = (tmp_path / "ccd_warp" / f"{name}.html").read_text(encoding="utf-8")
+        assert f'href="ccd_warp/{name}.html"' in page
+        for function in part.__all__:
+            assert f'id="{function}"' in page_of_part, function

@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import multiprocessing
 import pickle
 import weakref
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ccd_warp import mesh_ccd
+from ccd_warp import CollisionPipeline, mesh_ccd
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._mesh import CollisionMesh
 
@@ -59,6 +60,83 @@ def test_from_trimesh():
     assert np.array_equal(mesh.vertices, np.concatenate([box.vertices, ball.vertices]))
     assert np.array_equal(mesh.faces, np.concatenate([box.faces, ball.faces + 8]))
     assert mesh.num_edges == len(box.edges_unique) + len(ball.edges_unique)
+
+
+def test_from_trimesh_takes_a_single_mesh():
+    box = trimesh.creation.box()
+    mesh = CollisionMesh.from_trimesh(box)
+    assert mesh.num_bodies == 1 and mesh.names == ("body 0",) and np.array_equal(mesh.vertices, box.vertices)
+
+
+def _scene():
+    """A box used by two nodes, the second moved and turned, and points."""
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box(), node_name="floor", geom_name="box")
+    turned = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    turned[:3, 3] = [0.1, 0.2, 5.0]
+    scene.graph.update(frame_to="crate", matrix=turned, geometry="box")
+    scene.add_geometry(trimesh.PointCloud(np.eye(2, 3)), node_name="dust")
+    return scene, turned
+
+
+def test_a_scene_is_a_body_a_node_with_its_name_and_transformation():
+    scene, turned = _scene()
+    mesh = CollisionMesh.from_trimesh(scene, static=["floor"])
+    assert mesh.names == ("floor", "crate", "dust") and mesh.static.tolist() == [True, False, False]
+    corners = scene.geometry["box"].vertices
+    assert np.array_equal(mesh.vertices[:8], corners)  # the identity changes no bit
+    assert np.allclose(mesh.vertices[8:16], corners @ turned[:3, :3].T + turned[:3, 3], atol=1e-15)
+    assert mesh.codimensional_points.tolist() == [16, 17]
+
+
+def test_scenes_and_meshes_mix_in_a_list_and_keep_names_apart():
+    scene, _ = _scene()
+    mesh = CollisionMesh.from_trimesh([trimesh.creation.icosphere(1), scene, scene])
+    names = ("body 0", "floor", "crate", "dust", "floor (2)", "crate (2)", "dust (2)")
+    assert mesh.names == names
+    with pytest.raises(ValueError, match="body 0 is a Scene without geometry"):
+        CollisionMesh.from_trimesh(trimesh.Scene())
+
+
+def test_messages_call_bodies_by_their_names():
+    named = {"names": ["cloth", "ball"]}
+    with pytest.raises(ValueError, match=r"faces of body 1 \(ball\) holds index 7"):
+        CollisionMesh.from_arrays([TRIANGLE, (np.eye(3), [[0, 1, 7]])], **named)
+    with pytest.raises(ValueError, match=r"at \(0, 1\) and \(1, 0\), body 0 \(cloth\) and body 1 \(ball"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, body_pairs=[[False, True], [False, False]])
+    with pytest.raises(ValueError, match=r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, static=["bal"])
+    with pytest.raises(ValueError, match=r"vertex_world gives face 1 of ball worlds \[0, 0, 1\]; expected one"):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], **named, vertex_world=[0, 0, 0, 0, 0, 1])
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], **named, static=["cloth"])
+    assert mesh.static.tolist() == [True, False]
+    bad = np.zeros((7, 3))
+    bad[5] = np.nan
+    with pytest.raises(
+        ValueError, match=r"vertices_t0 holds nan in row 5 \(vertex 2 of ball\); expected finite values"
+    ):
+        mesh.frame(bad)
+    with pytest.raises(
+        ValueError, match=r"vertices_t1 holds nan in row 2 \(vertex 2 of ball\); expected finite values"
+    ):
+        mesh.frames(np.zeros((7, 3)), bad[3:])
+    assert repr(mesh) == "CollisionMesh(2 bodies (cloth, ball), 7 vertices, 9 edges, 5 faces)"
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["cloth"], "names has 1 entries; expected 2, one a body"),
+        (["cloth", "cloth"], "names holds 'cloth' twice; expected a name of its own"),
+        (["cloth", 7], "names holds 7; expected printable texts"),
+        (["cloth", ""], "names holds ''; expected printable texts"),
+        (["cloth", "a\nb"], r"names holds 'a\\nb'; expected printable texts"),
+        ("cloth", "names is 'cloth'; expected a list of texts"),
+    ],
+)
+def test_bad_names_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], names=names)
 
 
 def test_codimensional_edges_are_added_to_the_edges_of_faces():
@@ -145,6 +223,48 @@ def test_a_copy_of_a_mesh_that_was_used_begins_with_nothing_on_a_device(copied):
     assert not cache.topologies and not cache.idle_workspaces
 
 
+def _toi_of(mesh):
+    """The result of a step in which the upper body falls by 1; also called in other processes."""
+    return mesh_ccd(mesh, mesh.vertices, mesh.vertices - (mesh.vertices[:, 2:] > 0.25) * [0.0, 0.0, 1.0])
+
+
+def _used_mesh():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, 0.5], [0.4, 0.2, 0.7], [0.2, 0.4, 0.7]])
+    mesh = CollisionMesh.from_arrays([(vertices[:3], [[0, 1, 2]]), (vertices[3:], [[0, 1, 2]])], names=["floor", "leg"])
+    return mesh, _toi_of(mesh)
+
+
+def test_a_mesh_that_was_used_goes_to_other_processes_and_its_results_come_back():
+    mesh, expected = _used_mesh()
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        (result,) = pool.map(_toi_of, [mesh])
+    assert result.toi == expected.toi < np.inf
+    assert repr(result.first) == repr(expected.first) and "leg" in repr(result)
+
+
+def test_joblib_takes_a_mesh_that_was_used():
+    joblib = pytest.importorskip("joblib")
+    mesh, expected = _used_mesh()
+    results = joblib.Parallel(n_jobs=2)(joblib.delayed(_toi_of)(each) for each in (mesh, mesh))
+    assert [result.toi for result in results] == [expected.toi] * 2
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))])
+def test_a_copy_of_a_mesh_that_was_used_is_the_same_mesh(copied):
+    mesh, expected = _used_mesh()
+    same = copied(mesh)
+    for field in fields(mesh):
+        np.testing.assert_array_equal(getattr(same, field.name), getattr(mesh, field.name))
+    assert _toi_of(same).toi == expected.toi and same.names == ("floor", "leg")
+
+
+def test_a_pipeline_says_that_it_is_built_again_from_its_mesh_and_options():
+    pipeline = CollisionPipeline(_used_mesh()[0])
+    for refused in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match=r"a CollisionPipeline cannot be copied or pickled; .* CollisionPipeline\("):
+            refused(pipeline)
+
+
 def test_a_mesh_that_was_used_goes_with_all_that_was_kept_for_it():
     vertices, _ = TRIANGLE
     mesh = CollisionMesh.from_arrays([TRIANGLE])
@@ -205,8 +325,13 @@ def test_bad_bodies_are_named(bodies, options, message):
 
 
 def test_from_trimesh_names_what_is_not_a_mesh():
-    with pytest.raises(ValueError, match=r"body 0 is a ndarray; expected a trimesh\.Trimesh"):
+    with pytest.raises(
+        TypeError, match=r"body 0 is a ndarray; expected a trimesh\.Trimesh, Path3D, PointCloud or Scene"
+    ):
         CollisionMesh.from_trimesh([np.eye(3)])
+    for value in (7, "ball.ply", {"a": trimesh.creation.box()}, trimesh.Trimesh):
+        with pytest.raises(TypeError, match=r"bodies is .*; expected a trimesh\.Trimesh, .* or a list of these"):
+            CollisionMesh.from_trimesh(value)
 
 
 def test_frames_of_static_bodies_rest():

@@ -23,6 +23,11 @@ ccd.collision_free_step(mesh, x[0], x[0], start_gap_fraction=0.5, length_scale=1
 ccd.line_search(mesh, x[0], x[0], per="vertex", safety=0.5, minimum_separation=0.1)
 ccd.find_candidates(mesh, x[0], x[0], 0.1, pair_kinds=("edge_edge",), num_threads=1)
 ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0], per="world")
+ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
+ccd.datasets.find_queries("folder")[0].points_t0
+frames = ccd.read_frames("a.stl", "b.stl", static=["wall.stl"])
+contacts = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).contacts
+height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
 WRONG = """
 ccd.vertex_face_ccd(x, x, precision="float16")
@@ -41,6 +46,9 @@ ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
+ccd.read_frames("a.stl", "b.stl", static=3)
+ccd.mesh_ccd(mesh, x[0], x[0]).first.toi
+ccd.CollisionMesh.from_trimesh([], names=3)
 """
 
 

@@ -146,13 +146,15 @@ def test_contact_points_of_nothing():
     assert viz.contact_points(mesh, start, end, _contacts([], [], [], [])).shape == (0, 3)
 
 
-def test_package_imports_without_the_viewer():
+def test_package_imports_without_its_parts_and_loads_them_when_used():
     code = (
-        "import sys, ccd_warp; print('ccd_warp.viz' in sys.modules);"
-        "import ccd_warp.viz; print('pyvista' in sys.modules, 'vtkmodules' in sys.modules)"
+        "import sys, ccd_warp as c; print(*(f'ccd_warp.{p}' in sys.modules for p in ('viz', 'datasets')));"
+        "print({'viz', 'datasets'} <= set(dir(c)), callable(c.viz.render_step), callable(c.datasets.find_queries));"
+        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules); c.nothing"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split()[-3:] == ["False", "False", "False"]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-7:] == ["False", "False", "True", "True", "True", "False", "False"]
+    assert "AttributeError: module 'ccd_warp' has no attribute 'nothing'" in done.stderr
 
 
 @pytest.mark.parametrize(("toi", "text"), [(0.3, "0.3"), (0.4877777777, "0.487777"), (1.0, "1"), (0.0, "0")])
@@ -228,6 +230,102 @@ def test_static_bodies_are_grey_and_rest(tmp_path):
     assert np.median(np.abs(panels[0] - panels[2])[is_box]) == 0
 
 
+def _bullet_and_wall():
+    """A ball flies through a static wall of twelve faces, along x."""
+    ball, wall = trimesh.creation.icosphere(subdivisions=2, radius=0.4), trimesh.creation.box(extents=(0.1, 5.0, 5.0))
+    mesh = ccd.CollisionMesh.from_trimesh([ball, wall], static=["wall"], names=["bullet", "wall"])
+    start = np.vstack([ball.vertices + [-3.0, 0.4, 0.3], wall.vertices])
+    return mesh, start, start + np.repeat([6.0, 0.0], np.diff(mesh.body_vertex_range))[:, None] * [1, 0, 0]
+
+
+@requires_drawing
+def test_large_faces_of_static_bodies_stay_as_they_were(tmp_path):
+    """At t = 1 the corners of a wall bore balls in the colours of their toi."""
+    mesh, start, end = _bullet_and_wall()
+    panels = _draw(tmp_path, mesh, start, end)
+    areas = []
+    for panel in (panels[0], panels[2]):
+        places = np.argwhere(np.ptp(panel[:130], axis=2) > 40)  # above the colour bar
+        areas.append(np.ptp(places, axis=0).prod())
+    assert areas[1] < 1.5 * areas[0]  # the ball alone is colourful, here as there
+
+
+@requires_drawing
+def test_what_moves_and_touches_nothing_is_pale_in_its_colour_and_static_bodies_are_grey(tmp_path):
+    mesh, start, end = _balls_over_box()  # the second ball touches nothing
+    image = _draw(tmp_path, mesh, start, end)[2][:130]
+    spread, light = np.ptp(image, axis=2), image.min(axis=2) > 150
+    assert ((spread > 14) & (spread < 60) & light).mean() > 0.01  # the ball beside the box
+    assert ((spread < 10) & _is_drawn(image)).mean() > 0.03  # the box
+
+
+@requires_drawing
+def test_large_faces_that_move_have_one_colour_each_by_their_earliest_corner(tmp_path):
+    box, wall = trimesh.creation.box(), trimesh.creation.box(extents=(0.2, 3.0, 3.0))
+    mesh = ccd.CollisionMesh.from_trimesh([box, wall], static=[1])
+    start = np.vstack([box.vertices - [1.5, 0.13, 0.07], wall.vertices])
+    end = start + np.repeat([1.3, 0.0], 8)[:, None] * [1, 0, 0]
+    end[np.flatnonzero(box.vertices[:, 0] > 0), 0] += 0.05 * np.arange(4)  # no two corners arrive together
+    panel = _draw(tmp_path, mesh, start, end, size=(1200, 400))[2][:250]
+    assert ((panel[..., 1] < 60) & (panel[..., 2] > 50)).sum() > 300  # in the first of the colours
+
+
+def test_the_legend_names_what_moves_and_what_is_static():
+    scene = make_scene(*_with_result(*_bullet_and_wall()))
+    assert [text for _, text in scene.legend] == ["bullet, moving", "wall, static"]
+    crowd = ccd.CollisionMesh.from_arrays([(np.eye(3) + 3.0 * k, [[0, 1, 2]]) for k in range(9)], static=[7, 8])
+    texts = [text for _, text in make_scene(*_with_result(crowd, crowd.vertices, crowd.vertices)).legend]
+    assert texts == ["body 0, moving", "body 1, moving", "and 5 more, moving", "body 7, body 8, static"]
+
+
+@requires_drawing
+def test_a_picture_is_shown_by_a_notebook_and_stands_for_its_file(tmp_path):
+    import io
+
+    from PIL import Image
+
+    step = _with_result(*_balls_over_box())
+    picture = viz.draw_step(*step, size=SIZE)
+    assert picture.image.shape == (200, 600, 3) and picture.image.dtype == np.uint8 and picture.path is None
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(picture._repr_png_()))), picture.image)
+    with pytest.raises(ValueError, match=r"picture has no file; expected picture\.save"):
+        os.fspath(picture)
+    saved = viz.render_step(tmp_path / "step.png", *step, size=SIZE)
+    assert os.fspath(saved) == str(tmp_path / "step.png") and np.array_equal(_read(saved), saved.image)
+    assert repr(saved) == f"Picture(600 × 200 pixels, {tmp_path / 'step.png'})"
+    assert picture.save(tmp_path / "again.png").path.exists()
+    launched = ccd.CollisionPipeline(step[0], device="cpu").launch(*step[1:3]).to_host()
+    assert viz.draw_step(*step[:3], launched, size=SIZE).image.shape == picture.image.shape
+
+
+def test_a_step_goes_to_pyvista_with_its_names_and_data():
+    pytest.importorskip("pyvista")
+    bodies = [
+        ([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]]),
+        ([[0.0, 0, 1], [0, 0, 2], [3.0, 3, 3]], NO_FACES, [[0, 1]]),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies, static=["floor"], names=["floor", "rod"], codimensional_points=[False, True]
+    )
+    end = mesh.vertices - (np.arange(6) >= 3)[:, None] * [0.0, 0.0, 2.0]
+    result = ccd.mesh_ccd(mesh, mesh.vertices, end)
+    blocks = viz.to_pyvista(mesh, mesh.vertices, end, result, t=0.5)
+    assert blocks.keys() == ["floor", "rod", "contacts"]
+    floor, rod, contacts = blocks
+    assert floor.n_cells == 1 and floor.field_data["static"].tolist() == [1]
+    assert np.allclose(rod.points, [[0, 0, 0], [0, 0, 1], [3, 3, 2]]) and rod.field_data["static"].tolist() == [0]
+    assert rod.n_lines == rod.n_verts == 1 and rod.cell_data["primitive"].tolist() == [5, mesh.codimensional_edges[0]]
+    assert rod.point_data["vertex"].tolist() == [3, 4, 5] and rod.point_data["displacement"][0].tolist() == [0, 0, -2]
+    assert rod.point_data["toi"].tolist() == result.vertex_toi[3:].tolist()
+    assert np.array_equal(contacts.points, result.contacts.points.astype(contacts.points.dtype))
+    assert contacts.point_data["bodies"].tolist() == result.contacts.bodies.tolist()
+    assert viz.to_pyvista(mesh, mesh.vertices, end).keys() == ["floor", "rod"]
+    apart = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices)
+    assert viz.to_pyvista(mesh, mesh.vertices, mesh.vertices, apart)["contacts"].n_points == 0
+    with pytest.raises(ValueError, match=r"t is 1\.5; expected a number in \[0, 1\]"):
+        viz.to_pyvista(mesh, mesh.vertices, end, t=1.5)
+
+
 @requires_drawing
 def test_a_scene_of_static_bodies_alone(tmp_path):
     box = trimesh.creation.box()
@@ -301,14 +399,16 @@ def test_what_is_small_is_shown_close_up(tmp_path):
 
 @requires_drawing
 def test_colours_of_toi_read_in_grey(tmp_path):
-    from ccd_warp.viz._panel import _NO_TOI_COLOUR, _toi_colours
+    from ccd_warp.viz._panel import _toi_colours
 
     def lightness(rgb):
         return np.asarray(rgb)[..., :3] @ [0.2126, 0.7152, 0.0722]
 
     levels = lightness(_toi_colours()(np.linspace(0.0, 1.0, 32)))
-    none = lightness(np.frombuffer(bytes.fromhex(_NO_TOI_COLOUR[1:]), dtype=np.uint8) / 255.0)
-    assert (np.diff(levels) > 0.0).all() and levels[-1] < none - 0.1
+    bodies = [(np.eye(3), [[0, 1, 2]])] * 6  # one of each colour
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, body_pairs=np.zeros((6, 6), dtype=bool))
+    none = lightness(make_scene(*_with_result(mesh, mesh.vertices, mesh.vertices)).pale_colours / 255.0)
+    assert (np.diff(levels) > 0.0).all() and levels[-1] < none.min() - 0.05
 
 
 @requires_drawing

@@ -23,6 +23,7 @@ from ccd_warp._cli.report import format_report, format_toi
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, InputError, make_body, read_frames, read_static, write_mesh
 from ccd_warp._input.messages import printable
+from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options, resolve_device
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
@@ -315,7 +316,8 @@ def _draw(path: Path, bodies: list[Body], mesh, result, options: dict[str, Any])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])
     try:
         with _closed_stderr():
-            return viz.render_step(path, mesh, vertices_t0, vertices_t1, result, t_max=options.get("t_max", 1.0))
+            viz.render_step(path, mesh, vertices_t0, vertices_t1, result, t_max=options.get("t_max", 1.0))
+            return path
     except OSError as error:
         raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
@@ -344,6 +346,7 @@ def _solve(
         [(body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
+        names=distinct_names([body.name for body in bodies]),
     )
     vertices_t0 = np.vstack([body.vertices_t0 for body in bodies])
     vertices_t1 = np.vstack([body.vertices_t1 for body in bodies])

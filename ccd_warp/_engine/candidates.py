@@ -47,6 +47,10 @@ class Candidates:
     point_segment: NDArray[np.int32]
     point_point: NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        counts = (f"{len(pairs):,} {name.replace('_', '-')}" for name, pairs in vars(self).items() if len(pairs))
+        return f"Candidates({', '.join(counts) or 'none'})"
+
     def sorted(self) -> "Candidates":
         """The same pairs in lexicographic order, in new arrays."""
         return Candidates(*map(_sorted_pairs, (self.vertex_face, self.edge_edge, self.point_segment, self.point_point)))

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._contacts import Contacts
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts
 from ccd_warp._status import PairKind
 
 # Columns that repeat the vertices of both primitives to make four, by the number of vertices.

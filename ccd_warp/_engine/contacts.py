@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contacts import Contacts
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import Topology
-from ccd_warp._results import Contacts
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels import contacts as kernels

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contact_place import located
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
@@ -15,7 +16,7 @@ from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import DeviceContacts, LaunchResult
+from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
@@ -146,6 +147,7 @@ class DeviceStep:
         self._is_moved = self._full(1, 0, wp.int32)
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._start = self._end = self._empty(0, wp.vec3d)
+        self._last: PreparedLaunch | None = None
         if self._has_static:
             self._place_static(static_positions)
         tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {})
@@ -266,6 +268,22 @@ class DeviceStep:
         recording.bind("vertices_t1", end)
         recording.bind(_SAFETY.name, prepared.safety)
         recording.play(_PLAY)
+        self._last = prepared
+
+    def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
+        """Contacts of a launch that know their mesh, and their points in a step between these positions.
+
+        If these are None, they are what the arrays of the last launch hold now; this waits for the device.
+        """
+        if vertices_t0 is not None:
+            given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
+            return located(contacts, self._mesh, *self._mesh.frames(*given))
+        if self._last is None:
+            return located(contacts, self._mesh)
+        start, end = self._last.vertices_t0, self._last.vertices_t1
+        if _is_copied(self._last.form, self._has_static):
+            start, end = self._start, self._end
+        return located(contacts, self._mesh, start.numpy().reshape(-1, 3), end.numpy().reshape(-1, 3))
 
     def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """All launches of a step, or of all passes of a line search."""
@@ -319,7 +337,7 @@ class DeviceStep:
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
-        is_copied = form.real is not wp.float64 or form.is_displacement or self._has_static
+        is_copied = _is_copied(form, self._has_static)
         if is_copied:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
@@ -402,6 +420,11 @@ class DeviceStep:
                     device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
                 )
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
+
+
+def _is_copied(form: _Form, has_static: bool) -> bool:
+    """Whether a launch reads positions into arrays of its own."""
+    return form.real is not wp.float64 or form.is_displacement or has_static
 
 
 def _worlds_are_apart(mesh: CollisionMesh) -> bool:

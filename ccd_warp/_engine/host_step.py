@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contact_place import located
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
@@ -283,14 +284,15 @@ class Step:
             )
         with self.timed("gather"):
             gathered = store.gather()
+            contacts = located(gathered.contacts, self.mesh, *self.positions)
         plan.release_positions()
-        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, gathered.contacts)
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
         self.finish_timings()
         return MeshResult(
             gathered.toi,
             gathered.vertex_toi,
             gathered.body_toi,
-            gathered.contacts,
+            contacts,
             self.counts,
             self.timings,
             gathered.vertex_contact,

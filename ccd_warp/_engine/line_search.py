@@ -7,9 +7,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_place import joined
+from ccd_warp._contacts import Contacts
 from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._results import MeshResult
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -56,6 +58,11 @@ class LineSearchResult:
     touching: Contacts
     num_rounds: int
     is_limited: bool
+
+    def __repr__(self) -> str:
+        limited = ", is_limited" if self.is_limited else ""
+        touching = f"{len(self.touching)} touching, {self.num_rounds} rounds{limited}"
+        return f"LineSearchResult(fraction={self.fraction!r} of {len(self.vertices):,} vertices, {touching})"
 
 
 def check_step_is_whole(t_max: float) -> None:
@@ -164,8 +171,7 @@ def _keys(contacts: Contacts) -> NDArray[np.uint64]:
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
     """Contacts of all rounds whose vertices are all at their start positions, each pair once, as found last."""
-    names = vars(stopping[0])
-    contacts = Contacts(**{name: np.concatenate([vars(c)[name] for c in reversed(stopping)]) for name in names})
+    contacts = joined(stopping[::-1])
     is_stationary: NDArray[np.bool_] = is_at_start[contact_vertices(mesh, contacts)]
     contacts = _chosen(contacts, np.flatnonzero(is_stationary.all(axis=1)))
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
@@ -194,4 +200,4 @@ def _moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArr
 
 
 def _chosen(contacts: Contacts, chosen: NDArray[Any]) -> Contacts:
-    return Contacts(**{name: values[chosen] for name, values in vars(contacts).items()})
+    return contacts[chosen]

@@ -17,6 +17,7 @@ from ccd_warp._files.off import read_off
 from ccd_warp._files.ply import read_ply
 from ccd_warp._files.stl import read_stl
 from ccd_warp._input.messages import InputError
+from ccd_warp._input.trimesh_bodies import transformed
 
 # How a format stores a vertex that several faces share.
 #   indexed: once; the file's own vertices are taken as they are.
@@ -181,9 +182,5 @@ def _flatten(scene: Any) -> list[Part]:
         faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
         if faces.size == 0:
             continue
-        vertices = np.array(mesh.vertices, dtype=np.float64)
-        # Compared exactly: trimesh's own flattening ignores a transformation close to the identity.
-        if not np.array_equal(matrix, np.eye(4)):
-            vertices = vertices @ np.asarray(matrix)[:3, :3].T + np.asarray(matrix)[:3, 3]
-        parts.append((vertices, faces.reshape(-1, 3)))
+        parts.append((transformed(mesh.vertices, matrix), faces.reshape(-1, 3)))
     return parts

@@ -1,6 +1,7 @@
 """Conversion to NumPy arrays on the host, without a copy where possible and never with rounding."""
 
 import numbers
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -76,15 +77,18 @@ def shown_number(value: Any) -> str:
     return shown(int(value)) if isinstance(value, numbers.Integral) else str(value)
 
 
-def check_finite(array: NDArray[np.float64], name: str, row_name: str = "row") -> None:
-    """Raise a ValueError if a value is not finite."""
+def check_finite(
+    array: NDArray[np.float64], name: str, row_name: str = "row", where: Callable[[int], str] | None = None
+) -> None:
+    """Raise a ValueError if a value is not finite; ``where`` describes a row of the array."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
             return  # an infinity or NaN would make the sum non-finite; a sum that overflows proves nothing
     finite = np.isfinite(array)
     if not finite.all():
         at = tuple(np.argwhere(~finite)[0])
-        raise ValueError(f"{name} holds {array[at]} in {row_name} {at[0]}; expected finite values")
+        place = f"{row_name} {at[0]}{where(int(at[0])) if where else ''}"
+        raise ValueError(f"{name} holds {array[at]} in {place}; expected finite values")
 
 
 def _are_exact_integers(array: NDArray[Any]) -> NDArray[np.bool_] | None:

@@ -1,5 +1,6 @@
 """Arrays of other libraries as Warp arrays, in the same memory."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,31 @@ def check_writable(value: Any, name: str) -> None:
         raise ValueError(f"{name} is an array of JAX, which does not change; expected one that can be written to")
     if isinstance(value, np.ndarray) and not value.flags.writeable:
         raise ValueError(f"{name} is read-only; expected an array that can be written to")
+
+
+def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]]) -> Any:
+    """Positions with an axis of worlds as an array without it, in the same memory; others as they are.
+
+    Args:
+        value: Array of vec3f or vec3d, shape [W, n], or of float32 or float64, shape [W, n, 3]; or of another shape.
+        name: Name of the argument, for the messages.
+        by_world: The accepted (W, n).
+
+    Raises:
+        ValueError: If it is not an array that can be shared.
+    """
+    is_array = isinstance(value, (wp.array, np.ndarray)) or speaks_dlpack(value)
+    if not is_array or len(value.shape) not in (2, 3):
+        return value
+    is_vector = isinstance(value, wp.array) and value.dtype in _VECTORS.values()
+    shape = tuple(value.shape) if is_vector else tuple(value.shape[:2])
+    has_axis = len(value.shape) == (2 if is_vector else 3)
+    if not has_axis or shape not in by_world or not (is_vector or value.shape[2] == 3):
+        return value
+    array = as_warp(value, name)
+    if not array.is_contiguous and array.size:
+        raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
+    return array.reshape(array.shape[0] * array.shape[1] if is_vector else (array.shape[0] * array.shape[1], 3))
 
 
 def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -> wp.array:

@@ -1,8 +1,7 @@
-"""Validation of the parts of a mesh: arrays of bodies, indices, flags and positions; and the edges of faces."""
+"""Validation of the parts of a mesh: indices, flags, worlds and positions."""
 
 import numbers
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._input.arguments import check_count, check_items, shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
 from ccd_warp._input.foreign import on_host
+from ccd_warp._input.names import body_label, is_default_name
 
 
 def find_codimensional_points(
@@ -27,27 +27,24 @@ def find_codimensional_points(
     return np.flatnonzero(is_codimensional).astype(np.int32)
 
 
-def arrays_of_trimesh(body: Any, index: int) -> tuple[ArrayLike, ...]:
-    """The arrays of a mesh, a path or a point cloud."""
-    no_faces = np.zeros((0, 3), dtype=np.int64)
-    if not hasattr(body, "vertices"):
-        raise ValueError(f"body {index} is a {type(body).__name__}; expected a trimesh.Trimesh, Path3D or PointCloud")
-    if hasattr(body, "faces"):
-        return body.vertices, body.faces
-    if not hasattr(body, "entities"):
-        return body.vertices, no_faces
-    for entity in body.entities:
-        # The polyline through the points of an arc or a spline does not follow the curve.
-        if type(entity).__name__ != "Line":
-            raise ValueError(f"body {index} holds a {type(entity).__name__}; expected a path of straight lines")
-    segments = [np.asarray(entity.nodes) for entity in body.entities]
-    return body.vertices, no_faces, np.concatenate([np.zeros((0, 2), dtype=np.int64), *segments])
+def as_positions(
+    values: ArrayLike, name: str, count: int | None = None, reason: str = "", by_world: Collection[tuple[int, int]] = ()
+) -> NDArray[np.float64]:
+    """Float64 array of shape [n, 3], with n = ``count`` if given, or a ValueError.
 
-
-def as_positions(values: ArrayLike, name: str, count: int | None = None, reason: str = "") -> NDArray[np.float64]:
-    """Float64 array of shape [n, 3], with n = ``count`` if given, or a ValueError."""
+    Args:
+        values: The positions; those of several worlds may have an axis of worlds before the others.
+        name: Name of the argument, for the messages.
+        count: Number of rows.
+        reason: Why it must be this number, for the messages.
+        by_world: The accepted numbers of worlds and of rows in each.
+    """
     expected = "(n, 3)" if count is None else f"{(count, 3)} {reason}"
     array = as_array(on_host(values, name), name, f"shape {expected}")
+    if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == 3:
+        if not hasattr(values, "__array_interface__") and isinstance(values, (list, tuple)):
+            values = [row for world in values for row in world]  # so that its numbers are compared one by one
+        array = array.reshape(-1, 3)
     if count is not None and array.shape != (count, 3):
         raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
     if array.ndim != 2 or array.shape[1] != 3:
@@ -58,11 +55,16 @@ def as_positions(values: ArrayLike, name: str, count: int | None = None, reason:
 
 
 def validated_positions(
-    values: ArrayLike, name: str, count: int | None = None, reason: str = ""
+    values: ArrayLike,
+    name: str,
+    count: int | None = None,
+    reason: str = "",
+    by_world: Collection[tuple[int, int]] = (),
+    where: Callable[[int], str] | None = None,
 ) -> NDArray[np.float64]:
-    """Finite positions of shape [n, 3], with n = ``count`` if given, or a ValueError."""
-    array = as_positions(values, name, count, reason)
-    check_finite(array, name)
+    """Finite positions of shape [n, 3], with n = ``count`` if given, or a ValueError; ``where`` describes a row."""
+    array = as_positions(values, name, count, reason, by_world)
+    check_finite(array, name, where=where)
     return array
 
 
@@ -81,13 +83,18 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
     return array.astype(np.int64)
 
 
-def validated_static(values: Iterable[int], num_bodies: int) -> NDArray[np.bool_]:
-    """Which bodies are static, bool, shape [B], or a ValueError."""
+def validated_static(values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which bodies are static, bool, shape [B], from their indices or names, or a ValueError."""
+    num_bodies = len(names)
     static = np.zeros(num_bodies, dtype=bool)
     for body in check_items("static", values, "a list of body indices"):
+        if isinstance(body, str) and body in names:
+            body = names.index(body)
         is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
         if not is_index or not 0 <= body < num_bodies:
-            raise ValueError(f"static holds {shown(body)}; expected body indices in [0, {num_bodies})")
+            raise ValueError(
+                f"static holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies"
+            )
         static[int(body)] = True
     return static
 
@@ -102,10 +109,11 @@ def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -
     return np.array(np.broadcast_to(array, (num_bodies,)))
 
 
-def validated_body_pairs(values: ArrayLike | None, num_bodies: int) -> NDArray[np.bool_] | None:
+def validated_body_pairs(values: ArrayLike | None, names: Sequence[str]) -> NDArray[np.bool_] | None:
     """A symmetric array, or a ValueError."""
     if values is None:
         return None
+    num_bodies = len(names)
     array = as_array(on_host(values, "body_pairs"), "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
     if array.dtype != bool or array.shape != (num_bodies, num_bodies):
         raise ValueError(
@@ -114,7 +122,10 @@ def validated_body_pairs(values: ArrayLike | None, num_bodies: int) -> NDArray[n
         )
     if not np.array_equal(array, array.T):
         a, b = np.argwhere(array != array.T)[0]
-        raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}); expected a symmetric array")
+        pair = ""
+        if not (is_default_name(names[a], int(a)) and is_default_name(names[b], int(b))):
+            pair = f", {body_label(int(a), names)} and {body_label(int(b), names)}"
+        raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}){pair}; expected a symmetric array")
     return np.array(array)
 
 
@@ -124,9 +135,12 @@ def validated_rings(value: int) -> int:
 
 
 def validated_worlds(
-    values: ArrayLike | None, num_vertices: int, primitives: dict[str, NDArray[np.int32]]
+    values: ArrayLike | None,
+    num_vertices: int,
+    primitives: dict[str, NDArray[np.int32]],
+    where: Callable[[int], str],
 ) -> NDArray[np.int32]:
-    """A world for each vertex, the same for all vertices of a primitive, or a ValueError."""
+    """A world for each vertex, the same for all vertices of a primitive, or a ValueError; ``where`` names its body."""
     if values is None:
         return np.zeros(num_vertices, dtype=np.int32)
     array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")
@@ -145,5 +159,6 @@ def validated_worlds(
         is_torn = (worlds != worlds[:, :1]).any(axis=1)
         if is_torn.any():
             at = int(np.argmax(is_torn))
-            raise ValueError(f"vertex_world gives {name} {at} worlds {worlds[at].tolist()}; expected one")
+            place = f"{name} {at}{where(int(corners[at, 0]))}"
+            raise ValueError(f"vertex_world gives {place} worlds {worlds[at].tolist()}; expected one")
     return array.astype(np.int32)

@@ -26,6 +26,9 @@ class SimulationStep:
     vertices_t1: np.ndarray
     faces: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"SimulationStep({len(self.vertices_t0):,} vertices, {len(self.faces):,} faces)"
+
 
 def read_step(start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES) -> SimulationStep:
     """Read the two frames of a step.

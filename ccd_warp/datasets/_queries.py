@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ccd_warp._display import counted
 from ccd_warp._input.arguments import (
     check_choice,
     check_count,
@@ -58,6 +59,11 @@ class Queries:
 
     def __len__(self) -> int:
         return len(self.points_t0)
+
+    def __repr__(self) -> str:
+        files = counted(len(self.sources), "file", "files")
+        hits = "truth not known" if self.truth is None else f"{np.count_nonzero(self.truth):,} collide"
+        return f"Queries({shown(self.name)}, {len(self):,} {self.kind}, {hits}, from {files})"
 
     def id(self, i: int) -> str:
         """Origin of query ``i`` as "label:number", with the label of its file and its number there, from 0."""

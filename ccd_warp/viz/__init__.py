@@ -1,13 +1,17 @@
 """Visualise a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
 
-The bodies are shown at t = 0, at the toi of the scene and at t = 1. Static bodies are grey, and each other body has its
-own colour; a line shows the path of a body that moves farther than its own size. At the toi, the earliest contacts are
-points with their normals as arrows; later contacts are fainter and drawn at their future positions. Nothing hides a
-contact. At t = 1 the colours show the toi of the vertices. Where a small body touches first, a close-up shows it.
+The bodies are shown at t = 0, at the toi of the scene and at t = 1. Static bodies are grey, each other body has its own
+colour, and a legend names them; a line shows the path of a body that moves farther than its own size. At the toi, the
+earliest contacts are points with their normals as arrows; later contacts are fainter and drawn at their future
+positions. Nothing hides a contact. At t = 1 the colours show the toi of the vertices, on large faces the earliest of
+their corners; what touches nothing is pale in the colour of its body, and large faces of static bodies stay grey. Where
+a small body touches first, a close-up shows it. :func:`to_pyvista` gives the step as data sets, for other pictures.
 
 Pictures need no display and no GPU, but an OpenGL library that works without them: on Linux, EGL or OSMesa, which most
 systems have; otherwise install it, for example with ``apt-get install libegl1 libgl1-mesa-dri``.
 """
+
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from decimal import ROUND_FLOOR, Context
 from pathlib import Path
@@ -18,24 +22,33 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import MeshResult
+from ccd_warp._results import HostLaunchResult, MeshResult
 from ccd_warp.viz._camera import make_camera, validated_direction
 from ccd_warp.viz._contacts import contact_points
-from ccd_warp.viz._file import check_picture_path, write_png
-from ccd_warp.viz._scene import make_scene
+from ccd_warp.viz._export import to_pyvista
+from ccd_warp.viz._file import Picture, check_picture_path, reduced
+from ccd_warp.viz._scene import check_result, make_scene
 from ccd_warp.viz._window import check_display, drawing_without_display, import_pyvista
 
 if TYPE_CHECKING:
     from ccd_warp.viz._panel import Panel
 
-__all__ = ["contact_points", "drawing_without_display", "render_step", "show_step"]
+__all__ = [
+    "Picture",
+    "contact_points",
+    "draw_step",
+    "drawing_without_display",
+    "render_step",
+    "show_step",
+    "to_pyvista",
+]
 
 Colour = Literal["vertex_toi", "body"]
 
 # Sizes of text, points and lines are given in pixels of a panel with a shorter side of this many pixels, and scale with
 # it.
 _SHORTER_SIDE = 520
-# Margins in these pixels: at the sides of a panel, above for the title, and below for the colour bar.
+# Margins in these pixels: at the sides of a panel, above for the title, and below for the colour bar and the legend.
 _SIDE, _ABOVE, _BELOW = 14, 40, 72
 # Each pixel of a picture is the mean of the square of this many rendered pixels.
 _ZOOM = 2
@@ -43,26 +56,24 @@ _SMALLEST, _LARGEST = 150, 4000
 _WINDOW = (1000, 800)
 
 
-def render_step(
-    path: str | Path,
+def draw_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    result: MeshResult,
+    result: MeshResult | HostLaunchResult,
     *,
     size: tuple[int, int] = (1600, 520),
     camera: ArrayLike | None = None,
     colour: Colour = "vertex_toi",
     t_max: float = 1.0,
-) -> Path:
-    """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
+) -> Picture:
+    """Draw a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
     Args:
-        path: File to write, ``.png``.
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: The result of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
         size: Width and height in pixels.
         camera: Direction from the scene to the viewer, shape [3]; by default across the motion and from a little above.
             The view is parallel, with z up, fits the whole motion, and is the same at all three times.
@@ -71,25 +82,22 @@ def render_step(
         t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
 
     Returns:
-        The path.
+        The picture, which a notebook shows.
 
     Raises:
         ImportError: If the extra ``viz`` is not installed.
-        OSError: If the file cannot be written.
         RuntimeError: If the system has no OpenGL that works without a display.
         ValueError: If an argument is not as described.
     """
-    path = check_path("path", path)
-    check_picture_path(path, "path")
     check_instance("mesh", mesh, CollisionMesh)
-    check_instance("result", result, MeshResult)
+    check_result(result)
     width, height = _validated_size(size)
     t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result)
     enlargement = min(width / 3, height) / _SHORTER_SIDE
     panel_size = (width / 3 / enlargement, height / enlargement)
-    margins = (_SIDE, _ABOVE, _BELOW if toi_range else _SIDE)
+    margins = (_SIDE, _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
     view = make_camera(scene.start, scene.end, camera, panel_size, margins)
     with drawing_without_display() as pyvista:
         from ccd_warp.viz._panel import Panel
@@ -108,11 +116,50 @@ def render_step(
             image = plotter.screenshot(return_img=True)
         finally:
             plotter.close()
-    write_png(path, image, _ZOOM)
-    return path
+    return Picture(reduced(image, _ZOOM))
 
 
-def _draw_panels(panels: list["Panel"], toi_range: tuple[float, float] | None, t_max: float) -> None:
+def render_step(
+    path: str | Path,
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    result: MeshResult | HostLaunchResult,
+    *,
+    size: tuple[int, int] = (1600, 520),
+    camera: ArrayLike | None = None,
+    colour: Colour = "vertex_toi",
+    t_max: float = 1.0,
+) -> Picture:
+    """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
+
+    Args:
+        path: File to write, ``.png``.
+        mesh: The mesh of the step.
+        vertices_t0: Start positions, as in :func:`draw_step`.
+        vertices_t1: End positions, as in :func:`draw_step`.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
+        size: Width and height in pixels.
+        camera: Direction from the scene to the viewer, as in :func:`draw_step`.
+        colour: Colours of the bodies at t = 1, as in :func:`draw_step`.
+        t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
+
+    Returns:
+        The picture, which a notebook shows, and which stands for its file where a path is expected.
+
+    Raises:
+        ImportError: If the extra ``viz`` is not installed.
+        OSError: If the file cannot be written.
+        RuntimeError: If the system has no OpenGL that works without a display.
+        ValueError: If an argument is not as described.
+    """
+    path = check_path("path", path)
+    check_picture_path(path, "path")
+    picture = draw_step(mesh, vertices_t0, vertices_t1, result, size=size, camera=camera, colour=colour, t_max=t_max)
+    return picture.save(path)
+
+
+def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_max: float) -> None:
     from ccd_warp.viz._front import draw_close_up, draw_contacts
 
     scene = panels[0].scene
@@ -125,8 +172,9 @@ def _draw_panels(panels: list["Panel"], toi_range: tuple[float, float] | None, t
         panel.draw_bodies(t, toi_range if panel is panels[2] else None)
         panel.draw_trails()
         panel.write_title(title)
+    panels[0].draw_legend()
     if toi_range is not None:
-        panels[2].draw_toi_bar()
+        panels[2].draw_toi_bar(toi_range)
     if is_hit:
         draw_close_up(panels[1], draw_contacts(panels[1]))
 
@@ -135,7 +183,7 @@ def show_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    result: MeshResult,
+    result: MeshResult | HostLaunchResult,
     *,
     camera: ArrayLike | None = None,
     colour: Colour = "body",
@@ -146,7 +194,7 @@ def show_step(
         mesh: The mesh of the step.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: The result of ``mesh_ccd``.
+        result: The result of ``mesh_ccd``, or of a launch on the host.
         camera: Initial direction from the scene to the viewer, as in :func:`render_step`.
         colour: Colours of the bodies, as in :func:`render_step`.
 
@@ -156,7 +204,7 @@ def show_step(
         ValueError: If an argument is not as described.
     """
     check_instance("mesh", mesh, CollisionMesh)
-    check_instance("result", result, MeshResult)
+    check_result(result)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result)
     validated_direction(camera)
@@ -167,7 +215,7 @@ def show_step(
 
     width, height = _WINDOW
     enlargement = min(_WINDOW) / _SHORTER_SIDE
-    margins = (_SIDE, 2 * _ABOVE, _BELOW if toi_range else _SIDE)
+    margins = (_SIDE, 2 * _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
     view = make_camera(scene.start, scene.end, camera, (width / enlargement, height / enlargement), margins)
     plotter = pyvista.Plotter(
         window_size=_WINDOW, title="ccd_warp", lighting="none", theme=pyvista.themes.DocumentTheme()
@@ -191,11 +239,13 @@ def show_step(
     )
     draw_contacts(panel)
     if toi_range is not None:
-        panel.draw_toi_bar()
+        panel.draw_toi_bar(toi_range)
+    else:
+        panel.draw_legend()
     plotter.show()
 
 
-def _toi_range(result: MeshResult, colour: Colour) -> tuple[float, float] | None:
+def _toi_range(result: MeshResult | HostLaunchResult, colour: Colour) -> tuple[float, float] | None:
     """Range of the colour map, or None to colour by body."""
     check_choice("colour", colour, ("vertex_toi", "body"))
     toi = np.asarray(result.vertex_toi)

@@ -1,13 +1,14 @@
 """Positions of the contacts of a step."""
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._engine.contact_corners import contact_corners
+from ccd_warp._contact_place import points_at_toi
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts
-from ccd_warp._status import PairKind
 
 
 def contact_points(
@@ -33,21 +34,4 @@ def contact_points(
     check_instance("mesh", mesh, CollisionMesh)
     check_instance("contacts", contacts, Contacts)
     start, end = mesh.frames(vertices_t0, vertices_t1)
-    points = np.empty((len(contacts), 3))
-    for kind in np.unique(contacts.kind):
-        of_kind = contacts.kind == kind
-        first, second = contact_corners(mesh, PairKind(int(kind)), contacts.primitives[of_kind])
-        t = contacts.toi[of_kind, None]
-        u, v = contacts.parameters[of_kind].T[..., None]
-        weights = {
-            PairKind.VERTEX_FACE: ([1.0], [1.0 - u - v, u, v]),
-            PairKind.EDGE_EDGE: ([1.0 - u, u], [1.0 - v, v]),
-            PairKind.POINT_SEGMENT: ([1.0], [1.0 - u, u]),
-            PairKind.POINT_POINT: ([1.0], [1.0]),
-        }[PairKind(int(kind))]
-        sides = [
-            sum(w * ((1.0 - t) * start[i] + t * end[i]) for w, i in zip(side_weights, corners.T, strict=True))
-            for side_weights, corners in zip(weights, (first, second), strict=True)
-        ]
-        points[of_kind] = 0.5 * sides[0] + 0.5 * sides[1]
-    return points
+    return points_at_toi(mesh, start, end, contacts)

@@ -1,10 +1,65 @@
-"""The file of a picture."""
+"""Pictures: an image that a notebook shows, and its file."""
 
+import io
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ccd_warp._input.arguments import check_path
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Picture:
+    """A picture of a step. A notebook shows it, and it can stand for its file where a path is expected.
+
+    Attributes:
+        image: Red, green and blue of each pixel, from the top left, uint8, shape [height, width, 3].
+        path: The file to which it was written; None if it was not.
+    """
+
+    image: NDArray[np.uint8]
+    path: Path | None = None
+
+    def save(self, path: str | Path) -> "Picture":
+        """Write the picture to a file.
+
+        Args:
+            path: File to write, ``.png``.
+
+        Returns:
+            The picture, with this path.
+
+        Raises:
+            OSError: If the file cannot be written.
+            ValueError: If the path is not as described.
+        """
+        path = check_path("path", path)
+        check_picture_path(path, "path")
+        self._as_pil().save(path, optimize=True)
+        return Picture(self.image, path)
+
+    def __fspath__(self) -> str:
+        if self.path is None:
+            raise ValueError("picture has no file; expected picture.save(path) before")
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return f"Picture({width} × {height} pixels{'' if self.path is None else f', {self.path}'})"
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self._as_pil().save(file, format="PNG", optimize=True)
+        return file.getvalue()
+
+    def _as_pil(self) -> Any:
+        from PIL import Image
+
+        return Image.fromarray(self.image)
 
 
 def check_picture_path(path: Path, argument: str) -> None:
@@ -21,10 +76,8 @@ def check_picture_path(path: Path, argument: str) -> None:
         raise ValueError(f"{argument} {path}: cannot be written; choose another name or change its permissions")
 
 
-def write_png(path: Path, image: NDArray[np.uint8], zoom: int) -> None:
-    """Write an image of shape [zoom h, zoom w, 3]; each pixel of the file is the mean of zoom² pixels."""
-    from PIL import Image
-
+def reduced(image: NDArray[np.uint8], zoom: int) -> NDArray[np.uint8]:
+    """An image of shape [zoom h, zoom w, 3] as one in which each pixel is the mean of zoom² pixels."""
     height, width = (side // zoom for side in image.shape[:2])
     pixels = image.reshape(height, zoom, width, zoom, 3).mean(axis=(1, 3))
-    Image.fromarray((pixels + 0.5).astype(np.uint8)).save(path, optimize=True)
+    return (pixels + 0.5).astype(np.uint8)

@@ -8,15 +8,17 @@ import numpy as np
 import pyvista
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D
 
 from ccd_warp.viz._camera import Camera
 from ccd_warp.viz._scene import StepScene
 
-_NO_TOI_COLOUR, _EDGE_COLOUR, LINE_COLOUR, TEXT_COLOUR = "#e6e6e4", "#303030", "#555555", "#222222"
+_EDGE_COLOUR, LINE_COLOUR, TEXT_COLOUR = "#303030", "#555555", "#222222"
 # In pixels.
 _READABLE_EDGE, _COARSE_EDGE = 10, 60
 _EDGE_WIDTH, _TRAIL_WIDTH, _CABLE_WIDTH, _PARTICLE_SIZE = 1, 1.5, 4, 8
 _TITLE_SIZE, LABEL_SIZE = 17, 13
+_LEGEND_LEFT, _LEGEND_BELOW, _LEGEND_LINE = 10, 8, 17
 _SHARP = 35.0  # degrees between two faces that are not shaded as one surface
 # Lights in the viewer's coordinates, with the viewer at (0, 0, 1), and their intensity.
 _LIGHTS = (((-0.7, 1.0, 1.5), 0.6), ((1.0, -0.1, 1.0), 0.3))
@@ -62,15 +64,16 @@ class Panel:
         Args:
             t: Time, in [0, 1].
             toi_range: Range of the toi for colouring by the toi of the vertices; by default the colours are those of
-                the bodies. On large faces interpolated colours mean nothing, so only their vertices are coloured.
+                the bodies. On large faces interpolated colours would mean nothing: such a face has one colour, by the
+                earliest toi of its corners, and stays grey if its body is static.
         """
         scene, positions = self.scene, self.scene.positions(t)
+        colours = scene.vertex_colours if toi_range is None else self._colours_by_toi(scene.vertex_toi, toi_range)
         edge_length = scene.body_edge_length[scene.vertex_body[scene.faces[:, 0]]] / self.camera.pixel
         has_edges, is_coarse = edge_length >= _READABLE_EDGE, edge_length >= _COARSE_EDGE
         if toi_range is None:
             is_coarse[:] = False
-        elif is_coarse.any():
-            self._draw_points("corners", np.unique(scene.faces[is_coarse]), positions, toi_range)
+        light = _LIGHT_OF_BODIES if toi_range is None else _LIGHT_OF_TOI
         for name, chosen in (
             ("faces", ~has_edges),
             ("faces with edges", has_edges & ~is_coarse),
@@ -82,6 +85,7 @@ class Panel:
             # a deep copy, because VTK would read the array after it is freed
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
             surface["vertex"] = used
+            surface.cell_data["colour"] = self._colours_of_faces(scene.faces[chosen], toi_range)
             surface = surface.compute_normals(
                 cell_normals=False,
                 split_vertices=True,
@@ -89,40 +93,45 @@ class Panel:
                 consistent_normals=False,
                 auto_orient_normals=False,
             )
+            of_points = colours[surface["vertex"]]
+            scalars = surface.cell_data["colour"] if name == "coarse faces" else of_points
             edges = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
-            style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, **edges}
-            self._add(name, surface, None if name == "coarse faces" else toi_range, **style)
+            preference = "cell" if name == "coarse faces" else "point"
+            style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, "preference": preference, **edges}
+            self._add(name, surface, scalars, **light, **style)
         if len(scene.segments):
             used, segments = _used_vertices(scene.segments)
             cables = pyvista.PolyData(positions[used], lines=np.insert(segments, 0, 2, axis=1).ravel())
-            cables["vertex"] = used
-            self._add("cables", cables, toi_range, line_width=_CABLE_WIDTH * self.zoom, render_lines_as_tubes=True)
+            style = {"line_width": _CABLE_WIDTH * self.zoom, "render_lines_as_tubes": True}
+            self._add("cables", cables, colours[used], **light, **style)
         if len(scene.points):
-            self._draw_points("particles", scene.points, positions, toi_range)
+            particles = pyvista.PolyData(positions[scene.points])
+            style = {"point_size": _PARTICLE_SIZE * self.zoom, "render_points_as_spheres": True}
+            self._add("particles", particles, colours[scene.points], **light, **style)
 
-    def _draw_points(
-        self,
-        name: str,
-        vertices: NDArray[np.int32],
-        positions: NDArray[np.float64],
-        toi_range: tuple[float, float] | None,
-    ) -> None:
-        points = pyvista.PolyData(positions[vertices])
-        points["vertex"] = vertices
-        self._add(name, points, toi_range, point_size=_PARTICLE_SIZE * self.zoom, render_points_as_spheres=True)
-
-    def _add(self, name: str, shape: Any, toi_range: tuple[float, float] | None, **style: Any) -> None:
-        """Add a shape whose points carry the index of their vertex."""
-        vertex = shape["vertex"]
-        if toi_range is None:
-            style |= {"scalars": self.scene.vertex_colours[vertex], "rgb": True, **_LIGHT_OF_BODIES}
-        else:
-            toi = self.scene.vertex_toi[vertex]
-            style |= {"scalars": np.where(np.isfinite(toi), toi, np.nan), "clim": toi_range, "cmap": _toi_colours()}
-            style |= {"nan_color": _NO_TOI_COLOUR, "interpolate_before_map": False, "show_scalar_bar": False}
-            style |= _LIGHT_OF_TOI
+    def _add(self, name: str, shape: Any, colours: NDArray[np.uint8], **style: Any) -> None:
+        """Add a shape with colours of its points or cells."""
         self.plotter.subplot(*self.place)
-        self.plotter.add_mesh(shape, name=f"{name} {self.place}", reset_camera=False, **style)
+        self.plotter.add_mesh(
+            shape, name=f"{name} {self.place}", scalars=colours, rgb=True, reset_camera=False, **style
+        )
+
+    def _colours_by_toi(self, vertex_toi: NDArray[np.float64], toi_range: tuple[float, float]) -> NDArray[np.uint8]:
+        """Colour of each vertex by its toi, or pale where it has none, shape [V, 3]."""
+        is_hit = np.isfinite(vertex_toi)
+        colours = self.scene.pale_colours.copy()
+        colours[is_hit] = _mapped(vertex_toi[is_hit], toi_range)
+        return colours
+
+    def _colours_of_faces(self, faces: NDArray[np.int32], toi_range: tuple[float, float] | None) -> NDArray[np.uint8]:
+        """One colour for each face, by the earliest toi of its corners unless its body is static, shape [m, 3]."""
+        scene = self.scene
+        colours = (scene.vertex_colours if toi_range is None else scene.pale_colours)[faces[:, 0]]
+        if toi_range is not None:
+            toi = scene.vertex_toi[faces].min(axis=1)
+            is_shown = np.isfinite(toi) & ~scene.static[scene.vertex_body[faces[:, 0]]]
+            colours[is_shown] = _mapped(toi[is_shown], toi_range)
+        return colours
 
     def draw_trails(self) -> None:
         """Draw the paths of bodies that move far."""
@@ -140,11 +149,35 @@ class Panel:
         title.prop.justification_horizontal = "center"
         self.renderer.add_actor(title, reset_camera=False)
 
-    def draw_toi_bar(self) -> None:
+    def draw_legend(self) -> None:
+        """Name the bodies by their colours, below the scene: which move, and which are static."""
+        size, (width, height) = LABEL_SIZE, self.camera.size
+        entries = self.scene.legend
+        for row, (colour, text) in enumerate(entries):
+            x, y = _LEGEND_LEFT / width, (_LEGEND_BELOW + (len(entries) - 1 - row) * _LEGEND_LINE) / height
+            box = [
+                [x, y, 0],
+                [x + size / width, y, 0],
+                [x + size / width, y + size / height, 0],
+                [x, y + size / height, 0],
+            ]
+            mapper, coordinate, swatch = vtkPolyDataMapper2D(), vtkCoordinate(), vtkActor2D()
+            coordinate.SetCoordinateSystemToNormalizedViewport()
+            mapper.SetInputData(pyvista.PolyData(box, faces=[4, 0, 1, 2, 3]))
+            mapper.SetTransformCoordinate(coordinate)
+            swatch.SetMapper(mapper)
+            swatch.GetProperty().SetColor(*(colour / 255.0))
+            self.renderer.AddActor(swatch)
+            label = make_text(text, (x + 1.6 * size / width, y), size * self.zoom)
+            self.renderer.add_actor(label, reset_camera=False)
+
+    def draw_toi_bar(self, toi_range: tuple[float, float]) -> None:
         """Draw the colour bar of the bodies that are coloured by toi."""
-        actors = self.renderer.actors
-        mapper = next(actors[name].mapper for name in actors if name.endswith(str(self.place)))
+        mapper = pyvista.DataSetMapper(pyvista.PolyData())
+        mapper.lookup_table = pyvista.LookupTable(_toi_colours(), n_values=256, scalar_range=toi_range)
+        mapper.scalar_range = toi_range
         size = LABEL_SIZE * self.zoom
+        self.plotter.subplot(*self.place)
         self.plotter.add_scalar_bar(
             mapper=mapper,
             n_labels=3,
@@ -206,6 +239,13 @@ def _used_vertices(primitives: NDArray[np.int32]) -> tuple[NDArray[np.int32], An
     return used, indices.reshape(primitives.shape)
 
 
+def _mapped(toi: NDArray[np.float64], toi_range: tuple[float, float]) -> NDArray[np.uint8]:
+    """Colours of finite toi, shape [m, 3]."""
+    low, high = toi_range
+    share = np.clip((toi - low) / (high - low), 0.0, 1.0)
+    return _toi_colours()(share, bytes=True)[:, :3]
+
+
 def _toi_colours() -> Any:
-    """A colour map from dark to light, never as light as the colour of vertices without a toi."""
+    """A colour map from dark to light, never as light as the colours of vertices without a toi."""
     return LinearSegmentedColormap.from_list("toi", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))

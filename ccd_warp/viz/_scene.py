@@ -2,20 +2,27 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_place import points_at_toi
+from ccd_warp._display import listed, shortened
 from ccd_warp._engine.contact_corners import contact_corners
+from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp.viz._contacts import contact_points
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
 # A contact counts as one of the earliest if it is at most this fraction of the step after the first.
 _SAME_TOI = 1e-6
+# Share of white in the colour of a moving body where it touches nothing.
+_PALE = 0.72
+# Moving bodies that the legend names.
+_MOST_NAMED = 3
 # Trails of more bodies than this hide the scene.
 _MOST_TRAILS = 50
 
@@ -39,6 +46,7 @@ class StepScene:
         contact_is_first: Contacts that are the earliest, bool, shape [m].
         first_contact: Index of the earliest contact, -1 without one.
         first_body_size: Longest side of the smaller body of that contact, 0 without one.
+        names: Name of each body.
     """
 
     start: NDArray[np.float64]
@@ -55,6 +63,7 @@ class StepScene:
     contact_is_first: NDArray[np.bool_]
     first_contact: int
     first_body_size: float
+    names: tuple[str, ...]
 
     def positions(self, t: float) -> NDArray[np.float64]:
         """Positions at a time, shape [V, 3]."""
@@ -67,6 +76,29 @@ class StepScene:
         of_body = palette[(np.cumsum(~self.static) - 1) % len(palette)]
         of_body[self.static] = _rgb(STATIC_COLOUR)
         return of_body[self.vertex_body]
+
+    @cached_property
+    def pale_colours(self) -> NDArray[np.uint8]:
+        """Colours of vertices that touch nothing beside those that show a toi: pale, but for static bodies."""
+        pale = (_PALE * 255.0 + (1.0 - _PALE) * self.vertex_colours).astype(np.uint8)
+        is_static = self.static[self.vertex_body]
+        pale[is_static] = self.vertex_colours[is_static]
+        return pale
+
+    @cached_property
+    def legend(self) -> list[tuple[NDArray[np.uint8], str]]:
+        """Colours and what they mean: the first moving bodies, and all static ones; empty if all bodies are static."""
+        moving, static = (
+            [name for name, s in zip(self.names, self.static, strict=True) if s == kind] for kind in (0, 1)
+        )
+        if not moving:
+            return []
+        palette = [_rgb(colour) for colour in MOVING_COLOURS]
+        shown = len(moving) if len(moving) <= _MOST_NAMED else _MOST_NAMED - 1
+        entries = [(palette[k % len(palette)], f"{shortened(moving[k])}, moving") for k in range(shown)]
+        if shown < len(moving):
+            entries.append((palette[shown % len(palette)], f"and {len(moving) - shown} more, moving"))
+        return entries + ([(_rgb(STATIC_COLOUR), f"{listed(static)}, static")] if static else [])
 
     @cached_property
     def body_edge_length(self) -> NDArray[np.float64]:
@@ -90,7 +122,15 @@ class StepScene:
         return np.array(trails).reshape(-1, 2, 3)
 
 
-def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult) -> StepScene:
+def check_result(result: Any) -> None:
+    """Raise a ValueError if it is no result with the contacts of a step on the host."""
+    if not isinstance(result, HostLaunchResult):
+        check_instance("result", result, MeshResult)
+
+
+def make_scene(
+    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult | HostLaunchResult
+) -> StepScene:
     """Transform a step into the coordinates of the picture.
 
     Raises:
@@ -121,11 +161,12 @@ def make_scene(mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLi
         static=mesh.static,
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
-        contact_points=(contact_points(mesh, start, end, contacts) - centre) / unit,
+        contact_points=(points_at_toi(mesh, start, end, contacts) - centre) / unit,
         contact_normals=np.asarray(contacts.normal),
         contact_is_first=is_first,
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
+        names=mesh.names,
     )
 
 

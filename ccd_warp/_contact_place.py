@@ -1,0 +1,146 @@
+"""Where contacts are: their vertices, and their positions at the time of impact."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._contacts import Contacts
+from ccd_warp._engine.contact_corners import contact_corners, contact_vertices
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._status import PairKind
+
+# Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
+_CHUNK = 1 << 12
+# Vertices, beyond one for each contact, from which on it costs less to compute points than to copy positions. In a step
+# with 10,000 vertices and 100,000 contacts, which takes 300 ms, the points take 9 ms and the copies 0.02 ms.
+_WORTH_POINTS = 1 << 12
+
+
+@dataclass
+class ContactPlace:
+    """The mesh of some contacts, and what has been computed from it or can be.
+
+    Attributes:
+        mesh: The mesh.
+        frames: Positions at both ends of the step, of which nobody else holds the arrays; None if not needed or known.
+        points: Points of the contacts, once they are computed.
+        vertices: Their vertices, likewise.
+
+    Threads that ask at once may compute the same twice.
+    """
+
+    mesh: CollisionMesh
+    frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    points: NDArray[np.float64] | None = None
+    vertices: NDArray[np.int32] | None = None
+
+    @property
+    def has_points(self) -> bool:
+        """Whether the points are known."""
+        return self.points is not None or self.frames is not None
+
+    def chosen(self, index: Any) -> "ContactPlace":
+        """The place of some of the contacts."""
+        return ContactPlace(
+            self.mesh,
+            self.frames,
+            None if self.points is None else self.points[index],
+            None if self.vertices is None else self.vertices[index],
+        )
+
+    def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
+        """The points of the contacts to which this belongs; None if they are not known."""
+        if self.points is None and self.frames is not None:
+            self.points = points_at_toi(self.mesh, *self.frames, contacts)
+        return self.points
+
+    def vertices_of(self, contacts: Contacts) -> NDArray[np.int32]:
+        """Their vertices, shape [m, 4]."""
+        if self.vertices is None:
+            self.vertices = contact_vertices(self.mesh, contacts)
+        return self.vertices
+
+
+def located(
+    contacts: Contacts,
+    mesh: CollisionMesh,
+    start: NDArray[np.float64] | None = None,
+    end: NDArray[np.float64] | None = None,
+) -> Contacts:
+    """The same contacts, which now know their mesh and their points in a step between these positions of all vertices.
+
+    The positions may be arrays of the caller, who changes them afterwards. Where there are many contacts, the positions
+    are therefore copied, and the points computed when they are asked for; otherwise the points are computed at once.
+    Without positions the points stay unknown.
+    """
+    place = ContactPlace(mesh)
+    if len(contacts) == 0:
+        place.points = np.zeros((0, 3))
+    elif start is not None and end is not None:
+        if len(start) < len(contacts) + _WORTH_POINTS:
+            place.frames = start.copy(), end.copy()
+        else:
+            place.points = points_at_toi(mesh, start, end, contacts)
+    return contacts._placed(place)
+
+
+def joined(parts: Sequence[Contacts]) -> Contacts:
+    """The contacts of one list or more of the same mesh, one list after the other."""
+    contacts = Contacts(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+    places: list[ContactPlace | None] = [part._place for part in parts]
+    if places[0] is None or not all(place is not None and place.has_points for place in places):
+        return contacts
+    return contacts._placed(ContactPlace(places[0].mesh, points=np.concatenate([part.points for part in parts])))
+
+
+def points_at_toi(
+    mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], contacts: Contacts
+) -> NDArray[np.float64]:
+    """Midpoints of the two closest points of each contact, shape [m, 3].
+
+    The positions are those of all vertices at both ends of the step, shape [V, 3].
+
+    Raises:
+        ValueError: If the contacts refer to primitives that the mesh does not have.
+    """
+    points = np.empty((len(contacts), 3))
+    for kind in PairKind:
+        of_kind = np.flatnonzero(contacts.kind == kind)
+        for k in range(0, len(of_kind), _CHUNK):
+            chosen: Any = of_kind[k : k + _CHUNK]
+            if chosen[-1] - chosen[0] == len(chosen) - 1:
+                chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
+            corners = contact_corners(mesh, kind, contacts.primitives[chosen])
+            points[chosen] = _midpoints(
+                kind, corners, start, end, contacts.toi[chosen, None], contacts.parameters[chosen]
+            )
+    return points
+
+
+def _midpoints(
+    kind: PairKind,
+    corners: tuple[NDArray[np.int32], NDArray[np.int32]],
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    t: NDArray[np.float64],
+    parameters: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    u, v = parameters.T[..., None]
+    weights: Any = {
+        PairKind.VERTEX_FACE: lambda: ([1.0], [1.0 - u - v, u, v]),
+        PairKind.EDGE_EDGE: lambda: ([1.0 - u, u], [1.0 - v, v]),
+        PairKind.POINT_SEGMENT: lambda: ([1.0], [1.0 - u, u]),
+        PairKind.POINT_POINT: lambda: ([1.0], [1.0]),
+    }[kind]()
+    before = 1.0 - t
+    sides = [
+        sum(
+            w * (before * start.take(i, axis=0) + t * end.take(i, axis=0))
+            for w, i in zip(side_weights, side.T, strict=True)
+        )
+        for side_weights, side in zip(weights, corners, strict=True)
+    ]
+    return 0.5 * sides[0] + 0.5 * sides[1]

@@ -1,0 +1,299 @@
+"""Contacts of a step: their arrays, what follows from the mesh, and one contact at a time."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._display import MOST_ROWS, counted, html_table, point_text, shortened
+from ccd_warp._status import CCDStatus, PairKind
+
+# Number of vertices of a pair of each kind; where it is less than four, `Contacts.vertices` repeats some.
+_CORNERS = {
+    PairKind.VERTEX_FACE: (0, 1, 2, 3),
+    PairKind.EDGE_EDGE: (0, 1, 2, 3),
+    PairKind.POINT_SEGMENT: (0, 2, 3),
+    PairKind.POINT_POINT: (0, 2),
+}
+
+
+class Placed:
+    """Keeps what contacts know beside their arrays in a slot, so that ``vars()`` gives the arrays alone.
+
+    It is a ``ContactPlace`` of `ccd_warp._contact_place`, or of contacts on a device a ``DeviceStep``. These modules
+    import this one and know the types.
+    """
+
+    __slots__ = ("_place",)
+    _place: Any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_place", None)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Contacts(Placed):
+    """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
+
+    ``contacts[k]`` is a :class:`ccd_warp.Contact`, and so is each item of an iteration; ``contacts[chosen]``, with a
+    slice, a mask or an array of indices, is a ``Contacts`` of these alone.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
+        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
+            and a codimensional edge, or of the vertices of two codimensional points, int32, shape [m, 2].
+        toi: Earliest time of impact in [0, t_max], float64, shape [m].
+        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
+        normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
+            comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
+            sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
+            or points along the gap where that velocity is zero.
+        status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
+        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
+        width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
+            shape [m].
+    """
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int32]
+    toi: NDArray[np.float64]
+    parameters: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    status: NDArray[np.int32]
+    gap: NDArray[np.float64]
+    width: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.toi)
+
+    @overload
+    def __getitem__(self, index: int | np.integer[Any]) -> "Contact": ...
+
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> "Contacts": ...
+
+    def __getitem__(self, index: Any) -> "Contact | Contacts":
+        if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
+            if not -len(self) <= index < len(self):
+                raise IndexError(f"index is {index}; expected one of {len(self)} contacts")
+            k = int(index) % len(self)
+            return Contact(self[k : k + 1], k)
+        if isinstance(index, (list, tuple)):
+            index = np.asarray(index, dtype=bool if index and isinstance(index[0], bool) else np.int64)
+        chosen = Contacts(**{name: values[index] for name, values in vars(self).items()})
+        return chosen if self._place is None else chosen._placed(self._place.chosen(index))
+
+    def __iter__(self) -> Iterator["Contact"]:
+        if self._place is not None and len(self):  # for all at once, and not for each
+            _ = self.vertices, self.points if self._place.has_points else None
+        return (self[k] for k in range(len(self)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_place": self._place}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Contacts({counted(len(self), 'contact', 'contacts')}{_by_kind(self.kind)})"
+
+    def _repr_html_(self) -> str:
+        return self._table(repr(self))
+
+    def _table(self, title: str) -> str:
+        """A table of the earliest contacts for a notebook; empty if the mesh is not known."""
+        if self._place is None:
+            return html_table(title, (), [])
+        earliest = np.argsort(self.toi, kind="stable")[:MOST_ROWS].tolist()
+        rows = [(k, *self[k]._cells()) for k in earliest]
+        header = ("", "kind", "bodies", "toi", "point", "status")
+        return html_table(f"{title}, the earliest first" if rows else title, header, rows, len(self))
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Position of each contact at its toi, a length, float64, shape [m, 3]: halfway between the closest points.
+
+        These have the parameters (u, v): v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and
+        eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q. Their distance is the gap.
+        """
+        points: NDArray[np.float64] | None = self._known().points_of(self)
+        if points is None:
+            raise ValueError(
+                "contacts.points are not known, as no launch has read positions; expected a launch before, or "
+                "to_host(vertices_t0, vertices_t1)"
+            )
+        return points
+
+    @property
+    def vertices(self) -> NDArray[np.int32]:
+        """Vertices of each contact, int32, shape [m, 4]: v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q.
+
+        Columns repeat the vertex of a point so that there are always four.
+        """
+        vertices: NDArray[np.int32] = self._known().vertices_of(self)
+        return vertices
+
+    @property
+    def bodies(self) -> NDArray[np.int32]:
+        """Bodies of the first and the second primitive of each contact, int32, shape [m, 2]."""
+        bodies: NDArray[np.int32] = self._known().mesh.vertex_body[self.vertices[:, [0, 3]]]
+        return bodies
+
+    @property
+    def world(self) -> NDArray[np.int32]:
+        """World of each contact, int32, shape [m]."""
+        world: NDArray[np.int32] = self._known().mesh.vertex_world[self.vertices[:, 0]]
+        return world
+
+    def sorted_by_toi(self) -> "Contacts":
+        """The same contacts by ascending toi, those with one toi in their present order, in new arrays.
+
+        Indices into contacts, such as ``MeshResult.vertex_contact``, are those of the original order.
+        """
+        return self[np.argsort(self.toi, kind="stable")]
+
+    def _placed(self, place: Any) -> "Contacts":
+        """The same contacts with this place."""
+        same = Contacts(**vars(self))
+        object.__setattr__(same, "_place", place)
+        return same
+
+    def _known(self) -> Any:
+        """The place of the contacts, or a ValueError."""
+        if self._place is None:
+            raise ValueError("contacts were made of arrays alone; expected those of a result, which knows its mesh")
+        return self._place
+
+    def _first(self) -> "Contact | None":
+        """The earliest contact, the first where several are; None if there are none."""
+        return self[int(np.argmin(self.toi))] if len(self) else None
+
+
+class Contact:
+    """One contact of a :class:`ccd_warp.Contacts`.
+
+    Attributes:
+        index: Its index there.
+    """
+
+    __slots__ = ("_row", "index")
+
+    def __init__(self, row: Contacts, index: int) -> None:
+        """The contact with this index, from a ``Contacts`` of it alone."""
+        self._row = row
+        self.index = index
+
+    @property
+    def kind(self) -> PairKind:
+        """Kind of the pair."""
+        return PairKind(int(self._row.kind[0]))
+
+    @property
+    def primitives(self) -> tuple[int, int]:
+        """Indices of both primitives in the mesh, as in :class:`ccd_warp.Contacts`."""
+        a, b = self._row.primitives[0].tolist()
+        return a, b
+
+    @property
+    def toi(self) -> float:
+        """Earliest time of impact, in [0, t_max]."""
+        return float(self._row.toi[0])
+
+    @property
+    def parameters(self) -> tuple[float, float]:
+        """(u, v) at toi, as in :class:`ccd_warp.PairResult`."""
+        u, v = self._row.parameters[0].tolist()
+        return u, v
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit normal at toi, as in :class:`ccd_warp.Contacts`, float64, shape [3]."""
+        return self._row.normal[0].copy()
+
+    @property
+    def status(self) -> CCDStatus:
+        """How the answer was obtained."""
+        return CCDStatus(int(self._row.status[0]))
+
+    @property
+    def gap(self) -> float:
+        """Upper bound of the gap (L∞) beyond the minimum separation at toi, a length."""
+        return float(self._row.gap[0])
+
+    @property
+    def width(self) -> float:
+        """Width of the time interval left open, 0 except at a limit."""
+        return float(self._row.width[0])
+
+    @property
+    def point(self) -> NDArray[np.float64]:
+        """Position at toi, a length, float64, shape [3]."""
+        return self._row.points[0].copy()
+
+    @property
+    def vertices(self) -> tuple[int, ...]:
+        """Vertices of the first primitive and then of the second, each as often as it is part of them: 2 to 4."""
+        row = self._row.vertices[0].tolist()
+        return tuple(row[k] for k in _CORNERS[self.kind])
+
+    @property
+    def bodies(self) -> tuple[int, int]:
+        """Bodies of the first and the second primitive."""
+        mesh, row = self._row._known().mesh, self._row.vertices[0]
+        return int(mesh.vertex_body[row[0]]), int(mesh.vertex_body[row[3]])
+
+    @property
+    def body_names(self) -> tuple[str, str]:
+        """Names of these bodies."""
+        names, (a, b) = self._row._known().mesh.names, self.bodies
+        return names[a], names[b]
+
+    @property
+    def world(self) -> int:
+        """World of the contact."""
+        return int(self._row._known().mesh.vertex_world[self._row.vertices[0, 0]])
+
+    def __repr__(self) -> str:
+        return f"Contact({self._described()}, toi={self.toi!r})"
+
+    def _described(self) -> str:
+        """What touches what and where, as far as it is known."""
+        place = self._row._place
+        text = _kind_name(self.kind)
+        if place is None:
+            return text
+        a, b = map(shortened, self.body_names)
+        text += f" of {a} and {b}" if len({*self.bodies}) == 2 else f" of {a} and itself"
+        return text if not place.has_points else f"{text} at {point_text(self.point)}"
+
+    def _cells(self) -> tuple[str, ...]:
+        """The cells of a table that holds this contact."""
+        known = self._row._known()
+        point = point_text(self.point) if known.has_points else ""
+        return _kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
+
+
+def _kind_name(kind: PairKind) -> str:
+    return kind.name.lower().replace("_", "-")
+
+
+def _by_kind(kinds: NDArray[np.int32]) -> str:
+    """How many contacts there are of each kind, where there are any."""
+    counts = np.bincount(kinds, minlength=len(PairKind)) if len(kinds) else np.zeros(len(PairKind), dtype=np.int64)
+    parts = [f"{counts[kind]:,} {_kind_name(kind)}" for kind in PairKind if counts[kind]]
+    return f": {', '.join(parts)}" if parts else ""
+
+
+def outcome(toi: float, world_toi: NDArray[np.float64], contacts: Contacts) -> str:
+    """The outcome of a step in a line: its toi, in how many worlds, how many contacts, and the first."""
+    if not np.isfinite(toi):
+        return "toi=inf, no contact"
+    parts = [f"toi={toi!r}"]
+    if len(world_toi) > 1:
+        parts.append(f"{np.isfinite(world_toi).sum():,} of {len(world_toi):,} worlds")
+    parts.append(counted(len(contacts), "contact", "contacts"))
+    first = contacts._first()
+    return ", ".join(parts) + (f", first: {first._described()}" if first else "")

@@ -1,0 +1,184 @@
+"""What launches on a device return: arrays that later launches overwrite, and copies of them on the host."""
+
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._contacts import Contact, Contacts, Placed, outcome
+from ccd_warp._display import counted
+from ccd_warp._status import LaunchFlag, PairKind
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DeviceContacts(Placed):
+    """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
+
+    Attributes:
+        count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
+            [1].
+        kind: int32, shape [max_contacts], as for all that follow.
+        primitives: vec2i.
+        toi: float64.
+        parameters: vec2d.
+        normal: vec3d.
+        status: int32.
+        gap: float64.
+        width: float64.
+    """
+
+    count: wp.array
+    kind: wp.array
+    primitives: wp.array
+    toi: wp.array
+    parameters: wp.array
+    normal: wp.array
+    status: wp.array
+    gap: wp.array
+    width: wp.array
+
+    def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> Contacts:
+        """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.
+
+        Args:
+            vertices_t0: Start positions, for ``points``, as :func:`ccd_warp.mesh_ccd` takes them. By default what the
+                arrays of the last launch hold now.
+            vertices_t1: End positions, likewise; both are given or neither is.
+
+        Returns:
+            The contacts, with their points, vertices, bodies and worlds.
+
+        Raises:
+            ValueError: If one of the positions is given without the other, or they do not match the mesh.
+        """
+        if (vertices_t0 is None) != (vertices_t1 is None):
+            missing = "vertices_t0" if vertices_t0 is None else "vertices_t1"
+            raise ValueError(f"{missing} is None; expected both vertices_t0 and vertices_t1, or neither")
+        count = min(int(self.count.numpy()[0]), len(self.kind))
+        host = {name: array.numpy()[:count] for name, array in vars(self).items() if name != "count"}
+        order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
+        contacts = Contacts(**{name: values[order] for name, values in host.items()})
+        return contacts if self._place is None else self._place.locate(contacts, vertices_t0, vertices_t1)
+
+    def __repr__(self) -> str:
+        return f"DeviceContacts(up to {len(self.kind):,} contacts on {self.kind.device}; to_host() reads them)"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: the arrays are on a device, and launches go on writing to them."""
+        raise TypeError("DeviceContacts cannot be copied or pickled; copy or pickle what to_host() returns")
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class HostLaunchResult:
+    """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
+
+    Attributes:
+        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
+        world_toi: The same for each world, float64, shape [W].
+        body_toi: The same for each body, float64, shape [B].
+        vertex_toi: The same for each vertex, float64, shape [V].
+        contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
+        flags: Flags of the scene.
+        world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
+        num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
+        num_contacts: Number of contacts found, including those beyond the capacity.
+    """
+
+    toi: float
+    world_toi: NDArray[np.float64]
+    body_toi: NDArray[np.float64]
+    vertex_toi: NDArray[np.float64]
+    contacts: Contacts
+    flags: LaunchFlag
+    world_flags: NDArray[np.int32]
+    num_pairs: dict[PairKind, int]
+    num_contacts: int
+
+    @property
+    def hit(self) -> bool:
+        """Whether any pair has a finite toi."""
+        return bool(np.isfinite(self.toi))
+
+    @property
+    def first(self) -> Contact | None:
+        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
+        return self.contacts._first()
+
+    def __repr__(self) -> str:
+        flags = "" if not self.flags else f", {self.flags!r}"
+        return f"HostLaunchResult({outcome(self.toi, self.world_toi, self.contacts)}{flags})"
+
+    def _repr_html_(self) -> str:
+        return self.contacts._table(repr(self))
+
+
+@dataclass(frozen=True, repr=False)
+class LaunchResult:
+    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch` writes, the same ones each time.
+
+    The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
+
+    Attributes:
+        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none; float64, shape [1].
+        world_toi: The same for each world, float64, shape [W]; with a single world the array ``toi`` itself.
+        body_toi: The same for each body, float64, shape [B].
+        vertex_toi: The same for each vertex, float64, shape [V].
+        contacts: Every pair with a finite toi, up to the capacity.
+        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
+        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
+        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
+            capacity, int64, shape [4].
+    """
+
+    toi: wp.array
+    world_toi: wp.array
+    body_toi: wp.array
+    vertex_toi: wp.array
+    contacts: DeviceContacts
+    flags: wp.array
+    world_flags: wp.array
+    num_pairs: wp.array
+    _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses
+
+    def __post_init__(self) -> None:
+        """Let the contacts know the step to which they belong."""
+        object.__setattr__(self.contacts, "_place", self._step)
+
+    def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
+        """What all arrays hold now, on the host; this waits for the device.
+
+        Args:
+            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
+                default what the arrays of the last launch hold now; give them if these have changed since.
+            vertices_t1: End positions, likewise; both are given or neither is.
+
+        Returns:
+            A copy that later launches do not change.
+
+        Raises:
+            ValueError: If one of the positions is given without the other, or they do not match the mesh.
+        """
+        contacts = self.contacts.to_host(vertices_t0, vertices_t1)
+        names = ("world_toi", "body_toi", "vertex_toi", "world_flags")
+        arrays = {name: getattr(self, name).numpy().copy() for name in names}
+        return HostLaunchResult(
+            toi=float(self.toi.numpy()[0]),
+            contacts=contacts,
+            flags=LaunchFlag(int(self.flags.numpy()[0])),
+            num_pairs={kind: int(count) for kind, count in zip(PairKind, self.num_pairs.numpy(), strict=True)},
+            num_contacts=int(self.contacts.count.numpy()[0]),
+            **arrays,
+        )
+
+    def __repr__(self) -> str:
+        sizes = [counted(len(self.body_toi), "body", "bodies"), f"{len(self.vertex_toi):,} vertices"]
+        sizes += [f"{len(self.world_toi):,} worlds"] if len(self.world_toi) > 1 else []
+        return f"LaunchResult({', '.join(sizes)}, arrays on {self.toi.device}; to_host() reads them)"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: the arrays are on a device, and launches go on writing to them."""
+        raise TypeError("a LaunchResult cannot be copied or pickled; copy or pickle what to_host() returns")

@@ -1,0 +1,87 @@
+"""Both ends of a step read from mesh files, as a mesh and two frames of positions."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._files import frames as files
+from ccd_warp._files.archive import MAX_BYTES
+from ccd_warp._input.arguments import check_items, check_path
+from ccd_warp._input.names import distinct_names
+from ccd_warp._mesh import CollisionMesh
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Frames:
+    """A step read from files.
+
+    Attributes:
+        mesh: The bodies, called by the names of their files: first the one that moves, then the static ones.
+        vertices_t0: Start positions, float64, in the files' length unit, shape [V, 3].
+        vertices_t1: End positions, shape [V, 3]; static bodies are where they were.
+        source_index: Index of each vertex in its file, the first one of merged vertices, int64, shape [V].
+        num_merged: Number of vertices of each file that were merged into others, int64, shape [B].
+    """
+
+    mesh: CollisionMesh
+    vertices_t0: NDArray[np.float64]
+    vertices_t1: NDArray[np.float64]
+    source_index: NDArray[np.int64]
+    num_merged: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        merged = f", {self.num_merged.sum():,} vertices merged" if self.num_merged.any() else ""
+        return f"Frames({self.mesh!r}{merged})"
+
+
+def read_frames(
+    start_path: str | Path,
+    end_path: str | Path,
+    *,
+    static: Iterable[str | Path] = (),
+    self_collision: bool | Sequence[bool] = True,
+    max_bytes: int = MAX_BYTES,
+) -> Frames:
+    """Read both ends of a step from mesh files, in full precision, completely or not at all.
+
+    The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF and DAE where trimesh has what it needs for them), and archives
+    of these. Numbers are double precision where the format holds it. The corners of an STL file are merged by their
+    positions in ``start_path``, which ``end_path`` must agree with; copies of a vertex that GLB makes at a seam are
+    merged where they coincide at both ends.
+
+    Args:
+        start_path: Mesh file of the start positions.
+        end_path: Mesh file of the end positions, with the same faces in the same order.
+        static: Mesh files of bodies that do not move.
+        self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
+        max_bytes: Limit on the unpacked size of an archive.
+
+    Returns:
+        The mesh and its positions at both ends, as all functions on meshes take them.
+
+    Raises:
+        ValueError: If a file is missing, damaged, cut short, not finite or unpacks to more than the limit, the two
+            frames differ in topology, or another argument is not as described.
+
+    Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
+    """
+    start, end = check_path("start_path", start_path), check_path("end_path", end_path)
+    paths = [check_path("static", path) for path in check_items("static", static, "a list of paths")]
+    bodies = [files.read_frames(start, end, max_bytes=max_bytes)]
+    bodies += [files.read_static(path, max_bytes=max_bytes) for path in paths]
+    mesh = CollisionMesh.from_arrays(
+        [(body.vertices_t0, body.faces) for body in bodies],
+        static=range(1, len(bodies)),
+        self_collision=self_collision,
+        names=distinct_names([body.name for body in bodies]),
+    )
+    return Frames(
+        mesh,
+        np.concatenate([body.vertices_t0 for body in bodies]),
+        np.concatenate([body.vertices_t1 for body in bodies]),
+        np.concatenate([body.source_index for body in bodies]).astype(np.int64),
+        np.array([body.merged for body in bodies], dtype=np.int64),
+    )
