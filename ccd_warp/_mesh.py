@@ -47,7 +47,9 @@ class CollisionMesh:
         codimensional_edges: Indices into ``edges`` of the edges that belong to no face, ascending, int32, shape
             [E_codim].
         codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
-        vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
+        vertex_body: Body of each vertex, int32, shape [V].
+        edge_body: Body of each edge, int32, shape [E].
+        face_body: Body of each face, int32, shape [F].
         body_vertex_range: Body b consists of the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
         static: Bodies that do not move, bool, shape [B].

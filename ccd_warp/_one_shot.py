@@ -122,7 +122,7 @@ def collision_free_step(
             the minimum separation alone would make it 0, unless primitives touch at the start.
 
     Returns:
-        A fraction of the step in [0, t_max], dimensionless: t_max if there is certainly no collision, 0 if bodies touch
+        A fraction of the step in [0, t_max], dimensionless; t_max if there is certainly no collision, 0 if bodies touch
         at the start.
 
     Raises:

@@ -284,7 +284,7 @@ class CollisionPipeline:
                 follow.
 
         Returns:
-            The result of the final pass: the toi of a world in which something moves is inf, and that of a world that
+            The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
             this pass had to stop is finite. The flags for pair overflow and invalid input cover all passes.
 
         Raises:
