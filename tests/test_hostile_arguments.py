@@ -165,7 +165,7 @@ def _calls(folder):
             datasets.write_queries,
             {"path": queries, "points_t0": POINTS_T0, "points_t1": POINTS_T1, "truth": None},
         ),
-        "find_queries": (datasets.find_queries, {"folder": folder, "progress": False}),
+        "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
         "find_steps": (datasets.find_steps, {"folder": folder}),
         "read_step": (datasets.read_step, {"start_path": start, "end_path": end, "max_bytes": 1000}),
         "write_step": (datasets.write_step, {"start_path": start, "end_path": end, "step": STEP}),
