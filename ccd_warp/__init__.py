@@ -18,9 +18,12 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contacts, Counts, DeviceContacts, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
 from ccd_warp._version import __version__
+
+keep_warp_quiet()
 
 __all__ = [
     "CCDStatus",
