@@ -1,4 +1,4 @@
-"""What Warp says because of this library does not appear in a user's output; what it says of the user's own code does."""
+"""What Warp says because of this library does not appear in a user's output; what it says of the user's own does."""
 
 import subprocess
 import sys
