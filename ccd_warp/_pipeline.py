@@ -387,6 +387,24 @@ class CollisionPipeline:
         """
         return self._on_step(vertices_t0, vertices_t1, Step.bound)
 
+    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+        """Like :func:`ccd_warp.is_step_collision_free`.
+
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions, as in that function.
+
+        Returns:
+            True if no pair touches in [0, t_max], both ends included.
+
+        Raises:
+            ValueError: As in that function.
+
+        Guarantee: as for that function; True is certain.
+        """
+        # the bound of a step is t_max with a contact at t_max and without one; the toi of its contacts tells them apart
+        return self.mesh_ccd(vertices_t0, vertices_t1).toi == np.inf
+
     def line_search(
         self,
         vertices_t0: ArrayLike,
