@@ -16,7 +16,13 @@ copyright = author
 version = release = _PROJECT["version"]
 
 root_doc = "README"
-_GUIDES = ["docs/solver", "docs/choosing", "docs/newton"]
+_GUIDES = [
+    "docs/solver",
+    "docs/choosing",
+    "docs/coming_from_ipc_toolkit",
+    "docs/coming_from_engines",
+    "docs/newton",
+]
 _REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", "benchmarks/NOTES"]
 _ABOUT = ["CONTRIBUTING", "CHANGELOG"]
 include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md"]

@@ -54,9 +54,8 @@ def test_every_flag_and_status_is_explained_where_a_solver_meets_it():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
-    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text(encoding="utf-8"))
-    assert targets or page.name == "reference.md"
-    for target in targets:
+    """The files; the site, which is built with every warning an error, checks the headings, too."""
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
