@@ -4,6 +4,7 @@ The pages are those of the repository, README.md first, so that every link is th
 every warning an error and `-n` warns of each name that leads nowhere: a broken link stops the build.
 """
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -18,13 +19,16 @@ version = release = _PROJECT["version"]
 root_doc = "README"
 _GUIDES = [
     "docs/solver",
+    "docs/command_line",
     "docs/choosing",
     "docs/coming_from_ipc_toolkit",
     "docs/coming_from_engines",
     "docs/newton",
+    "docs/examples",
 ]
 _REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", "benchmarks/NOTES"]
 _ABOUT = ["CONTRIBUTING", "CHANGELOG"]
+_GUIDES += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - {*_GUIDES, *_REFERENCE})
 include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md"]
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
@@ -42,7 +46,13 @@ nitpick_ignore_regex = [("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collection
 
 
 def _with_contents(app, docname, source):
-    """Give the first page the table of contents, which a forge would show as code."""
+    """Give the first page the table of contents, which a forge would show as code, and let folders be names alone."""
+    folder = (_ROOT / docname).parent
+    source[0] = re.sub(
+        r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)",
+        lambda link: link[1] if (folder / link[2]).is_dir() else link[0],
+        source[0],
+    )
     if docname == root_doc:
         for caption, pages in (("Guides", _GUIDES), ("Reference", _REFERENCE), ("Project", _ABOUT)):
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])
