@@ -5,10 +5,13 @@ every warning an error and `-n` warns of each name that leads nowhere: a broken 
 """
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parent.parent
+# `python -m sphinx` at the root would find ./ccd_warp, which lacks the kernels there, before an installed package.
+sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
 _PROJECT = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 project = "ccd_warp"

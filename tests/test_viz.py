@@ -151,7 +151,7 @@ def test_package_imports_without_the_viewer():
         "import sys, ccd_warp; print('ccd_warp.viz' in sys.modules);"
         "import ccd_warp.viz; print('pyvista' in sys.modules, 'vtkmodules' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-3:] == ["False", "False", "False"]
 
 
