@@ -55,10 +55,10 @@ def _link_dependencies(links: Path) -> None:
 def source(tmp_path) -> Path:
     """A copy of what an installation takes from the project, so that no build output lands in the tree."""
     copy = tmp_path / "source"
-    ignore = shutil.ignore_patterns("__pycache__", "*.egg-info", "results")
+    ignore = shutil.ignore_patterns(*IGNORED)
     for name in ("ccd_warp", "benchmarks", "kernels"):
         shutil.copytree(ROOT / name, copy / name, ignore=ignore)
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy / name)
     return copy
 
