@@ -45,7 +45,9 @@ autodoc_typehints = "description"  # long unions would fill a screen of every si
 autodoc_typehints_format = "short"
 napoleon_use_ivar = True
 # Names of other projects, whose own pages need not be reached while this site is built.
-nitpick_ignore_regex = [("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*")]
+nitpick_ignore_regex = [
+    ("py:.*", r"NDArray|ArrayLike|(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*")
+]
 
 
 def _with_contents(app, docname, source):
