@@ -40,6 +40,8 @@ myst_heading_anchors = 4  # links to headings are checked, too
 html_theme = "furo"
 html_title = f"ccd_warp {release}"
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 autodoc_typehints = "description"  # long unions would fill a screen of every signature
 autodoc_typehints_format = "short"

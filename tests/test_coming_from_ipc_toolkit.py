@@ -64,6 +64,19 @@ def test_static_obstacles_are_left_out_alike():
     assert ccd.collision_free_step(both, start, end) == 1.0
 
 
+def test_pairs_that_share_a_vertex_are_left_out_alike():
+    sheet = trimesh.creation.box().subdivide()
+    faces = sheet.faces.astype(np.int64)
+    theirs = ipctk.CollisionMesh(np.ascontiguousarray(sheet.vertices), ipctk.edges(faces), faces)
+    ours = ccd.CollisionMesh.from_arrays([(np.asfortranarray(sheet.vertices), faces)])
+    moved = sheet.vertices * 1.01
+    found = ipctk.Candidates()
+    found.build(theirs, sheet.vertices, moved, 0.0)
+    pairs = ccd.find_candidates(ours, sheet.vertices, moved)
+    assert {(pair.vertex_id, pair.face_id) for pair in found.fv_candidates} == set(map(tuple, pairs.vertex_face))
+    assert not any(vertex in faces[face] for vertex, face in pairs.vertex_face) and len(pairs.vertex_face)
+
+
 def test_candidates_are_the_same_pairs_with_vertex_and_face_exchanged():
     theirs, ours, start, end = _falling_face(1.0)
     found = ipctk.Candidates()

@@ -95,7 +95,7 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
         "ccd_warp": {".py", ".typed"},
         "kernels": {".py"},
         "benchmarks": {".py", ".md", ".csv", ".json"},
-        "docs": {".py", ".md", ".png"},
+        "docs": {".py", ".md", ".png", ".css"},
         "examples": {".py"},
         "tests": {".py"},
     }.items():
