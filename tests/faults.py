@@ -171,7 +171,7 @@ class _Signal:
     the code that is traced, at the next place where a real one could, and not in the function that traces it.
     """
 
-    trip = functools.partial(__import__("_thread").interrupt_main, signal.SIGINT)
+    trip = staticmethod(functools.partial(__import__("_thread").interrupt_main, signal.SIGINT))
     now = property(operator.methodcaller("trip"))
 
 
