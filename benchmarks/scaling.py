@@ -63,7 +63,7 @@ def measure_start(devices: list[str]) -> list[dict]:
 
 
 def _last_number(code: str, environment: dict[str, str]) -> float:
-    return float(run_apart([sys.executable, "-c", code], environment).split()[-1])
+    return float(run_apart([sys.executable, "-P", "-c", code], environment).split()[-1])
 
 
 def run_apart(command: list[str], environment: dict[str, str] | None = None) -> str:

@@ -155,7 +155,7 @@ def grow(num_faces: int) -> dict:
 
 def grow_apart(num_faces: int) -> dict:
     """`grow` in a separate process, whose memory contains nothing else."""
-    command = [sys.executable, "-m", "ccd_warp.benchmarks.whole_step", str(num_faces)]
+    command = [sys.executable, "-P", "-m", "ccd_warp.benchmarks.whole_step", str(num_faces)]
     return json.loads(run_apart(command).splitlines()[-1])
 
 

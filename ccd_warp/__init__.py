@@ -18,12 +18,21 @@ from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._one_shot import collision_free_step, find_candidates, line_search, mesh_ccd
+from ccd_warp._one_shot import (
+    collision_free_step,
+    find_candidates,
+    is_step_collision_free,
+    line_search,
+    mesh_ccd,
+)
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
 from ccd_warp._version import __version__
+
+keep_warp_quiet()
 
 __all__ = [
     "CCDStatus",
@@ -51,6 +60,7 @@ __all__ = [
     "datasets",
     "edge_edge_ccd",
     "find_candidates",
+    "is_step_collision_free",
     "line_search",
     "mesh_ccd",
     "point_point_ccd",

@@ -114,9 +114,9 @@ class Contacts(Placed):
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Position of each contact at its toi, a length, float64, shape [m, 3]: halfway between the closest points.
+        """Position of each contact at its toi, a length, float64, shape [m, 3].
 
-        These have the parameters (u, v): v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and
+        It is halfway between the closest points. These have the parameters (u, v): v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and
         eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q. Their distance is the gap.
         """
         points: NDArray[np.float64] | None = self._known().points_of(self)
@@ -129,9 +129,10 @@ class Contacts(Placed):
 
     @property
     def vertices(self) -> NDArray[np.int32]:
-        """Vertices of each contact, int32, shape [m, 4]: v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q.
+        """Vertices of each contact, int32, shape [m, 4].
 
-        Columns repeat the vertex of a point so that there are always four.
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q, where columns repeat the vertex of a point
+        so that there are always four.
         """
         vertices: NDArray[np.int32] = self._known().vertices_of(self)
         return vertices
@@ -235,7 +236,7 @@ class Contact:
 
     @property
     def vertices(self) -> tuple[int, ...]:
-        """Vertices of the first primitive and then of the second, each as often as it is part of them: 2 to 4."""
+        """Vertices of the first primitive and then of the second, 2 to 4 in all."""
         row = self._row.vertices[0].tolist()
         return tuple(row[k] for k in _CORNERS[self.kind])
 

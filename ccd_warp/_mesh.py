@@ -53,7 +53,9 @@ class CollisionMesh:
         codimensional_edges: Indices into ``edges`` of the edges that belong to no face, ascending, int32, shape
             [E_codim].
         codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
-        vertex_body, edge_body, face_body: Body of each primitive, int32, shapes [V], [E], [F].
+        vertex_body: Body of each vertex, int32, shape [V].
+        edge_body: Body of each edge, int32, shape [E].
+        face_body: Body of each face, int32, shape [F].
         body_vertex_range: Body b consists of the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
         static: Bodies that do not move, bool, shape [B].
@@ -313,12 +315,13 @@ class CollisionMesh:
 
     @lazy_property
     def length_scale(self) -> float:
-        """Longest side of the box around ``vertices``: the default unit of tolerance and separation in every step."""
-        if self.num_vertices == 0:
-            return 0.0
+        """Longest side of the box around ``vertices``, 1 if it has none.
+
+        It is the default unit of tolerance and separation in every step.
+        """
         with np.errstate(over="ignore"):
-            side = float(np.ptp(self.vertices, axis=0).max())
-        return min(side, float(np.finfo(np.float64).max))
+            side = float(np.ptp(self.vertices, axis=0).max()) if self.num_vertices else 0.0
+        return min(side, float(np.finfo(np.float64).max)) or 1.0
 
     @property
     def num_vertices(self) -> int:
@@ -337,7 +340,7 @@ class CollisionMesh:
 
     @lazy_property
     def rows_by_world(self) -> tuple[tuple[int, int], ...]:
-        """Numbers of worlds and of rows in each, as positions may be given with an axis of worlds: [W, n, 3].
+        """Numbers of worlds and of rows in each, as positions may be given with an axis of worlds.
 
         The first is for all vertices, the second for the vertices of bodies that move. Either is left out where the
         worlds do not follow one another with equally many of them.

@@ -122,7 +122,7 @@ def collision_free_step(
             the minimum separation alone would make it 0, unless primitives touch at the start.
 
     Returns:
-        A fraction of the step in [0, t_max], dimensionless: t_max if there is certainly no collision, 0 if bodies touch
+        A fraction of the step in [0, t_max], dimensionless; t_max if there is certainly no collision, 0 if bodies touch
         at the start.
 
     Raises:
@@ -139,6 +139,42 @@ def collision_free_step(
     chosen = options_of("collision_free_step", MeshOptions, options)
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.collision_free_step(vertices_t0, vertices_t1)
+
+
+def is_step_collision_free(
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    **options: Unpack[MeshOptions],
+) -> bool:
+    """Whether a step is certain to be free of collisions from its start to its end, both included.
+
+    A fraction of :func:`collision_free_step` cannot say this: it is t_max where nothing touches, and also where the
+    first contact is at t_max itself.
+
+    Args:
+        mesh: The bodies.
+        vertices_t0: Start positions, as in :func:`mesh_ccd`.
+        vertices_t1: End positions, as in :func:`mesh_ccd`.
+        **options: Options of :class:`ccd_warp.MeshOptions`.
+
+    Returns:
+        True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or
+        comes so close that this cannot be excluded.
+
+    Raises:
+        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
+            ``memory_limit`` is too small; the message then says the least that suffices.
+        TypeError: If there is no such option.
+
+    References:
+        Wang et al. 2021, section 4.
+
+    Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
+    """
+    chosen = options_of("is_step_collision_free", MeshOptions, options)
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+        return pipeline.is_step_collision_free(vertices_t0, vertices_t1)
 
 
 def line_search(

@@ -189,8 +189,7 @@ class CollisionPipeline:
             The arrays to which later launches write.
 
         Raises:
-            ValueError: If a capacity is out of its range, the positions do not match the mesh, or all vertices of the
-                mesh coincide and no ``length_scale`` is given.
+            ValueError: If a capacity is out of its range, or the positions do not match the mesh.
             RuntimeError: If a graph is being captured.
         """
         with self._lock:
@@ -293,7 +292,7 @@ class CollisionPipeline:
             num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
 
         Returns:
-            The result of the final pass: the toi of a world in which something moves is inf, and that of a world that
+            The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
             this pass had to stop is finite. The flags for pair overflow and invalid input cover all passes.
 
         Raises:
@@ -398,6 +397,24 @@ class CollisionPipeline:
         Guarantee: as for that function; no pair touches before the returned fraction.
         """
         return self._on_step(vertices_t0, vertices_t1, Step.bound)
+
+    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+        """Like :func:`ccd_warp.is_step_collision_free`.
+
+        Args:
+            vertices_t0: Start positions, shape [V, 3].
+            vertices_t1: End positions, as in that function.
+
+        Returns:
+            True if no pair touches in [0, t_max], both ends included.
+
+        Raises:
+            ValueError: As in that function.
+
+        Guarantee: as for that function; True is certain.
+        """
+        # the bound of a step is t_max with a contact at t_max and without one; the toi of its contacts tells them apart
+        return self.mesh_ccd(vertices_t0, vertices_t1).toi == np.inf
 
     def line_search(
         self,

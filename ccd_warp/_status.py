@@ -40,10 +40,10 @@ class LaunchFlag(IntFlag):
     """Outcome of a launch on the device, 0 if there was no problem. Every toi is conservative, whatever the flags."""
 
     PAIRS_OVERFLOW = int(minima.PAIRS_OVERFLOW)
-    """There are more than ``max_pairs`` pairs of a kind: the excess counts with toi 0 and is not among the contacts."""
+    """There are more than ``max_pairs`` pairs of a kind; the excess counts with toi 0 and is not among the contacts."""
 
     CONTACTS_OVERFLOW = int(minima.CONTACTS_OVERFLOW)
-    """There are more than ``max_contacts`` contacts: the excess is missing only from the list of contacts."""
+    """There are more than ``max_contacts`` contacts; the excess is missing only from the list of contacts."""
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
-    """A coordinate is not finite: every toi of its world is 0."""
+    """A coordinate is not finite, and every toi of its world is 0."""

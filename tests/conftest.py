@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 # After a plain `pip install .`, `python -m pytest` at the root would find ./ccd_warp, which lacks the kernels there.
+# For the same reason, processes with `-c` or `-m` are started with `-P`.
 _ROOT = Path(__file__).resolve().parent.parent
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
 

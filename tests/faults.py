@@ -171,7 +171,7 @@ class _Signal:
     the code that is traced, at the next place where a real one could, and not in the function that traces it.
     """
 
-    trip = functools.partial(__import__("_thread").interrupt_main, signal.SIGINT)
+    trip = staticmethod(functools.partial(__import__("_thread").interrupt_main, signal.SIGINT))
     now = property(operator.methodcaller("trip"))
 
 
@@ -212,7 +212,9 @@ class Interrupt:
             is_own = self._is_own[name] = any(folder in name for folder in (*self._folders, *_STANDARD))
         if not is_own:
             return None
-        frame.f_trace_lines, frame.f_trace_opcodes = False, True
+        frame.f_trace_lines = False
+        frame.f_trace = self._step  # before the next line, or Python 3.13 traces no bytecodes
+        frame.f_trace_opcodes = True
         return self._step
 
     def _step(self, frame: Any, event: str, _: Any) -> Any:
@@ -351,12 +353,16 @@ def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
 
 def _undisturbed(scenario: Scenario, fault: Any) -> Any:
     """A fault that has counted and does not happen."""
+    _count(scenario, fault)
+    assert fault.count > 0, "the call has no events"
+    return fault
+
+
+def _count(scenario: Scenario, fault: Any) -> None:
     objects = scenario.fresh()
     scenario.before(objects)
     error, _ = _disturbed(fault, lambda: scenario.call(objects))
     assert error is None, repr(error)
-    assert fault.count > 0, "the call has no events"
-    return fault
 
 
 def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_error: bool = False) -> Findings:
@@ -381,6 +387,7 @@ def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_err
 def inject_interrupts(scenario: Scenario, name: str, num_samples: int, folders: tuple[str, ...]) -> Findings:
     """Interrupts at places drawn over all bytecodes of the call, of which every third is followed by another."""
     truth = truth_of(scenario)
+    _count(scenario, Interrupt(folders))  # from Python 3.12 on, bytecodes are traced from a function's second call on
     count = _undisturbed(scenario, Interrupt(folders)).count
     findings = Findings()
     rng = np.random.default_rng(zlib.crc32(name.encode()))

@@ -64,7 +64,7 @@ def triangles_in_a_plane(tmp_path):
 def at_terminal(arguments, *, stop_at=None, overlaps=10**6):
     """Status and what stderr, a terminal, was sent; Ctrl-C is pressed as soon as it shows some words."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", _RUN.format(overlaps=overlaps), "run", *arguments, "--device", "cpu"]
+    command = [sys.executable, "-P", "-c", _RUN.format(overlaps=overlaps), "run", *arguments, "--device", "cpu"]
     process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
     os.close(theirs)
     shown, end = b"", time.monotonic() + _PATIENCE
@@ -137,7 +137,7 @@ def test_quiet_run_says_nothing(triangles_in_a_plane):
 
 
 def test_ctrl_c_while_modules_are_imported_ends_the_command(triangles_in_a_plane):
-    command = [sys.executable, "-c", _INTERRUPTED_IMPORT, "run", *triangles_in_a_plane(1), "--device", "cpu"]
+    command = [sys.executable, "-P", "-c", _INTERRUPTED_IMPORT, "run", *triangles_in_a_plane(1), "--device", "cpu"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
 

@@ -193,6 +193,22 @@ def test_line_ends_and_byte_order_mark(tmp_path, blocks, end, tail, mark):
     assert (read.points_t0 == [0.5, -0.75, 0.0]).all() and (read.points_t1 == [0.5, -0.75, 0.0]).all()
 
 
+@pytest.mark.parametrize("space", [" ", "   "])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_spaces_after_commas_are_read_as_ccd_query_io_writes_them(tmp_path, blocks, space, end):
+    row = space.join(["6896999465383287,", "36028797018963968,", "-5245561632958895,", "4503599627370496,", "0,", "1"])
+    path = _write(tmp_path, [row] * 16, "queries.csv", end)
+    truth = tmp_path / "mma_bool.json"
+    truth.write_text("[false, true]")
+    read = datasets.read_queries(path, kind="edge_edge", truth=truth)
+    expected = np.full((2, 4, 3), [6896999465383287 / 2**55, -5245561632958895 / 2**52, 0.0])
+    assert _same_bits(read.points_t0, expected) and _same_bits(read.points_t1, expected)
+    assert read.truth.tolist() == [False, True]
+    _write(tmp_path, [f"{row},{space}1"] * 8, "queries.csv", end)
+    (found,) = datasets.find_queries(tmp_path, kind="edge-edge")
+    assert found.truth.tolist() == [True] and _same_bits(found.points_t0, expected[:1])
+
+
 def test_empty_lines_at_the_end_are_no_rows(tmp_path):
     path = tmp_path / "vf.csv"
     path.write_bytes("\n".join(QUERY).encode() + b"\n\n\r\n")
@@ -233,12 +249,27 @@ def test_kind_is_that_of_the_place(tmp_path, monkeypatch, name, kind):
     assert datasets.read_queries(path.name).kind == kind
 
 
+@pytest.mark.parametrize("kind", [ccd.PairKind.EDGE_EDGE, "edge_edge", "edge-edge"])
+def test_a_kind_is_taken_in_each_of_its_spellings(tmp_path, kind):
+    path = _write(tmp_path, QUERY, "data_0.csv")
+    read = datasets.read_queries(path, kind=kind)
+    assert read.kind == "edge-edge"
+    made = datasets.Queries("made", kind, read.points_t0, read.points_t1, read.truth, read.sources)
+    assert datasets.Queries.joined("both", [read, made]).kind == "edge-edge"
+    _write(tmp_path, QUERY * 2, "0vf.csv")
+    _write(tmp_path, QUERY * 3, "0ee.csv")
+    assert [(found.kind, len(found)) for found in datasets.find_queries(tmp_path, kind=kind)] == [("edge-edge", 4)]
+
+
 def test_unknown_kind_is_refused(tmp_path):
     path = _write(tmp_path, QUERY, "data_0.csv")
     with pytest.raises(ValueError, match=r"data_0\.csv: neither its folder .* says the kind .* kind= of read_queries"):
         datasets.read_queries(path)
     with pytest.raises(ValueError, match="kind is 'point-point'; expected 'vertex-face' or 'edge-edge'"):
         datasets.read_queries(path, kind="point-point")
+    for kind in (ccd.PairKind.POINT_POINT, 1, ["edge-edge"]):
+        with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
+            datasets.find_queries(tmp_path, kind=kind)
 
 
 # ---- Malformed -------------------------------------------------------------------------------------------------------
@@ -258,7 +289,11 @@ def test_unknown_kind_is_refused(tmp_path):
         ("1,2,3,4,nan,6", "'nan' is not an integer"),
         ("1,2,3,4,+5,6", r"'\+5' is not an integer"),
         ("1,2,3,4,1_0,6", "'1_0' is not an integer"),
-        ("1,2,3,4, 5,6", "' 5' is not an integer"),
+        ("1,2,3,4 ,5,6", "'4 ' is not an integer"),
+        (" 1,2,3,4,5,6", "' 1' is not an integer"),
+        ("1,2,3,4, ,6", "' ' is not an integer"),
+        ("1,2,3,4,\t5,6", r"'\\t5' is not an integer"),
+        ("1,2,3,4,- 5,6", "'- 5' is not an integer"),
         ("1,2,3,4,5,8 ", "'8 ' is not an integer"),
         ("1,2,3,4,\r5,8", r"'\\r5' is not an integer"),
         ("1,2,3,4,٣,8", "'٣' is not an integer"),

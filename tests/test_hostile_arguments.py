@@ -121,6 +121,7 @@ def _calls(folder):
         "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
         "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS),
+        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS),
         "line_search": (ccd.line_search, FRAMES | SEARCH | {k: MESH_OPTIONS[k] for k in MESH_OPTIONS if k != "t_max"}),
         "from_arrays": (ccd.CollisionMesh.from_arrays, BODIES),
         "arrays of a body": (
@@ -151,6 +152,10 @@ def _calls(folder):
         ),
         "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END}),
         "pipeline.collision_free_step": (PIPELINE.collision_free_step, {"vertices_t0": START, "vertices_t1": END}),
+        "pipeline.is_step_collision_free": (
+            PIPELINE.is_step_collision_free,
+            {"vertices_t0": START, "vertices_t1": END},
+        ),
         "pipeline.line_search": (PIPELINE.line_search, {"vertices_t0": START, "vertices_t1": END} | SEARCH),
         "render_step": (viz.render_step, picture | {"path": folder / "a.png", "size": (900, 300), "t_max": 1.0}),
         "draw_step": (viz.draw_step, picture | {"size": (900, 300), "t_max": 1.0}),
@@ -172,7 +177,7 @@ def _calls(folder):
             datasets.write_queries,
             {"path": queries, "points_t0": POINTS_T0, "points_t1": POINTS_T1, "truth": None},
         ),
-        "find_queries": (datasets.find_queries, {"folder": folder, "progress": False}),
+        "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
         "find_steps": (datasets.find_steps, {"folder": folder}),
         "read_frames": (
             ccd.read_frames,

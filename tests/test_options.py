@@ -25,7 +25,13 @@ PAIR_FUNCTIONS = {
     ccd.point_segment_ccd: 3,
     ccd.point_point_ccd: 2,
 }
-MESH_FUNCTIONS = (ccd.mesh_ccd, ccd.collision_free_step, ccd.line_search, ccd.find_candidates)
+MESH_FUNCTIONS = (
+    ccd.mesh_ccd,
+    ccd.collision_free_step,
+    ccd.is_step_collision_free,
+    ccd.line_search,
+    ccd.find_candidates,
+)
 NAMES = ["CollisionPipeline", *(f.__name__ for f in (*PAIR_FUNCTIONS, *MESH_FUNCTIONS))]
 
 

@@ -1,10 +1,13 @@
 """The package installs, plainly and editable, into a bare environment and imports from any folder."""
 
+import email
 import importlib.util
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import venv
 import zipfile
@@ -17,6 +20,7 @@ import ccd_warp
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+IGNORED = ("__pycache__", "*.egg-info", ".*_cache", ".hypothesis")
 PROBE = "import ccd_warp, ccd_warp.kernels; print(ccd_warp.__version__, ccd_warp.__file__, ccd_warp.kernels.__file__)"
 
 
@@ -51,12 +55,25 @@ def _link_dependencies(links: Path) -> None:
 def source(tmp_path) -> Path:
     """A copy of what an installation takes from the project, so that no build output lands in the tree."""
     copy = tmp_path / "source"
-    ignore = shutil.ignore_patterns("__pycache__", "*.egg-info", "results")
+    ignore = shutil.ignore_patterns(*IGNORED)
     for name in ("ccd_warp", "benchmarks", "kernels"):
         shutil.copytree(ROOT / name, copy / name, ignore=ignore)
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy / name)
     return copy
+
+
+@pytest.fixture(scope="module")
+def distribution(tmp_path_factory) -> Path:
+    """The source distribution, built from a copy of the tree without build output, and unpacked."""
+    folder = tmp_path_factory.mktemp("sdist")
+    ignored = shutil.ignore_patterns(*IGNORED, "build", "dist", ".venv", ".nox", ".git", "*.journal")
+    shutil.copytree(ROOT, folder / "tree", ignore=ignored)
+    command = "import sys, setuptools.build_meta as b; print(b.build_sdist(sys.argv[1]))"
+    name = _run(sys.executable, "-c", command, folder, cwd=folder / "tree").splitlines()[-1]
+    with tarfile.open(folder / name) as archive:
+        archive.extractall(folder, filter="data")
+    return folder / name.removesuffix(".tar.gz")
 
 
 @pytest.fixture
@@ -69,6 +86,61 @@ def python(tmp_path) -> Path:
     _link_dependencies(tmp_path / "dependencies")
     (Path(paths) / "dependencies.pth").write_text(f"{tmp_path / 'dependencies'}\n", encoding="utf-8")
     return interpreter
+
+
+def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
+    needed = ["pyproject.toml", "setup.py", "noxfile.py", "MANIFEST.in", "LICENSE", "CITATION.cff", ".ci/run"]
+    needed += [path.name for path in ROOT.glob("*.md")]
+    for folder, suffixes in {
+        "ccd_warp": {".py", ".typed"},
+        "kernels": {".py"},
+        "benchmarks": {".py", ".md", ".csv", ".json"},
+        "docs": {".py", ".md", ".png", ".css"},
+        "examples": {".py"},
+        "tests": {".py"},
+    }.items():
+        files = [path for path in (ROOT / folder).rglob("*") if path.suffix in suffixes and path.is_file()]
+        needed += [path.relative_to(ROOT).as_posix() for path in files]
+    assert [name for name in needed if not (distribution / name).is_file()] == []
+    for path in distribution.rglob("*"):
+        assert not any(path.match(pattern) for pattern in IGNORED if pattern != "*.egg-info"), path
+
+
+def test_tests_pass_from_the_source_distribution(distribution):
+    """Those that read files of the project; all the others see no difference."""
+    names = ["test_readme.py", "test_layout.py", "test_bench.py::test_docs_are_those_of_the_raw_figures"]
+    arguments = ["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in names)]
+    _run(sys.executable, "-m", "pytest", *arguments, cwd=distribution)
+
+
+def test_metadata_names_authors_addresses_and_every_python_that_is_tested(distribution):
+    about = email.message_from_string((distribution / "PKG-INFO").read_text(encoding="utf-8"))
+    assert about["Author"] and about["Description-Content-Type"] == "text/markdown"
+    assert all(url.partition(", ")[2].startswith("https://") for url in about.get_all("Project-URL"))
+    pythons = re.findall(r"Python :: (3\.\d+)", "\n".join(about.get_all("Classifier")))
+    assert pythons and about["Requires-Python"] == f">={pythons[0]}"
+    assert f"{sys.version_info.major}.{sys.version_info.minor}" in pythons
+
+
+def test_every_link_of_the_readme_works_on_a_package_index(distribution):
+    about = email.message_from_string((distribution / "PKG-INFO").read_text(encoding="utf-8"))
+    shown = about.get_payload()
+    assert "## The guarantee" in shown
+    targets = re.findall(r"\]\(([^)]*)\)", shown)
+    assert targets and [target for target in targets if not target.startswith(("https://", "#"))] == []
+
+
+def test_links_of_the_readme_lead_to_the_repository_once_there_is_one():
+    rewrite = runpy.run_path(str(ROOT / "setup.py"))["readme_for_an_index"]
+    text = "![A ball](docs/a.png) [solver](docs/solver.md#many) [Warp](https://warp.dev) [above](#top)"
+    assert rewrite(text, "https://forge.example/ccd/") == (
+        "![A ball](https://forge.example/ccd/raw/main/docs/a.png) "
+        "[solver](https://forge.example/ccd/blob/main/docs/solver.md#many) [Warp](https://warp.dev) [above](#top)"
+    )
+    assert rewrite(text, None) == (
+        "*Picture: A ball (`docs/a.png` in the source distribution).* "
+        "solver (`docs/solver.md` in the source distribution) [Warp](https://warp.dev) [above](#top)"
+    )
 
 
 @pytest.mark.parametrize("editable", [False, True], ids=["plain", "editable"])

@@ -153,6 +153,29 @@ def test_contacts_are_ordered_and_the_same_for_any_number_of_threads():
         assert result.vertex_toi.tobytes() == results[0].vertex_toi.tobytes()
 
 
+def test_a_vertex_that_reaches_a_face_at_the_end_of_the_step_is_no_free_step(device, precision):
+    face = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0]])
+    mesh = ccd.CollisionMesh.from_arrays([(face, [[0, 1, 2]]), (face + [0, 0, 1], [[0, 1, 2]])], static=[0])
+    options = {"device": device, "precision": precision, "length_scale": 1.0}
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    start = mesh.vertices
+    for end_height, is_free in ((1.0, True), (0.25, True), (0.0, False), (-1.0, False)):
+        end = start.copy()
+        end[3, 2] = end_height
+        assert ccd.is_step_collision_free(mesh, start, end, **options) is is_free
+        assert pipeline.is_step_collision_free(start, end) is is_free
+    end[3, 2] = -1.0
+    assert not ccd.is_step_collision_free(mesh, start, end, t_max=0.5, **options)
+    assert ccd.is_step_collision_free(mesh, start, end, t_max=0.49, **options)
+    assert not ccd.is_step_collision_free(mesh, start, end, t_max=0.49, minimum_separation=0.1, **options)
+
+
+def test_a_step_that_starts_in_contact_is_not_free(device):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ball])
+    assert not ccd.is_step_collision_free(mesh, mesh.vertices, mesh.vertices, device=device)
+
+
 def test_collision_free_step_really_is_free():
     mesh, start, end = bullet_and_wall()
     step = ccd.collision_free_step(mesh, start, end, minimum_separation=1e-3)

@@ -338,7 +338,7 @@ def test_stack_of_faces_within_little_memory(count, kinds):
         print(result.toi, pairs, (peak - before) * 1024)
     """
     out = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
+        [sys.executable, "-P", "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
     ).stdout.split()
     toi, pairs, grown = float(out[-3]), int(out[-2]), int(out[-1])
     assert toi == np.inf

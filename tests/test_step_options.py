@@ -202,17 +202,17 @@ def test_sheet_over_a_ball_that_moves_away_is_free_for_every_trial_step():
         assert result.toi.numpy()[0] == np.inf
 
 
-def test_mesh_without_extent_needs_a_length_scale():
-    mesh = ccd.CollisionMesh.from_arrays([(np.zeros((3, 3)), [[0, 1, 2]]), (np.zeros((3, 3)), [[0, 1, 2]])])
-    end = np.arange(18.0).reshape(6, 3)
-    message = "length_scale is None, and all vertices of the mesh coincide; expected a length_scale above 0"
-    for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.line_search):
-        with pytest.raises(ValueError, match=message):
-            call(mesh, mesh.vertices, end, device="cpu")
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionPipeline(mesh, device="cpu").reserve()
-    assert len(ccd.find_candidates(mesh, mesh.vertices, end, device="cpu").edge_edge) == 9
-    assert ccd.mesh_ccd(mesh, mesh.vertices, end, length_scale=1.0, device="cpu").toi == 0.0
+def test_mesh_whose_vertices_coincide_has_the_unit_1():
+    corners = np.zeros((3, 3))
+    mesh = ccd.CollisionMesh.from_arrays([(corners, [[0, 1, 2]]), (corners, [[0, 1, 2]])])
+    assert mesh.length_scale == 1.0
+    _, start, end = falling_by(4.0)
+    options = {"minimum_separation": 0.1, "device": "cpu"}
+    result = ccd.mesh_ccd(mesh, start[:6], end[:6], **options)
+    explicit = ccd.mesh_ccd(mesh, start[:6], end[:6], length_scale=1.0, **options)
+    assert result.contacts.toi.tobytes() == explicit.contacts.toi.tobytes()
+    assert ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, device="cpu").toi == 0.0
+    assert ccd.CollisionPipeline(mesh, device="cpu").launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0
 
 
 def test_counts_after_a_launch_are_those_of_the_last_call_on_the_host(device):

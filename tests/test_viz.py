@@ -152,7 +152,7 @@ def test_package_imports_without_its_parts_and_loads_them_when_used():
         "print({'viz', 'datasets'} <= set(dir(c)), callable(c.viz.render_step), callable(c.datasets.find_queries));"
         "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules); c.nothing"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.split()[-7:] == ["False", "False", "True", "True", "True", "False", "False"]
     assert "AttributeError: module 'ccd_warp' has no attribute 'nothing'" in done.stderr
 

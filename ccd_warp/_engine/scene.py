@@ -29,16 +29,8 @@ def moves_alone(mesh: "CollisionMesh") -> bool:
 
 
 def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
-    """The unit of tolerance and separation: that of the options, or the size of the mesh.
-
-    Raises:
-        ValueError: If none is given, and all vertices of the mesh coincide.
-    """
-    if options.length_scale is not None:
-        return options.length_scale
-    if mesh.length_scale == 0.0 and mesh.num_vertices > 1:
-        raise ValueError("length_scale is None, and all vertices of the mesh coincide; expected a length_scale above 0")
-    return mesh.length_scale or 1.0
+    """The unit of tolerance and separation: that of the options, or the size of the mesh."""
+    return mesh.length_scale if options.length_scale is None else options.length_scale
 
 
 def half_up(separation: float) -> float:

@@ -8,7 +8,7 @@ import warp as wp
 
 from ccd_warp._input.arguments import check_unmasked, shown
 from ccd_warp._input.foreign import place_of, reason_of, speaks_dlpack
-from ccd_warp._runtime.launch import start_warp
+from ccd_warp._quiet import start_warp
 
 # Device type of CUDA in DLPack.
 _CUDA = 2

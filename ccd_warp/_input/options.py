@@ -13,7 +13,7 @@ import warp as wp
 
 from ccd_warp._input.arguments import check_choice, check_count, check_items, check_real, shown
 from ccd_warp._input.option_types import MeshOptions, Method, Precision
-from ccd_warp._runtime.launch import start_warp
+from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import query

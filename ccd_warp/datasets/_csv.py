@@ -82,6 +82,8 @@ def _blocks(path: Path, advance: Callable[[int], object]) -> Iterator[tuple[int,
                 block = block.removeprefix(b"\xef\xbb\xbf")
             if b"\r" in block:
                 block = block.replace(b"\r\n", b"\n")
+            if b" " in block:  # some published files have spaces after their commas
+                block = re.sub(rb", +(?=[-0-9])", b",", block)
             block = block.removesuffix(b"\n")
             if file.tell() >= size:
                 block = block.rstrip(b"\n")

@@ -4,7 +4,9 @@ import numbers
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +25,9 @@ from ccd_warp.datasets._csv import read_csv, write_csv
 from ccd_warp.datasets._json import read_truth
 from ccd_warp.datasets._paths import DEPTHS, root_folder, scene_name
 
+if TYPE_CHECKING:
+    from ccd_warp._status import PairKind
+
 _KINDS = ("vertex-face", "edge-edge")
 _SHORT = {"vf": "vertex-face", "ee": "edge-edge"}
 
@@ -33,7 +38,7 @@ class Queries:
 
     Attributes:
         name: Name of the scene, for tables and messages.
-        kind: "vertex-face" or "edge-edge".
+        kind: "vertex-face" or "edge-edge"; the constructor also takes a `PairKind`, "vertex_face" and "edge_edge".
         points_t0: Positions at the start of the step, in the file's length unit, float64, shape [n, 4, 3]. The points
             are v, f0, f1, f2 or ea0, ea1, eb0, eb1.
         points_t1: Positions at its end, same shape.
@@ -51,7 +56,7 @@ class Queries:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise ValueError(f"name is {shown(self.name)}; expected a text")
-        _check_kind(self.kind)
+        object.__setattr__(self, "kind", _check_kind(self.kind))
         _check_points(self.points_t0, self.points_t1, self.truth)
         counted = _counted(self.sources)
         if counted != len(self.points_t0):
@@ -119,17 +124,23 @@ class Queries:
 
 
 def read_queries(
-    path: str | Path, *, kind: str | None = None, truth: str | Path | None = None, progress: bool = False
+    path: str | Path,
+    *,
+    kind: "PairKind | str | None" = None,
+    truth: str | Path | None = None,
+    progress: bool = False,
 ) -> Queries:
     """Read one file of queries.
 
     Args:
         path: CSV file without a header, 8 rows a query, ``xn,xd,yn,yd,zn,zd`` or ``xn,xd,yn,yd,zn,zd,truth``: decimal
-            integers of at most 10,000 digits, each coordinate the rational n/d with d > 0. Line ends may be LF or CRLF;
-            an empty file holds no query. Some published files have no line end at their end, so none is required, and a
-            file truncated within its very last number cannot be distinguished from a complete one.
-        kind: "vertex-face" or "edge-edge". None takes it from the file's folder, if that has one of these names, or
-            from the end of the file's name, "vf" or "ee".
+            integers of at most 10,000 digits, each coordinate the rational n/d with d > 0. Commas may be followed by
+            spaces, and line ends may be LF or CRLF; an empty file holds no query. Some published files have no line
+            end at their end, so none is required, and a file truncated within its very last number cannot be
+            distinguished from a complete one.
+        kind: `PairKind.VERTEX_FACE`, "vertex_face" or "vertex-face", or the same of edge-edge. None takes it from the
+            file's folder, if that is called "vertex-face" or "edge-edge", or from the end of the file's name, "vf" or
+            "ee".
         truth: JSON file of the truth of queries of 6 columns, see `read_truth`.
         progress: Show a bar on stderr; needs tqdm.
 
@@ -192,12 +203,14 @@ def write_queries(
     write_csv(path, start, end, known)
 
 
-def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]:
+def find_queries(folder: str | Path, *, kind: "PairKind | str | None" = None, progress: bool = False) -> list[Queries]:
     """Read every query under a folder of public data, whichever part of it was downloaded.
 
     Args:
         folder: The root of the data, its part "handcrafted" or "simulation", a single scene, or a folder of CSV files
             whose names end in "ee" or "vf".
+        kind: Only queries of this kind, given as in `read_queries`. A file whose folder and name say no kind is then
+            taken to be of this one.
         progress: Show a bar on stderr; needs tqdm.
 
     Returns:
@@ -207,7 +220,7 @@ def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]
 
     Raises:
         ValueError: If the folder is missing or holds no query file, or one of the files is malformed, see
-            `read_queries`.
+            `read_queries`; or if the kind is unknown.
         OSError: If a file cannot be read.
         ImportError: If ``progress`` is set and tqdm is not installed.
 
@@ -216,6 +229,7 @@ def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]
     """
     root = root_folder(folder)
     progress = check_flag("progress", progress)
+    wanted = None if kind is None else _check_kind(kind)
     patterns = [f"{depth}{part}/*.csv" for depth in DEPTHS for part in (*_KINDS, "queries")]
     paths = sorted({path for pattern in [*patterns, "*.csv"] for path in root.glob(pattern) if path.is_file()})
     if not paths:
@@ -227,10 +241,12 @@ def find_queries(folder: str | Path, *, progress: bool = False) -> list[Queries]
     for path in paths:
         is_simulation = path.parent.name not in _KINDS
         scene = path.parent if is_simulation and path.parent.name != "queries" else path.parent.parent
-        key = (is_simulation, scene_name(scene, root), _KINDS.index(_kind_of(path)))
-        sets.setdefault(key, []).append(path)
+        stated = _stated_kind(path) or wanted or _kind_of(path)
+        if wanted in (None, stated):
+            key = (is_simulation, scene_name(scene, root), _KINDS.index(stated))
+            sets.setdefault(key, []).append(path)
     found = []
-    with _progress_bar(paths, progress) as advance:
+    with _progress_bar([path for members in sets.values() for path in members], progress) as advance:
         for (_, name, k), members in sorted(sets.items()):
             parts = []
             for path in members:
@@ -253,19 +269,29 @@ def _read(path: Path, label: str, kind: str, truth_path: Path | None, advance: C
     return Queries(path.stem, kind, points_t0, points_t1, truth, ((label, len(points_t0)),))
 
 
-def _kind_of(path: Path) -> str:
-    """The kind of a file's queries, from its folder or name."""
+def _stated_kind(path: Path) -> str | None:
+    """The kind of a file's queries, from its folder or name; None if neither states it."""
     folder = path.absolute().parent.name
-    kind = folder if folder in _KINDS else _SHORT.get(path.stem[-2:])
+    return folder if folder in _KINDS else _SHORT.get(path.stem[-2:])
+
+
+def _kind_of(path: Path) -> str:
+    """The stated kind of a file's queries, or a ValueError."""
+    kind = _stated_kind(path)
     if kind is None:
         raise ValueError(
             f"{path}: neither its folder (vertex-face, edge-edge) nor the end of its name (vf, ee) says the kind of "
-            "its queries; expected one of these, or kind= of read_queries"
+            "its queries; expected one of these, or kind= of read_queries and find_queries"
         )
     return kind
 
 
-def _check_kind(kind: str) -> str:
+def _check_kind(kind: "PairKind | str") -> str:
+    """One of `_KINDS`, which may be given as a member of `PairKind` or with an underscore, too."""
+    if isinstance(kind, (IntEnum, str)):  # PairKind itself would import Warp, which reading files does not need
+        spelled = (kind.name.lower() if isinstance(kind, IntEnum) else kind).replace("_", "-")
+        if spelled in _KINDS:
+            return spelled
     return check_choice("kind", kind, _KINDS)
 
 
