@@ -116,8 +116,9 @@ class Contacts(Placed):
     def points(self) -> NDArray[np.float64]:
         """Position of each contact at its toi, a length, float64, shape [m, 3].
 
-        It is halfway between the closest points. These have the parameters (u, v): v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and
-        eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q. Their distance is the gap.
+        It is halfway between the closest points. These have the parameters (u, v), and are v and
+        f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q.
+        Their distance is the gap.
         """
         points: NDArray[np.float64] | None = self._known().points_of(self)
         if points is None:
@@ -131,8 +132,8 @@ class Contacts(Placed):
     def vertices(self) -> NDArray[np.int32]:
         """Vertices of each contact, int32, shape [m, 4].
 
-        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q, where columns repeat the vertex of a point
-        so that there are always four.
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q. Columns repeat the vertex of a point so
+        that there are always four.
         """
         vertices: NDArray[np.int32] = self._known().vertices_of(self)
         return vertices
