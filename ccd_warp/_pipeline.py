@@ -396,7 +396,7 @@ class CollisionPipeline:
 
         Guarantee: as for that function; no pair touches before the returned fraction.
         """
-        return self._on_step(vertices_t0, vertices_t1, Step.bound)
+        return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
 
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
         """Like :func:`ccd_warp.is_step_collision_free`.
@@ -413,8 +413,7 @@ class CollisionPipeline:
 
         Guarantee: as for that function; True is certain.
         """
-        # the bound of a step is t_max with a contact at t_max and without one; the toi of its contacts tells them apart
-        return self.mesh_ccd(vertices_t0, vertices_t1).toi == np.inf
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True)) == np.inf
 
     def line_search(
         self,

@@ -180,14 +180,17 @@ class Step:
         with self.timed("copy"):
             return collector.candidates()
 
-    def bound(self) -> float:
-        """Earliest toi of all pairs, or t_max.
+    def least_toi(self, *, any_suffices: bool = False) -> float:
+        """Earliest toi of all pairs, inf if none touches.
 
         A sample of the queries comes first. Where it finds a contact, the full search covers only the part of the step
         before it: the boxes are shorter, and the cull ends there. The bound of each round is the least toi of the pairs
         of the previous round. It depends only on the input, and so does the result.
+
+        Args:
+            any_suffices: Whether to end with the first contact found, whose toi need not be the earliest.
         """
-        best = t_end = self.options.t_max
+        best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
         plan.set_options(self.workspace.packed(self.options, self.length_scale))
         for stride in (_SAMPLE_STRIDE, 1):
@@ -197,7 +200,7 @@ class Step:
                 t_end = best
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
-            plan.set_search(best, self.inflation, self.separation)
+            plan.set_search(min(best, t_end), self.inflation, self.separation)
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
@@ -208,11 +211,10 @@ class Step:
                         count = batch.found[kind]
                         pairs = plan.open_keys(kind, count), plan.open_toi(kind, count)
                         open_pairs.setdefault(kind, []).append(pairs)
-                if plan.least() <= 0.0:
+                if plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf):
                     break
             best = plan.least()
-            if best <= 0.0:
-                best = 0.0
+            if best <= 0.0 or (any_suffices and best < np.inf):
                 break
             with self.timed("narrow phase"):
                 best = self.least_open_toi(plan, best, open_pairs)
