@@ -367,7 +367,7 @@ class CollisionMesh:
     def _where_moving(self, row: int) -> str:
         return self._where(int(self.moving_vertices[row]))
 
-    @property
+    @lazy_property
     def static_vertex_ranges(self) -> list[tuple[int, int]]:
         """Vertex range [begin, end) of each run of consecutive static bodies; bodies without vertices are skipped."""
         ranges: list[tuple[int, int]] = []

@@ -78,6 +78,7 @@ class HostPlan:
 
     Attributes:
         execution: Where its stages run.
+        kinds: Kinds of pairs that the mesh can form and the options select.
         tree_pairs: The tree pairs that are searched.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
@@ -87,7 +88,7 @@ class HostPlan:
     @staticmethod
     def of(workspace: "Workspace", options: "Options", goal: Goal) -> "HostPlan":
         """The plan of a workspace for such calls."""
-        key = (goal, options.kinds, options.real, options.threads)
+        key = (goal, options.pair_kinds, options.precision, options.threads)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
@@ -101,7 +102,8 @@ class HostPlan:
         topology = self._topology = workspace.topology
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        self.tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), self._boxes.trees)
+        self.kinds = possible_kinds(mesh, options)
+        self.tree_pairs = tree_pairs_of(topology, self.kinds, moves_alone(mesh), self._boxes.trees)
         self.trees = trees_of(self.tree_pairs)
         self._num_aabbs = 1 if goal == "candidates" else 2
         self._kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
@@ -113,6 +115,7 @@ class HostPlan:
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
         self._least_bits: wp.array = wp.zeros(1, dtype=wp.int64, device=topology.device)
+        self._least_view = None if topology.device.is_cuda else self._least_bits.numpy().view(np.float64)
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
@@ -393,11 +396,15 @@ class HostPlan:
 
     def set_least(self, toi: float) -> None:
         """Set the least toi so far."""
-        self._least_bits.assign(np.array([toi]).view(np.int64))
+        if self._least_view is None:
+            self._least_bits.assign(np.array([toi]).view(np.int64))
+        else:
+            self._least_view[0] = toi
 
     def least(self) -> float:
         """The least toi so far."""
-        return float(self._least_bits.numpy().view(np.float64)[0])
+        view = self._least_bits.numpy().view(np.float64) if self._least_view is None else self._least_view
+        return float(view[0])
 
 
 def _pieces(count: int, largest: int) -> int:

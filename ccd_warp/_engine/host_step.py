@@ -18,7 +18,7 @@ from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
-from ccd_warp._engine.scene import half_up, length_scale_of, possible_kinds
+from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
@@ -312,7 +312,7 @@ class Step:
     ) -> None:
         """Set the counts; those of the cull and of contacts only if they are given."""
         mesh = self.mesh
-        kinds = possible_kinds(mesh, self.options)
+        kinds = self.plan.kinds
         counts = Counts(
             num_bodies=mesh.num_bodies,
             num_vertices=mesh.num_vertices,

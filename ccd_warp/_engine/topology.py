@@ -121,12 +121,12 @@ class Topology:
 
     @lazy_property
     def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Vertices, shape [n], and the vertices of primitives, shape [n, k], from which the quantization is chosen."""
+        """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
         mesh = self.mesh
         numbers = np.arange(NUM_SAMPLES)
         primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
         chosen = primitives[(numbers * len(primitives)) // NUM_SAMPLES]
-        return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.astype(np.intp)
+        return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.T.astype(np.intp, order="C")
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -295,11 +295,12 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         centre += 0.5 * end[vertices]
         centre.sort(axis=0)
         margin = NUM_SAMPLES // 20
-        points: tuple[NDArray[np.float64], ...] = (start[primitives], end[primitives])
+        points = np.stack([start[primitives], end[primitives]])  # axes: end of the step, vertex, primitive, coordinate
+        points *= 0.5
         if num_aabbs == 1:
-            points = (np.concatenate(points, axis=1),)
-        sizes = [(0.5 * p.max(axis=1) - 0.5 * p.min(axis=1)).max(axis=1) for p in points]
-        extents = sizes[0] if num_aabbs == 1 else np.maximum(*sizes)
+            extents = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
+        else:
+            extents = (points.max(axis=1) - points.min(axis=1)).max(axis=(0, 2))
         extents.sort()
         middle = NUM_SAMPLES // 2
         half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
