@@ -52,6 +52,7 @@ def make_advance(real) -> SimpleNamespace:
 
     @wp.func
     def is_within(d: vec3, size: vec3) -> bool:
+        """Whether d lies in [-size, size]."""
         return wp.abs(d[0]) <= size[0] and wp.abs(d[1]) <= size[1] and wp.abs(d[2]) <= size[2]
 
     @wp.struct
@@ -116,7 +117,7 @@ def make_advance(real) -> SimpleNamespace:
 
         Invariant: the patch is free of contact on [t_start, t).
         """
-        floor = real(8.0) * problem.error  # a smaller gap is beyond what rounding can tell apart
+        floor = real(8.0) * problem.error  # a smaller gap may consist of rounding errors only
         contact_size = problem.separation + problem.delta + floor
         reached = Reached()
         reached.t = t_start

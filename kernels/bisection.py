@@ -50,11 +50,13 @@ def make_bisection(real) -> SimpleNamespace:
 
     @wp.func
     def low(a: Corners, b: Corners) -> vec3:
+        """Lower corner of the box around the corners of a patch at two times."""
         m = wp.min(wp.min(a.w00, a.w01), wp.min(a.w10, a.w11))
         return wp.min(m, wp.min(wp.min(b.w00, b.w01), wp.min(b.w10, b.w11)))
 
     @wp.func
     def high(a: Corners, b: Corners) -> vec3:
+        """Upper corner of that box."""
         m = wp.max(wp.max(a.w00, a.w01), wp.max(a.w10, a.w11))
         return wp.max(m, wp.max(wp.max(b.w00, b.w01), wp.max(b.w10, b.w11)))
 
@@ -88,74 +90,76 @@ def make_bisection(real) -> SimpleNamespace:
             u1 = stack[6 * top + 3]
             v0 = stack[6 * top + 4]
             v1 = stack[6 * top + 5]
-            if t0 < answer.toi and answer.iterations >= max_iterations:
+            if not t0 < answer.toi:
+                continue
+            if answer.iterations >= max_iterations:
                 # the smallest time still open is a lower bound of the toi
                 for k in range(top):
                     t0 = wp.min(t0, stack[6 * k])
                 answer.toi = wp.min(answer.toi, t0)
                 answer.width = t_max - answer.toi
                 answer.status = STATUS_ITERATION_LIMIT
-                top = 0
-            elif t0 < answer.toi:
-                answer.iterations += 1
-                patch = Patch()
-                patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
-                patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
-                a = corners_at(patch, t0)
-                b = corners_at(patch, t1)
-                lower = low(a, b)
-                upper = high(a, b)
-                is_free = bool(False)
-                is_narrow = bool(True)
-                for k in range(3):
-                    is_free = is_free or lower[k] > margin[k] or upper[k] < -margin[k]
-                    is_narrow = is_narrow and upper[k] - lower[k] <= problem.delta[k]
-                if not is_free:
-                    dt = share(b.w00, a.w00, problem.delta)
-                    dt = wp.max(dt, share(b.w01, a.w01, problem.delta))
-                    dt = wp.max(dt, share(b.w10, a.w10, problem.delta))
-                    dt = wp.max(dt, share(b.w11, a.w11, problem.delta))
-                    du = wp.max(share(a.w10, a.w00, problem.delta), share(b.w10, b.w00, problem.delta))
-                    du = wp.max(du, wp.max(share(a.w11, a.w01, problem.delta), share(b.w11, b.w01, problem.delta)))
-                    dv = wp.max(share(a.w01, a.w00, problem.delta), share(b.w01, b.w00, problem.delta))
-                    dv = wp.max(dv, wp.max(share(a.w11, a.w10, problem.delta), share(b.w11, b.w10, problem.delta)))
-                    tm = half * (t0 + t1)
-                    if not (tm > t0 and tm < t1):
-                        dt = real(-1.0)
-                    if u1 - u0 <= narrowest:
-                        du = real(-1.0)
-                    if v1 - v0 <= narrowest:
-                        dv = real(-1.0)
-                    widest = wp.max(dt, wp.max(du, dv))
-                    if is_narrow or widest < real(0.0) or top + 2 > depth:
-                        answer.toi = t0
-                        answer.width = t1 - t0
-                        answer.status = STATUS_COLLISION
-                        if not is_narrow:
-                            answer.status = STATUS_RESOLUTION_LIMIT
-                        answer.point = a.w00
-                        answer.parameters = parameters(kind, u0, u1, v0, v1, real(0.0), real(0.0), False)
-                    else:
-                        # upper half below, lower half on top
-                        for k in range(2):
-                            at = 6 * (top + k)
-                            stack[at] = t0
-                            stack[at + 1] = t1
-                            stack[at + 2] = u0
-                            stack[at + 3] = u1
-                            stack[at + 4] = v0
-                            stack[at + 5] = v1
-                        up = 6 * top
-                        if widest == dt:
-                            stack[up] = tm
-                            stack[up + 7] = tm
-                        elif widest == du:
-                            stack[up + 2] = half * (u0 + u1)
-                            stack[up + 9] = half * (u0 + u1)
-                        else:
-                            stack[up + 4] = half * (v0 + v1)
-                            stack[up + 11] = half * (v0 + v1)
-                        top += 2
+                break
+            answer.iterations += 1
+            patch = Patch()
+            patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
+            patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
+            a = corners_at(patch, t0)
+            b = corners_at(patch, t1)
+            lower = low(a, b)
+            upper = high(a, b)
+            is_free = bool(False)
+            is_narrow = bool(True)
+            for k in range(3):
+                is_free = is_free or lower[k] > margin[k] or upper[k] < -margin[k]
+                is_narrow = is_narrow and upper[k] - lower[k] <= problem.delta[k]
+            if is_free:
+                continue
+            dt = share(b.w00, a.w00, problem.delta)
+            dt = wp.max(dt, share(b.w01, a.w01, problem.delta))
+            dt = wp.max(dt, share(b.w10, a.w10, problem.delta))
+            dt = wp.max(dt, share(b.w11, a.w11, problem.delta))
+            du = wp.max(share(a.w10, a.w00, problem.delta), share(b.w10, b.w00, problem.delta))
+            du = wp.max(du, wp.max(share(a.w11, a.w01, problem.delta), share(b.w11, b.w01, problem.delta)))
+            dv = wp.max(share(a.w01, a.w00, problem.delta), share(b.w01, b.w00, problem.delta))
+            dv = wp.max(dv, wp.max(share(a.w11, a.w10, problem.delta), share(b.w11, b.w10, problem.delta)))
+            tm = half * (t0 + t1)
+            if not (tm > t0 and tm < t1):
+                dt = real(-1.0)
+            if u1 - u0 <= narrowest:
+                du = real(-1.0)
+            if v1 - v0 <= narrowest:
+                dv = real(-1.0)
+            widest = wp.max(dt, wp.max(du, dv))
+            if is_narrow or widest < real(0.0) or top + 2 > depth:
+                answer.toi = t0
+                answer.width = t1 - t0
+                answer.status = STATUS_COLLISION
+                if not is_narrow:
+                    answer.status = STATUS_RESOLUTION_LIMIT
+                answer.point = a.w00
+                answer.parameters = parameters(kind, u0, u1, v0, v1, real(0.0), real(0.0), False)
+                continue
+            # upper half below, lower half on top
+            for k in range(2):
+                at = 6 * (top + k)
+                stack[at] = t0
+                stack[at + 1] = t1
+                stack[at + 2] = u0
+                stack[at + 3] = u1
+                stack[at + 4] = v0
+                stack[at + 5] = v1
+            up = 6 * top
+            if widest == dt:
+                stack[up] = tm
+                stack[up + 7] = tm
+            elif widest == du:
+                stack[up + 2] = half * (u0 + u1)
+                stack[up + 9] = half * (u0 + u1)
+            else:
+                stack[up + 4] = half * (v0 + v1)
+                stack[up + 11] = half * (v0 + v1)
+            top += 2
         return answer
 
     return SimpleNamespace(bisect=bisect)

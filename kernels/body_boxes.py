@@ -1,26 +1,25 @@
-"""Which bodies may meet another: a walk over a tree of one box a body that ends at the first partner.
+"""Which bodies may collide with another: a traversal of a tree of bodies' boxes that ends at the first overlap.
 
-The tree is in blocks of sixteen, as `box_tree` describes them: level 0 holds the boxes of the bodies, and box k of a
-level is around block k of the level below. These boxes are float32, by a monotone map that keeps every overlap; what
-overlaps there is compared in float64, closed, so that boxes that touch in one point meet.
+The tree consists of blocks of sixteen boxes, as in `box_tree`: level 0 holds one box for each body, and box k of a
+level is the union of block k of the level below. These boxes are float32, by a monotone map, so no overlap is lost.
+Boxes that overlap there are compared again in float64, as closed boxes: boxes that touch in a point overlap.
 """
 
 import warp as wp
 
-from .box_tree import vec8i
+from .box_tree import WIDTH, vec8i
 from .interrupts import is_stopped
 from .lanes import lowest_bit, overlap_mask
 from .pair_search import vec8u
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-_WIDTH = wp.constant(16)
 _NONE = wp.constant(wp.uint32(0))
 
 
 @wp.struct
 class BodyTree:
-    """Boxes of bodies in the order of the tree, and around them."""
+    """The boxes of bodies in the order of the tree: in float32, with those of the inner levels, and in float64."""
 
     num_levels: int
     block_begin: vec8i  # first block of each level
@@ -31,10 +30,10 @@ class BodyTree:
 
 
 @wp.func
-def meets_one_of(
+def overlaps_one_of(
     query: int, mask: wp.uint32, first: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]
 ) -> bool:
-    """Whether the box at place ``query`` meets that of a possible partner among the places first + bits of a mask."""
+    """Whether the box at place ``query`` overlaps that of a partner among the places first + bits of a mask."""
     low = tree.lower[query]
     high = tree.upper[query]
     while mask != _NONE:
@@ -49,13 +48,13 @@ def meets_one_of(
 
 
 @wp.func
-def meets_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]) -> bool:
-    """Whether the box at place ``query`` meets that of any possible partner."""
-    block = query / _WIDTH
-    lane = query % _WIDTH
+def overlaps_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]) -> bool:
+    """Whether the box at place ``query`` overlaps that of any possible partner."""
+    block = query / WIDTH
+    lane = query % WIDTH
     # neighbours first, among which most bodies that have a partner find one
     mask = overlap_mask(tree.nodes, block, tree.nodes, block, lane, 0)
-    if meets_one_of(query, mask, block * _WIDTH, tree, by_pair, body_pairs):
+    if overlaps_one_of(query, mask, block * WIDTH, tree, by_pair, body_pairs):
         return True
     top = tree.num_levels - 1
     level = wp.int32(top)
@@ -64,13 +63,13 @@ def meets_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.array
     pending[top] = overlap_mask(tree.nodes, tree.block_begin[top], tree.nodes, block, lane, 0)
     while level <= top:
         if level == 0:
-            if meets_one_of(query, pending[0], node[0] * _WIDTH, tree, by_pair, body_pairs):
+            if overlaps_one_of(query, pending[0], node[0] * WIDTH, tree, by_pair, body_pairs):
                 return True
             level = 1
         elif pending[level] == _NONE:
             level += 1
         else:
-            child = node[level] * _WIDTH + lowest_bit(pending[level])
+            child = node[level] * WIDTH + lowest_bit(pending[level])
             pending[level] = pending[level] & (pending[level] - wp.uint32(1))
             level -= 1
             node[level] = child
@@ -84,15 +83,15 @@ def mark_bodies_near(
     # in
     queries: wp.array[wp.int32],  # places in the tree
     tree: BodyTree,
-    by_pair: int,  # 1: the array that follows counts
+    by_pair: int,  # 1: the next array applies
     body_pairs: wp.array2d[wp.uint8],
     stop: wp.array[wp.int32],
     # out
     near: wp.array[wp.int32],  # per body
 ):
-    """Mark the bodies whose box meets that of another that they may collide with."""
+    """Mark the bodies whose box overlaps that of another body with which they may collide."""
     if is_stopped(stop):
         return
     query = queries[begin + wp.tid()]
-    if meets_another(query, tree, by_pair, body_pairs):
+    if overlaps_another(query, tree, by_pair, body_pairs):
         near[tree.body[query]] = 1

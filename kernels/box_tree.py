@@ -95,8 +95,8 @@ def vertex_aabb(
     v: int,
     vertex_world: wp.array[wp.int32],
     world_shift: wp.array[wp.vec3f],
-    vertices_t0: wp.vec3d,
-    vertices_t1: wp.vec3d,
+    p_t0: wp.vec3d,
+    p_t1: wp.vec3d,
     t_end: wp.float64,
     inflation: wp.float64,
     quantization: Quantization,
@@ -104,11 +104,11 @@ def vertex_aabb(
     n: int,
 ) -> vec8f:
     """AABB n of a vertex (swept, or at end n of the step) in quantized coordinates; empty if a coordinate is NaN."""
-    box = point_box(vertices_t0)
+    box = point_box(p_t0)
     if num_aabbs == 1:
-        box = united(box, end_box(vertices_t0, vertices_t1, t_end))
+        box = united(box, end_box(p_t0, p_t1, t_end))
     elif n == 1:
-        box = end_box(vertices_t0, vertices_t1, t_end)
+        box = end_box(p_t0, p_t1, t_end)
     box = inflated(box, inflation)
     shift = wp.vec3f()
     if world_shift.shape[0] > 0:

@@ -1,4 +1,4 @@
-"""The swept axis-aligned box of a primitive, in float64 and rounded outward."""
+"""Axis-aligned boxes around a moving point, in float64 and rounded outward; and the bounds of a whole motion."""
 
 import warp as wp
 
@@ -6,7 +6,7 @@ from .rounding import INTERPOLATION, UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-LARGEST = wp.constant(wp.float64(1.7976931348623157e308))
+_LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 _ONE = wp.constant(wp.float64(1.0))
 _INTERPOLATION = wp.constant(wp.float64(INTERPOLATION * UNIT_ROUNDOFF[wp.float64]))
 _UNDERFLOW = wp.constant(wp.float64(2.0**-1070))
@@ -70,7 +70,7 @@ def inflated_below(x: wp.float64, inflation: wp.float64) -> wp.float64:
 
     Where it overflows, minus the largest finite number suffices: no coordinate lies below it.
     """
-    return wp.max(next_below(x - inflation), -LARGEST)
+    return wp.max(next_below(x - inflation), -_LARGEST_FINITE)
 
 
 @wp.func

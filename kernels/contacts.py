@@ -49,9 +49,7 @@ def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
     w = to_unit_size(velocity)
     n = wp.cross(a, b)
     if wp.length(n) <= _PARALLEL * wp.length(a) * wp.length(b):
-        along = to_unit_size(q)
-        if wp.max(wp.abs(r)) > wp.max(wp.abs(q)):
-            along = to_unit_size(r)
+        along = wp.where(wp.max(wp.abs(r)) > wp.max(wp.abs(q)), b, a)
         n = w
         if wp.dot(along, along) > _ZERO:
             n = w - (wp.dot(w, along) / wp.dot(along, along)) * along
@@ -87,8 +85,9 @@ def point_normal(side: wp.vec3d, velocity: wp.vec3d, gap: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def position(vertices_t0: wp.vec3d, vertices_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
-    return (_ONE - t) * vertices_t0 + t * vertices_t1
+def position(p_t0: wp.vec3d, p_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
+    """Position of a point at time t."""
+    return (_ONE - t) * p_t0 + t * p_t1
 
 
 @wp.kernel

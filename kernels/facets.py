@@ -149,6 +149,7 @@ def make_facets(real) -> SimpleNamespace:
 
     @wp.func
     def corner_zero(d_t: vec3, d_x: vec3, o_t: real, o_x: real, sign: real, w_t: vec3, w_x: vec3, first: real) -> real:
+        """The `first_zero` of one corner: of its projection on a moving direction, less the offsets."""
         h0 = sign * wp.dot(d_t, w_t) - o_t
         h1 = half * (sign * (wp.dot(d_t, w_x) + wp.dot(d_x, w_t))) - half * (o_t + o_x)
         h2 = sign * wp.dot(d_x, w_x) - o_x

@@ -49,7 +49,7 @@ def make_inclusion(real) -> SimpleNamespace:
     @wp.func
     def clip(d: vec3, margin: vec3, t: real, patch: Patch) -> real:
         """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end."""
-        if wp.max(wp.max(wp.abs(d[0]), wp.abs(d[1])), wp.abs(d[2])) < tiny_direction:
+        if wp.max(wp.abs(d)) < tiny_direction:
             return t
         off = offset(d, margin)
         s = clip_corner(wp.dot(d, patch.t0.w00), wp.dot(d, patch.t1.w00), off, t, real(2.0))

@@ -56,7 +56,7 @@ from .volume import make_volume
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
 
-# A toi that float32 cannot tell from 0.
+# A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
 _LOST_TOI = wp.constant(wp.float64(2.0**-20))
 
 vec3d = wp.vec3d

@@ -22,6 +22,7 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(make)
     def get(*arguments: Any) -> Any:
+        """What ``make`` gave for these arguments the first time."""
         if arguments not in made:
             with building:
                 if arguments not in made:

@@ -163,6 +163,7 @@ def append_keys(
 ) -> int:
     """Write the keys of a query and the boxes of a block in a mask, up to the capacity; returns the number in the mask.
 
-    The first index of a key is the query's with order 0, the target's with 1, and the lower of the two with 2.
+    The first index of a key is the query's with order 0, the target's with 1, and the lower of the two with 2. On the
+    CPU a row of the counts belongs to one thread, so its count needs no atomic operation there.
     """
     ...

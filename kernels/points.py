@@ -20,6 +20,7 @@ class Points:
 
 @wp.func
 def scaled(p: Points, s: vec3d) -> Points:
+    """Points with each axis multiplied by a factor."""
     r = Points()
     r.p0 = wp.cw_mul(p.p0, s)
     r.p1 = wp.cw_mul(p.p1, s)
@@ -29,19 +30,11 @@ def scaled(p: Points, s: vec3d) -> Points:
 
 
 @wp.func
-def side(a: Points, b: Points, k: int) -> wp.float64:
-    """Length of side k of the box around the points at both ends of the step."""
-    low = wp.min(wp.min(wp.min(a.p0[k], a.p1[k]), wp.min(a.p2[k], a.p3[k])), wp.min(b.p0[k], b.p1[k]))
-    low = wp.min(low, wp.min(b.p2[k], b.p3[k]))
-    high = wp.max(wp.max(wp.max(a.p0[k], a.p1[k]), wp.max(a.p2[k], a.p3[k])), wp.max(b.p0[k], b.p1[k]))
-    high = wp.max(high, wp.max(b.p2[k], b.p3[k]))
-    return high - low
-
-
-@wp.func
 def longest_side(a: Points, b: Points) -> wp.float64:
     """Longest side of the box around the points at both ends of the step."""
-    return wp.max(wp.max(side(a, b, 0), side(a, b, 1)), side(a, b, 2))
+    low = wp.min(wp.min(wp.min(a.p0, a.p1), wp.min(a.p2, a.p3)), wp.min(wp.min(b.p0, b.p1), wp.min(b.p2, b.p3)))
+    high = wp.max(wp.max(wp.max(a.p0, a.p1), wp.max(a.p2, a.p3)), wp.max(wp.max(b.p0, b.p1), wp.max(b.p2, b.p3)))
+    return wp.max(high - low)
 
 
 @wp.func
@@ -137,8 +130,7 @@ def corners(kind: int, p: Points) -> Corners:
 @wp.func
 def magnitude(c: Corners) -> vec3d:
     """Largest |corner| per axis."""
-    m = wp.max(wp.max(wp.abs(c.w00), wp.abs(c.w01)), wp.max(wp.abs(c.w10), wp.abs(c.w11)))
-    return m
+    return wp.max(wp.max(wp.abs(c.w00), wp.abs(c.w01)), wp.max(wp.abs(c.w10), wp.abs(c.w11)))
 
 
 @wp.func

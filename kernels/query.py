@@ -6,7 +6,7 @@ import warp as wp
 
 from .once import once
 
-# Methods; the names of ``PairOptions.method`` stand for these.
+# Codes of the option ``method``.
 CLIPPING = wp.constant(0)
 BISECTION = wp.constant(1)
 

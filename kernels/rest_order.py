@@ -54,50 +54,51 @@ def split_segments(
     # in and out
     order: wp.array[wp.int64],
 ):
-    """Partition a segment at its middle along its longest side, so that no primitive of the first half exceeds one of
-    the second.
+    """Partition a segment at its middle, by the coordinate along its longest side.
 
-    A short segment with several bodies is split between the bodies, which may move apart.
+    No primitive of the first half then has a larger coordinate than one of the second. A short segment with several
+    bodies is split between the bodies instead, since they may move apart.
     """
     first = (begin + wp.tid()) * size
     last = wp.min(first + size, order.shape[0]) - 1
     middle = first + size / 2
-    if last >= middle:
-        lower = centres[wp.int32(order[first])]
-        upper = lower
-        for k in range(first + 1, last + 1):
-            centre = centres[wp.int32(order[k])]
-            lower = wp.min(lower, centre)
-            upper = wp.max(upper, centre)
-        side = upper - lower
-        axis = wp.where(side[1] > side[0], 1, 0)
-        axis = wp.where(side[2] > side[axis], 2, axis)
-        if size <= _ONE_BODY and side[3] > wp.float32(0.0):
-            axis = 3
-        rounds = int(0)
-        while first < last and rounds < _MAX_ROUNDS:
-            rounds += 1
-            # the median of the first, the middle and the last coordinate is a good pivot for a sorted segment, too
-            a = coordinate(centres, order, first, axis)
-            b = coordinate(centres, order, first + (last - first) / 2, axis)
-            c = coordinate(centres, order, last, axis)
-            pivot = wp.max(wp.min(a, b), wp.min(wp.max(a, b), c))
-            i = wp.int32(first)
-            j = wp.int32(last)
-            while i <= j:
-                while coordinate(centres, order, i, axis) < pivot:
-                    i += 1
-                while pivot < coordinate(centres, order, j, axis):
-                    j -= 1
-                if i <= j:
-                    exchanged = order[i]
-                    order[i] = order[j]
-                    order[j] = exchanged
-                    i += 1
-                    j -= 1
-            if middle <= j:
-                last = j
-            elif middle >= i:
-                first = i
-            else:
-                first = last
+    if last < middle:
+        return
+    lower = centres[wp.int32(order[first])]
+    upper = lower
+    for k in range(first + 1, last + 1):
+        centre = centres[wp.int32(order[k])]
+        lower = wp.min(lower, centre)
+        upper = wp.max(upper, centre)
+    side = upper - lower
+    axis = wp.where(side[1] > side[0], 1, 0)
+    axis = wp.where(side[2] > side[axis], 2, axis)
+    if size <= _ONE_BODY and side[3] > wp.float32(0.0):
+        axis = 3
+    rounds = int(0)
+    while first < last and rounds < _MAX_ROUNDS:
+        rounds += 1
+        # the median of the first, the middle and the last coordinate is a good pivot for a sorted segment, too
+        a = coordinate(centres, order, first, axis)
+        b = coordinate(centres, order, first + (last - first) / 2, axis)
+        c = coordinate(centres, order, last, axis)
+        pivot = wp.max(wp.min(a, b), wp.min(wp.max(a, b), c))
+        i = wp.int32(first)
+        j = wp.int32(last)
+        while i <= j:
+            while coordinate(centres, order, i, axis) < pivot:
+                i += 1
+            while pivot < coordinate(centres, order, j, axis):
+                j -= 1
+            if i <= j:
+                exchanged = order[i]
+                order[i] = order[j]
+                order[j] = exchanged
+                i += 1
+                j -= 1
+        if middle <= j:
+            last = j
+        elif middle >= i:
+            first = i
+        else:
+            first = last

@@ -1,4 +1,4 @@
-"""What a search among two trees takes: the pair of trees, the step, and the part that a launch searches."""
+"""Arguments of a search for pairs in two trees: the pair of trees, the options of the step, and a range of items."""
 
 import warp as wp
 
@@ -17,7 +17,7 @@ class TreePair:
 
 @wp.struct
 class SearchOptions:
-    """What a step asks of the search."""
+    """Options of a search that are the same in all its launches."""
 
     t_end: wp.float64
     inflation: wp.float64  # of each box on every side
