@@ -15,9 +15,9 @@ __all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult"
 
 @dataclass(frozen=True, repr=False)
 class Counts:
-    """Sizes of the scene, and what a call looked at and found.
+    """Sizes of the scene, and numbers of what each stage of a call processed and found.
 
-    A mapping has an entry for each :class:`ccd_warp.PairKind` that was asked for; point-segment and point-point only of
+    A mapping has an entry for each :class:`ccd_warp.PairKind` to check; point-segment and point-point only of
     a mesh with codimensional points.
 
     Attributes:
@@ -27,14 +27,14 @@ class Counts:
         num_faces: Faces.
         num_codimensional_edges: Edges that belong to no face.
         num_codimensional_points: Vertices that collide as points.
-        num_active_bodies: Bodies that are static or may collide with themselves or with a body whose swept box meets
-            theirs.
+        num_active_bodies: Bodies that are static or may collide with themselves or with a body whose swept box
+            overlaps theirs.
         num_boxes: Boxes made; those of static bodies by the call that makes them.
-        num_sorted_sets: Sets of primitives that had to be put in another order.
+        num_sorted_sets: Sets of primitives that were sorted again.
         num_searches: Launches of the search.
-        num_candidates: Pairs whose boxes meet and that the mesh lets collide; of a call that searches several times,
-            those of the last search.
-        num_after_cull: Pairs of these that the cull left to the narrow phase.
+        num_candidates: Pairs whose boxes overlap and that the collision filter does not exclude, in the last search of
+            the call.
+        num_after_cull: Candidates that the cull left to the narrow phase.
         num_contacts: Pairs that touch.
         num_contacts_at_start: Contacts with the status ``INITIAL_CONTACT``.
         num_contacts_at_limit: Contacts with the status ``ITERATION_LIMIT`` or ``RESOLUTION_LIMIT``.

@@ -1,4 +1,4 @@
-"""The edges of faces."""
+"""The unique edges of a mesh: those of its faces, and codimensional edges."""
 
 from collections.abc import Sequence
 
@@ -15,13 +15,13 @@ def unique_edges(
     """
     a, b, c = (faces[:, k] for k in range(3))
     keys = _unique_edge_keys([(a, b), (b, c), (c, a)])
-    loose = np.zeros(0, dtype=np.int64)
+    codimensional = np.zeros(0, dtype=np.int64)
     if len(given_edges):
-        loose = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
-        loose = np.setdiff1d(loose, keys, assume_unique=True)
-        keys = np.sort(np.concatenate([keys, loose]))
+        codimensional = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
+        codimensional = np.setdiff1d(codimensional, keys, assume_unique=True)
+        keys = np.sort(np.concatenate([keys, codimensional]))
     edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)
-    return edges, np.searchsorted(keys, loose).astype(np.int32)
+    return edges, np.searchsorted(keys, codimensional).astype(np.int32)
 
 
 def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.integer]]]) -> NDArray[np.int64]:

@@ -49,8 +49,8 @@ class MeshOptions(_Solver, _End, _Search, _Limits, _Place, total=False):
     ``options: MeshOptions = {"t_max": 0.5}``.
 
     Attributes:
-        tolerance: Largest gap (L∞) that counts as contact where a pair cannot be told apart cheaply, as a multiple of
-            ``length_scale``, above 0. Default: ``1e-6``.
+        tolerance: Largest gap (L∞) that counts as contact where the pair cannot be proved separate cheaply, as a
+            multiple of ``length_scale``, above 0. Default: ``1e-6``.
         minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``, at
             least 0. Default: ``0.0``.
         start_gap_fraction: In (0, 1), or None. The separation of a pair is reduced to at most this fraction of its gap
@@ -60,10 +60,10 @@ class MeshOptions(_Solver, _End, _Search, _Limits, _Place, total=False):
         t_max: End of the step that is checked, in [0, 1]. Default: ``1.0``.
         max_iterations: Limit of the work on a pair; at the limit its toi is early, never late, and its status says so.
             Default: ``10000``.
-        max_work: Limit of the work on a step: iterations that the pairs of a kind may take in total after the first 256
-            of each. Where they would take more, all pairs still open get an equal share, and those that reach it have
-            the same status as at ``max_iterations``. The share depends only on the pairs, so results are reproducible.
-            Default: ``5000000``.
+        max_work: Limit of the work on a step: iterations that the pairs of a kind may take in total after the first
+            round, in which each pair may take 256 (4,096 with ``method="bisection"``). Where they would take more, all
+            pairs still open get an equal share, and those that reach it have the same status as at ``max_iterations``.
+            The share depends only on the pairs, so results are reproducible. Default: ``5000000``.
         length_scale: Length that ``tolerance`` and ``minimum_separation`` are multiples of, above 0. None stands for
             that of the mesh, the longest side of the box around its vertices (``CollisionMesh.length_scale``), which is
             the same in every step; in the pair functions for that of the box around the motion of each pair. Scaling a

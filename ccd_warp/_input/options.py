@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
 
 from ccd_warp._input.arguments import check_choice, check_count, check_items, check_real, shown
-from ccd_warp._input.option_types import MeshOptions, Method, Precision
+from ccd_warp._input.option_types import MeshOptions, Method, PairKindName, Precision
 from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
@@ -55,7 +55,7 @@ class Options:
     length_scale: float | None = None
     precision: Precision = "float64"
     method: Method = "clipping"
-    pair_kinds: Iterable[PairKind | str] | None = None
+    pair_kinds: Iterable[PairKind | PairKindName] | None = None
     memory_limit: int | None = None
     device: Any = None
     num_threads: int | None = None
@@ -87,7 +87,9 @@ class Options:
     @property
     def kinds(self) -> tuple[PairKind, ...]:
         """Kinds of pairs to check, in their order."""
-        return tuple(PairKind) if self.pair_kinds is None else tuple(self.pair_kinds)  # type: ignore[arg-type]
+        if self.pair_kinds is None:
+            return tuple(PairKind)
+        return cast(tuple[PairKind, ...], self.pair_kinds)  # as `__post_init__` has stored them
 
     @property
     def real(self) -> Any:
