@@ -90,17 +90,25 @@ def spheres_through_each_other(num_faces: int) -> Scene:
     return joined(f"two spheres, {num_faces:,}", [(left, left + move, faces), (right, right - move, faces)])
 
 
-def pile(num_bodies: int, faces_each: int) -> Scene:
-    """Many bodies, close to each other, that fall and turn a little."""
+def falling_copies(
+    vertices: np.ndarray, faces: np.ndarray, count: int, *, spacing: float, angle: float, stretch: float = 0.0
+) -> list:
+    """Copies of a body on a lattice, each stretched at random along the axes, that fall and turn a little: parts."""
     rng = np.random.default_rng(0)
-    ball, faces = sphere(faces_each, 0.5)
-    side = round(num_bodies ** (1 / 3) + 0.499)
-    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)[:num_bodies] * 1.02
+    side = round(count ** (1 / 3) + 0.499)
+    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)[:count] * spacing
     parts = []
     for place in places:
-        start = ball * rng.uniform(0.9, 1.1, 3) + place
-        turn = trimesh.transformations.rotation_matrix(0.05, rng.standard_normal(3))[:3, :3]
+        start = vertices * (rng.uniform(1 - stretch, 1 + stretch, 3) if stretch else 1.0) + place
+        turn = trimesh.transformations.rotation_matrix(angle, rng.standard_normal(3))[:3, :3]
         parts.append((start, (start - place) @ turn.T + place - [0, 0, 0.05], faces))
+    return parts
+
+
+def pile(num_bodies: int, faces_each: int) -> Scene:
+    """Many bodies, close to each other, that fall and turn a little."""
+    ball, faces = sphere(faces_each, 0.5)
+    parts = falling_copies(ball, faces, num_bodies, spacing=1.02, angle=0.05, stretch=0.1)
     return joined(f"pile of {num_bodies:,} bodies, {num_bodies * len(faces):,}", parts)
 
 
@@ -144,15 +152,9 @@ def two_small_spheres(subdivisions: int) -> Scene:
 
 def few_boxes(num_boxes: int) -> Scene:
     """Boxes close to each other that fall and turn a little."""
-    rng = np.random.default_rng(0)
     box = trimesh.creation.box()
     faces = np.asarray(box.faces)
-    side = round(num_boxes ** (1 / 3) + 0.499)
-    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)[:num_boxes] * 1.1
-    parts = []
-    for place in places:
-        turn = trimesh.transformations.rotation_matrix(0.2, rng.standard_normal(3))[:3, :3]
-        parts.append((box.vertices + place, box.vertices @ turn.T + place - [0, 0, 0.05], faces))
+    parts = falling_copies(np.asarray(box.vertices), faces, num_boxes, spacing=1.1, angle=0.2)
     return joined(f"{num_boxes} boxes, {num_boxes * len(faces)}", parts)
 
 
