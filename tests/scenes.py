@@ -19,9 +19,9 @@ def single(vertices, faces):
 # --- at random places ---
 
 
-def soup(rng, num_faces, size, num_vertices=None):
+def soup(rng, num_faces, size, num_vertices=None, spread=1.0):
     """Faces at random places: vertices [3 num_faces, 3] and faces; shared vertices where num_vertices is given."""
-    vertices = (rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
+    vertices = (spread * rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
     faces = np.arange(3 * num_faces).reshape(-1, 3)
     return vertices, faces if num_vertices is None else faces % num_vertices
 

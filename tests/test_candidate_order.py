@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from scenes import soup
 
 import ccd_warp as ccd
 from ccd_warp import CollisionMesh, CollisionPipeline, PairKind, find_candidates
@@ -12,13 +13,7 @@ from ccd_warp import CollisionMesh, CollisionPipeline, PairKind, find_candidates
 NAMES = ("vertex_face", "edge_edge", "point_segment", "point_point")
 
 
-def soup(rng, num_faces, size, spread=1.0):
-    """Faces at random places: vertices [3 num_faces, 3] and faces."""
-    vertices = spread * rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))
-    return vertices.reshape(-1, 3), np.arange(3 * num_faces).reshape(-1, 3)
-
-
-def crowd(rng, **options):
+def three_bodies(rng, **options):
     """Three bodies in one place, moved."""
     mesh = CollisionMesh.from_arrays([soup(rng, n, 0.1) for n in (900, 300, 600)], **options)
     return mesh, mesh.vertices, mesh.vertices + 0.05 * rng.standard_normal(mesh.vertices.shape)
@@ -42,12 +37,12 @@ def body_pairs(rng):
     """Three bodies, two of which ignore each other."""
     allowed = np.ones((3, 3), dtype=bool)
     allowed[0, 2] = allowed[2, 0] = False
-    return crowd(rng, body_pairs=allowed)
+    return three_bodies(rng, body_pairs=allowed)
 
 
 def one_place(rng, num_faces=60, num_particles=200):
     """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
-    bodies = [(*soup(rng, num_faces, 0.2, 0.0), []) for _ in range(2)]
+    bodies = [(*soup(rng, num_faces, 0.2, spread=0.0), []) for _ in range(2)]
     particles = 0.01 * rng.standard_normal((num_particles, 3))
     cables = np.arange(num_particles // 2).reshape(-1, 2)
     mesh = CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
@@ -55,9 +50,9 @@ def one_place(rng, num_faces=60, num_particles=200):
 
 
 SCENES = {
-    "crowd": crowd,
-    "static": lambda rng: crowd(rng, static=[1]),
-    "rigid": lambda rng: crowd(rng, self_collision=False),
+    "three bodies": three_bodies,
+    "static": lambda rng: three_bodies(rng, static=[1]),
+    "rigid": lambda rng: three_bodies(rng, self_collision=False),
     "worlds": worlds,
     "rings": rings,
     "body pairs": body_pairs,
@@ -109,8 +104,8 @@ def test_blocks_of_boxes_that_exceed_the_memory_limit(device):
 def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):
     """Static bodies keep their boxes while others move far in one step and little in the next."""
     rng = np.random.default_rng(3)
-    still, faces = soup(rng, 600, 0.03, 1.4)
-    moving, moving_faces = soup(rng, 600, 0.03, 1.4)
+    still, faces = soup(rng, 600, 0.03, spread=1.4)
+    moving, moving_faces = soup(rng, 600, 0.03, spread=1.4)
     mesh = CollisionMesh.from_arrays([(moving, moving_faces), (still, faces)], static=[1])
     start = mesh.vertices.copy()
     start[1800:] = still.reshape(-1, 3, 3)[rng.permutation(600)].reshape(
@@ -128,7 +123,7 @@ def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):
 
 
 def test_calls_with_other_frames_and_other_functions_in_between(device):
-    mesh, start, end = crowd(np.random.default_rng(4), static=[2])
+    mesh, start, end = three_bodies(np.random.default_rng(4), static=[2])
     pipeline = CollisionPipeline(mesh, device=device)
     expected = pipeline.find_candidates(start, end)
     for inflation in (0.5, 0.0):
@@ -140,7 +135,7 @@ def test_calls_with_other_frames_and_other_functions_in_between(device):
 
 
 def test_result_belongs_to_the_caller(device):
-    mesh, start, end = crowd(np.random.default_rng(5))
+    mesh, start, end = three_bodies(np.random.default_rng(5))
     pipeline = CollisionPipeline(mesh, device=device)
     pipeline.find_candidates(start, end)
     found = pipeline.find_candidates(start, end)

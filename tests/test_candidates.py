@@ -221,7 +221,7 @@ def test_long_cable_among_particles(device):
     check_candidates(mesh, start, start + 1e-3 * rng.standard_normal(start.shape), device=device)
 
 
-def test_particles_at_rest_in_one_place(device):
+def test_stationary_particles_in_one_place(device):
     start = np.zeros((50, 3))
     mesh = CollisionMesh.from_arrays([(start, [])], codimensional_points=True)
     assert check_candidates(mesh, start, start, device=device) == 50 * 49 // 2

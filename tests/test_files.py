@@ -162,7 +162,7 @@ def test_touching_vertices_of_an_indexed_format_stay_two(tmp_path):
     assert len(read_static(tmp_path / "a.ply").vertices_t0) == 6
 
 
-def test_static_body_rests(tmp_path, ball):
+def test_static_body_is_the_same_at_both_ends(tmp_path, ball):
     vertices, faces = ball
     write_mesh(tmp_path / "a.ply", vertices, faces)
     body = read_static(tmp_path / "a.ply")

@@ -129,10 +129,10 @@ def test_capture_follows_a_static_body_that_is_moved(device):
     result = pipeline.launch(vertices_t0, vertices_t1)
     with wp.ScopedCapture(device=device) as capture:
         pipeline.launch(vertices_t0, vertices_t1)
-    at_rest = mesh.static[mesh.vertex_body]
+    is_static = mesh.static[mesh.vertex_body]
     for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
         a = start.copy()
-        a[at_rest, 0] += shift
+        a[is_static, 0] += shift
         vertices_t0.assign(a)  # rows of static bodies are not read from vertices_t1
         wp.capture_launch(capture.graph)
         check_same(result, ccd.mesh_ccd(mesh, a, end, length_scale=1.0, device=device))
@@ -252,7 +252,7 @@ def test_world_that_is_no_number_stops_itself_alone(device):
     check_same(pipeline.launch(on_device(start, device), on_device(end, device)), expected)
 
 
-def test_body_that_is_no_number_at_rest_stops_its_world(device):
+def test_static_body_that_is_no_number_stops_its_world(device):
     mesh, start, end = sheet_over_ball()
     start[-1] = np.nan
     pipeline = ccd.CollisionPipeline(mesh, device=device, **CAPACITIES)
@@ -262,7 +262,7 @@ def test_body_that_is_no_number_at_rest_stops_its_world(device):
     assert (result["body_toi"] == 0.0).all()
 
 
-def test_body_at_rest_that_was_no_number_is_where_it_was_before(device):
+def test_static_body_that_was_no_number_is_where_it_was_before(device):
     mesh, start, end = sheet_over_ball()
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
     expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
@@ -432,13 +432,17 @@ def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved(device
     assert pipeline.launch(on_device(start[:3], device), on_device(end[:3], device)).toi.numpy()[0] == np.inf
 
 
-def test_reserve_that_fails_changes_nothing():
-    mesh, _, _ = falling()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+def test_reserve_that_fails_changes_nothing(device):
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
+    frames = on_device(start, device), on_device(end, device)
+    expected = ccd.mesh_ccd(mesh, start, end, device=device)
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
     with pytest.raises(ValueError, match="vertices holds nan in row 0"):
-        pipeline.reserve(max_pairs=7, vertices=np.full((6, 3), np.nan))
-    pipeline.reserve(max_contacts=5)
-    assert {len(keys) for keys in pipeline._device_step._stages.keys.values()} == {4096}
+        pipeline.reserve(max_pairs=7, vertices=np.full(start.shape, np.nan))
+    pipeline.reserve(max_contacts=CAPACITIES["max_contacts"])
+    check_same(pipeline.launch(*frames), expected)
+    pipeline.reserve(max_pairs=7)  # the capacity that the failed call requested is too small
+    assert host(pipeline.launch(*frames))["flags"][0] & LaunchFlag.PAIRS_OVERFLOW
 
 
 def test_result_keeps_what_a_graph_uses():

@@ -82,7 +82,7 @@ def test_finer_fractions_move_more():
 
 @every_per
 def test_touching_at_the_start_holds_those_that_touch(per):
-    """A vertex rests exactly on a face and is pushed into it; a third body is free."""
+    """A vertex lies exactly on a face and is pushed into it; a third body is free."""
     bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE), (TRIANGLE + 5, FACE)]
     start = np.concatenate([vertices for vertices, _ in bodies])
     mesh = ccd.CollisionMesh.from_arrays(bodies)
@@ -171,7 +171,7 @@ def test_bad_options_are_named(options, message):
 
 
 @every_per
-def test_coordinates_that_rest_do_not_move_by_a_rounding(per):
+def test_stationary_coordinates_do_not_move_by_a_rounding(per):
     mesh, start = stacked(0.0, 1.0)
     start += np.random.default_rng(0).uniform(0.1, 0.3, start.shape) * [1, 1, 0]
     end = start.copy()
@@ -237,7 +237,7 @@ def test_a_vertex_that_is_stopped_stops_the_one_behind_it_on_the_device(device):
 
 
 def _pushed_while_touching():
-    """A vertex rests exactly on a face and is pushed into it; a third body is free."""
+    """A vertex lies exactly on a face and is pushed into it; a third body is free."""
     bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE), (TRIANGLE + 5, FACE)]
     start = np.concatenate([vertices for vertices, _ in bodies])
     end = start.copy()
@@ -246,7 +246,7 @@ def _pushed_while_touching():
     return bodies, start, end
 
 
-def test_what_rests_on_the_device_may_touch(device):
+def test_stationary_pairs_on_the_device_may_touch(device):
     bodies, start, wished = _pushed_while_touching()
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     for per, free in (("scene", False), ("world", False), ("body", True), ("vertex", True)):

@@ -11,10 +11,10 @@ from ccd_warp.benchmarks.oracle import exact_tois
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 
 import ccd_warp as ccd
+from ccd_warp._input.options import Options
 
 KINDS = ["vertex_face", "edge_edge"]
 OPTIONS = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}
-FIRST_ITERATIONS = 256
 
 
 @cache
@@ -22,7 +22,7 @@ def needles(kind):
     """Needles that cross each other, each pair of which takes more than the iterations of a first round."""
     start, end = FAMILIES["needle_against_needle"](kind.replace("_", "-"), 3000, np.random.default_rng(0))
     solved = getattr(ccd, f"{kind}_ccd")(start, end, **OPTIONS)
-    is_hard = solved.iterations > FIRST_ITERATIONS
+    is_hard = solved.iterations > Options().first_iterations
     assert is_hard.sum() > 30
     return start[is_hard], end[is_hard]
 
@@ -42,7 +42,7 @@ def scene_of(kind, count, *, of_worlds=True):
 @pytest.mark.parametrize("kind", KINDS)
 def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_at_once(kind):
     mesh, start, end = scene_of(kind, 800)
-    options = OPTIONS | {"max_iterations": 260}
+    options = OPTIONS | {"max_iterations": Options().first_iterations + 4}
     toi = ccd.mesh_ccd(mesh, start, end, **options).toi
     for _ in range(4):
         new = ccd.CollisionMesh.from_arrays(
@@ -57,7 +57,7 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
 def test_pairs_that_share_too_little_work_are_the_same_whatever_the_threads_and_the_memory(kind, of_worlds, method):
     count = 120 if of_worlds else 20
     mesh, start, end = scene_of(kind, count, of_worlds=of_worlds)
-    share = {"clipping": 320, "bisection": 4200}[method]
+    share = Options(method=method).first_iterations + 64
     options = OPTIONS | {"max_work": share * count, "max_iterations": 6000, "method": method}
     truth = ccd.mesh_ccd(mesh, start, end, num_threads=1, **options)
     step = ccd.collision_free_step(mesh, start, end, num_threads=1, **options)

@@ -368,7 +368,7 @@ def test_parameters_name_the_point_of_contact():
         assert (np.abs(gap).max(axis=1) <= 1e-6 * size_of(p0, p1)[hit] + 1e-12).all()
 
 
-def test_resting_pair_is_free_and_touching_pair_is_at_zero(precision):
+def test_stationary_pair_is_free_and_touching_pair_is_at_zero(precision):
     p0, _ = falling_vertex()
     apart = ccd.vertex_face_ccd(p0, p0, precision=precision)
     assert np.isinf(apart.toi[0])

@@ -235,7 +235,7 @@ def test_self_collision_switch():
     assert not any(result.counts.num_candidates.values())
 
 
-def test_resting_scene_and_scene_that_touches_at_the_start():
+def test_stationary_scene_and_scene_that_touches_at_the_start():
     mesh, start, _ = bullet_and_wall()
     assert np.isinf(ccd.mesh_ccd(mesh, start, start).toi)
     assert ccd.collision_free_step(mesh, start, start) == 1.0
@@ -393,7 +393,7 @@ def test_particle_passes_a_cable_at_less_than_the_separation(precision):
     assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, minimum_separation=0.05, **options)
 
 
-def test_normal_of_points_that_rest_within_the_separation():
+def test_normal_of_points_that_start_within_the_separation():
     cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
     mesh = ccd.CollisionMesh.from_arrays([(cable, [], [[0, 1]]), (particles, [])], codimensional_points=True)
     for motion in ([0, 0, 0], [0, 0.125, 0]):  # stationary, and sliding along the cable

@@ -494,7 +494,7 @@ def test_duplicate_faces_and_edges_of_many_faces():
 
 
 def test_shuffled_mesh_is_sorted_by_place():
-    """A mesh whose rest positions do not match its positions: the order is computed again, and nothing else."""
+    """A mesh that is built of other positions than those of the step: only the order is computed again."""
     rng = np.random.default_rng(20)
     sheet = trimesh.creation.box().subdivide_loop(iterations=4)
     mesh = ccd.CollisionMesh.from_arrays([(rng.random(sheet.vertices.shape), sheet.faces)])

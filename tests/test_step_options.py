@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from ccd_warp.benchmarks.oracle import exact_tois
 from launches import CAPACITIES, check_same, on_device
-from oracles import corners_of
-from scenes import crowd, sheet, single, soup, stacked
+from oracles import corners_of, exact_contacts
+from scenes import FACE, crowd, sheet, single, soup, stacked
 
 import ccd_warp as ccd
 
@@ -165,6 +165,48 @@ def test_sheet_that_crumples_without_its_neighbours(device, rings):
     assert result.toi > every.toi
 
 
+# --- line searches ---
+
+
+def searched(mesh, start, wished, device, per, **options):
+    """End positions of `line_search` and of `launch_line_search`, both of which are free by exact arithmetic."""
+    options = {"length_scale": 1.0, "device": device} | options
+    on_host = ccd.line_search(mesh, start, wished, per=per, **options).vertices
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(wished, device)
+    pipeline = ccd.CollisionPipeline(mesh, **options, **CAPACITIES)
+    pipeline.launch_line_search(vertices_t0, vertices_t1, per=per)
+    ends = on_host, vertices_t1.numpy()
+    assert not any(exact_contacts(mesh, start, end) for end in ends)
+    return ends
+
+
+@pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
+@pytest.mark.parametrize("seed", range(2))
+def test_line_search_by_bisection(device, per, seed):
+    rng = np.random.default_rng(seed)
+    mesh = ccd.CollisionMesh.from_arrays([(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)])
+    start, wished = mesh.vertices, mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape)
+    options = {"tolerance": 1e-4}
+    bisected = searched(mesh, start, wished, device, per, method="bisection", **options)
+    clipped = searched(mesh, start, wished, device, per, **options)
+    for ours, theirs in zip(bisected, clipped, strict=True):
+        assert (ours != start).any() and (ours != wished).any() and (ours != theirs).any()
+        # both are early by what the tolerance allows at the speeds of the scene, about one
+        np.testing.assert_allclose(ours, theirs, atol=1e-2)
+
+
+@pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
+def test_line_search_from_a_start_closer_than_the_separation(device, precision, per):
+    mesh, start = stacked(0.0, 0.125)
+    wished = start - [0, 0, 1.0] * (mesh.vertex_body == 1)[:, None]
+    options = {"minimum_separation": 0.5, "precision": precision}
+    for end in searched(mesh, start, wished, device, per, **options):
+        assert end[3:].max() == start[3:].max() if per == "vertex" else (end == start).all()
+    for end in searched(mesh, start, wished, device, per, start_gap_fraction=0.25, **options):
+        # a quarter of the gap is left, less the safety of 0.9
+        assert (start - end)[3:, 2].min() == pytest.approx(0.9 * 0.75 * 0.125, abs=1e-5)
+
+
 # --- the unit of lengths, and counts ---
 
 
@@ -175,44 +217,45 @@ def falling_by(height):
 
 
 @pytest.mark.parametrize("height", [1.5, 4.0, 100.0])
-def test_default_separation_is_the_same_however_far_the_body_falls(height):
+def test_default_separation_is_the_same_however_far_the_body_falls(device, height):
     mesh, start, end = falling_by(height)
     unit = float(np.ptp(mesh.vertices, axis=0).max())
     assert mesh.length_scale == unit
-    options = {"minimum_separation": 0.1, "device": "cpu"}
+    options = {"minimum_separation": 0.1, "device": device}
     result = ccd.mesh_ccd(mesh, start, end, **options)
     assert result.toi == pytest.approx((1.0 - 0.1 * unit) / height, abs=1e-5)
     explicit = ccd.mesh_ccd(mesh, start, end, length_scale=unit, **options)
     assert result.contacts.toi.tobytes() == explicit.contacts.toi.tobytes()
     pipeline = ccd.CollisionPipeline(mesh, **options)
-    check_same(pipeline.launch(on_device(start), on_device(end)), result)
+    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), result)
     pipeline.reserve(vertices=2.0 * mesh.vertices)  # where trees are laid out changes no length
-    check_same(pipeline.launch(on_device(start), on_device(end)), result)
+    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), result)
 
 
-def test_sheet_over_a_ball_that_moves_away_is_free_for_every_trial_step():
+def test_sheet_over_a_ball_that_moves_away_is_free_for_every_trial_step(device):
     ball = trimesh.creation.icosphere(subdivisions=2)
     sheet = np.array([[-1, -1, 1.005], [1, -1, 1.005], [1, 1, 1.005], [-1, 1, 1.005]], dtype=float)
     mesh = ccd.CollisionMesh.from_arrays([(sheet, [[0, 1, 2], [0, 2, 3]]), (ball.vertices, ball.faces)])
     for trial in (0.1, 1.0, 5.0, 10.0, 100.0):
         end = mesh.vertices - [0, 0, trial] * (mesh.vertex_body == 1)[:, None]
-        options = {"minimum_separation": 1e-3, "device": "cpu"}
+        options = {"minimum_separation": 1e-3, "device": device}
         assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == 1.0
-        result = ccd.CollisionPipeline(mesh, **options).launch(on_device(mesh.vertices), on_device(end))
+        result = ccd.CollisionPipeline(mesh, **options).launch(on_device(mesh.vertices, device), on_device(end, device))
         assert result.toi.numpy()[0] == np.inf
 
 
-def test_mesh_whose_vertices_coincide_has_the_unit_1():
+def test_mesh_whose_vertices_coincide_has_the_unit_1(device):
     corners = np.zeros((3, 3))
     mesh = ccd.CollisionMesh.from_arrays([(corners, [[0, 1, 2]]), (corners, [[0, 1, 2]])])
     assert mesh.length_scale == 1.0
     _, start, end = falling_by(4.0)
-    options = {"minimum_separation": 0.1, "device": "cpu"}
+    options = {"minimum_separation": 0.1, "device": device}
     result = ccd.mesh_ccd(mesh, start[:6], end[:6], **options)
     explicit = ccd.mesh_ccd(mesh, start[:6], end[:6], length_scale=1.0, **options)
     assert result.contacts.toi.tobytes() == explicit.contacts.toi.tobytes()
-    assert ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, device="cpu").toi == 0.0
-    assert ccd.CollisionPipeline(mesh, device="cpu").launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0
+    assert ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, device=device).toi == 0.0
+    frames = on_device(mesh.vertices, device), on_device(mesh.vertices, device)
+    assert ccd.CollisionPipeline(mesh, device=device).launch(*frames).toi.numpy()[0] == 0.0
 
 
 def test_counts_after_a_launch_are_those_of_the_last_call_on_the_host(device):
