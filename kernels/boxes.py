@@ -1,4 +1,4 @@
-"""Axis-aligned boxes around a moving point, in float64 and rounded outward; and the bounds of a whole motion."""
+"""Axis-aligned boxes around a moving point, in float64 and rounded outward."""
 
 import warp as wp
 
