@@ -10,7 +10,7 @@ import warp as wp
 
 from .atomics import atomic_min_int64
 from .box_tree import WIDTH, BoxTree, Quantization, fill_block, unite_from, vertex_aabb, write_vertex_aabb
-from .minima import INVALID_INPUT, NUM_COUNTS, Minima, flag_world, world_of
+from .minima import INVALID_INPUT, Minima, flag_world, world_of
 from .once import once
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -53,7 +53,7 @@ def reset(
         num_contacts[0] = 0
         stop[0] = 0  # it may have ended an earlier launch
         for k in range(counts.shape[0]):
-            for column in range(wp.static(NUM_COUNTS)):
+            for column in range(counts.shape[1]):
                 counts[k, column] = wp.int64(0)
 
 

@@ -328,13 +328,15 @@ class Step:
             num_batches=num_batches,
         )
         if survivors is not None and contacts is not None:
-            status = contacts.status
+            # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
+            of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+            of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
             counts = replace(
                 counts,
                 num_after_cull={kind: survivors[kind] for kind in kinds},
-                num_contacts={kind: int(np.count_nonzero(contacts.kind == kind)) for kind in kinds},
-                num_contacts_at_start=int(np.count_nonzero(status == CCDStatus.INITIAL_CONTACT)),
-                num_contacts_at_limit=int(np.count_nonzero(status >= CCDStatus.ITERATION_LIMIT)),
+                num_contacts={kind: of_kind[int(kind)] for kind in kinds},
+                num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
+                num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
             )
         self.counts = counts
 
