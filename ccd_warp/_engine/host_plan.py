@@ -1,8 +1,8 @@
 """The recorded stages of calls on the host, whose sizes and positions change from step to step."""
 
 import itertools
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
@@ -109,6 +109,7 @@ class HostPlan:
         self._kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._capacities = dict.fromkeys(self._kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
+        self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
@@ -232,12 +233,19 @@ class HostPlan:
         """Search every ``stride``-th block of queries, and yield the pairs that the cull leaves in batches.
 
         The first search tells how many pairs there are. If they are more than the capacity, which grows up to
-        ``largest`` pairs, it is repeated; if they are more than these, in parts.
+        ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
+        search is in parts from the beginning.
         """
         if not self.tree_pairs:
             return
+        if stride in self._excess:
+            yield from self._batches_of_parts(stride, largest, self._excess[stride])
+            return
         self._reserve(stride, largest)
+        self._meets = [self.may_meet(tree_pair) for tree_pair in self.tree_pairs]
         while True:
+            for tree_pair, meets in zip(self.tree_pairs, self._meets, strict=True):
+                self.num_searches[tree_pair.kind] += meets
             self._clear_counts()
             self.play(f"pairs {stride}", lambda stages, recording: self._record_search(stages, recording, stride))
             found = self._num_found()
@@ -252,26 +260,22 @@ class HostPlan:
 
     def _record_search(self, stages: Stages, recording: Recording, stride: int) -> None:
         with recording.at_once():
-            for tree_pair in self.tree_pairs:
+            for number, tree_pair in enumerate(self.tree_pairs):
                 items = range(0, self._num_items(tree_pair), stride)
-                stages.search(recording, tree_pair, items, is_needed=lambda t=tree_pair: self._is_needed(t))  # type: ignore[misc]
-
-    def _is_needed(self, tree_pair: TreePair) -> bool:
-        is_needed = self.may_meet(tree_pair)
-        self.num_searches[tree_pair.kind] += is_needed
-        return is_needed
+                stages.search(recording, tree_pair, items, is_needed=lambda k=number: self._meets[k])  # type: ignore[misc]
 
     def _num_items(self, tree_pair: TreePair) -> int:
         return tree_pair.query.primitives.count if self.execution.is_cuda else tree_pair.query.levels[0]
 
-    def _batches_of_parts(self, stride: int, largest: int, found: dict[PairKind, int]) -> Iterator[Batch]:
-        """Batches of at most ``largest`` pairs, given how many there are of each kind."""
+    def _batches_of_parts(self, stride: int, largest: int, expected: Mapping[PairKind, int]) -> Iterator[Batch]:
+        """Batches of at most ``largest`` pairs, given how many there may be of each kind."""
         level = 0 if self.execution.is_cuda else 1
         pending: deque[_Part] = deque()
         for tree_pair in filter(self.may_meet, self.tree_pairs):
             items = range(0, self._num_items(tree_pair), stride)
-            pending += _Part(tree_pair, level, items).split(_pieces(found[tree_pair.kind], largest))
+            pending += _Part(tree_pair, level, items).split(_pieces(expected[tree_pair.kind], largest))
         total = sum(part.num_queries for part in pending)
+        total_found: Counter[PairKind] = Counter()
         self._share_capacity(largest)
         stages = self._stages.with_values(self._recording.values)
         while pending:
@@ -287,9 +291,14 @@ class HostPlan:
             if count > largest:
                 pending.extendleft(reversed(part.split(_pieces(count, largest))))
                 continue
+            total_found[part.tree_pair.kind] += count
             batch = self._batch(found, is_only=False)
             if count > 0:
                 yield batch
+        if total_found.total() > largest:
+            self._excess[stride] = total_found
+        else:
+            self._excess.pop(stride, None)
 
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
