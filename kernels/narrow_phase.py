@@ -310,6 +310,20 @@ def make_narrow_phase(real) -> SimpleNamespace:
             return k + wp.int64(1) + wp.int64(num_solvers - 1) * wp.int64(chunk)
         return k + wp.int64(1)
 
+    @wp.func
+    def cap_of_round(options: Options, is_second: int, num_open: wp.int64) -> int:
+        """Iterations of each pair: in the second round, its share of the work that is left to the open pairs."""
+        if is_second != 0:
+            return share_of_work(options, wp.max(num_open, wp.int64(1)))
+        return wp.min(options.first_iterations, options.max_iterations)
+
+    @wp.func
+    def key_in_round(key: wp.int64, is_second: int) -> wp.int64:
+        """The key of a pair; below 0 in the second round for those that the first has not marked as open."""
+        if is_second != 0:
+            return ~key
+        return key
+
     @wp.kernel(module=own_module("solve_pairs"))
     def solve_pairs(
         begin: int,
@@ -336,23 +350,16 @@ def make_narrow_phase(real) -> SimpleNamespace:
         The first round marks each pair that it leaves open by the complement of its key.
         """
         count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = wp.min(options.first_iterations, options.max_iterations)
-        if is_second != 0:
-            num_open = counts[kind, OPEN]
-            if num_open == wp.int64(0):
-                return
-            cap = share_of_work(options, num_open)
+        cap = cap_of_round(options, is_second, counts[kind, OPEN])
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
         while following < count:
             k = following
             following = next_pair(k, chunk, num_solvers)
             if is_stopped(options.stop):
                 return
-            key = pairs[k]
-            if is_second != 0:
-                key = ~key
-                if key < wp.int64(0):
-                    continue
+            key = key_in_round(pairs[k], is_second)
+            if key < wp.int64(0):
+                continue
             pair = pair_of(key)
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
@@ -416,23 +423,16 @@ def make_narrow_phase(real) -> SimpleNamespace:
         bits of two non-negative numbers compare as the numbers do.
         """
         count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = wp.min(options.first_iterations, options.max_iterations)
-        if is_second != 0:
-            num_open = counts[kind, OPEN]
-            if num_open == wp.int64(0):
-                return
-            cap = share_of_work(options, num_open)
+        cap = cap_of_round(options, is_second, counts[kind, OPEN])
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
         while following < count:
             k = following
             following = next_pair(k, chunk, num_solvers)
             if is_stopped(options.stop):
                 return
-            key = pairs[k]
-            if is_second != 0:
-                key = ~key
-                if key < wp.int64(0):
-                    continue
+            key = key_in_round(pairs[k], is_second)
+            if key < wp.int64(0):
+                continue
             pair = pair_of(key)
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
