@@ -18,6 +18,10 @@ from ccd_warp._status import LaunchFlag, PairKind
 class DeviceContacts(Placed):
     """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
 
+    What is beside the fields is computed on the device when it is asked for: each time anew, in the same array, by a
+    launch that does not wait, and from what the arrays hold by then. The first time allocates the array; after that a
+    graph can hold it. Rows from ``count`` on mean nothing.
+
     Attributes:
         count: Number of contacts found, which may exceed the capacity; contacts beyond it are not stored; int32, shape
             [1].
@@ -40,6 +44,70 @@ class DeviceContacts(Placed):
     status: wp.array
     gap: wp.array
     width: wp.array
+
+    @property
+    def points(self) -> wp.array:
+        """Position of each contact at its toi, as in :class:`Contacts`, vec3d, shape [max_contacts].
+
+        The step is what the arrays of the last launch hold when the device gets there. Points agree in every bit with
+        those of :meth:`to_host`; where the arrays have changed since the launch, they are those of another step.
+
+        Raises:
+            ValueError: If there was no launch, so that no positions are known.
+            RuntimeError: If a graph is being captured, and the points were not asked for before.
+        """
+        return self._known().contact_points()
+
+    @property
+    def vertices(self) -> wp.array:
+        """Vertices of each contact, as in :class:`Contacts`, vec4i, shape [max_contacts]."""
+        return self._known().contact_arrays.vertices()
+
+    @property
+    def bodies(self) -> wp.array:
+        """Bodies of the first and the second primitive of each contact, vec2i, shape [max_contacts]."""
+        return self._known().contact_arrays.bodies()
+
+    @property
+    def world(self) -> wp.array:
+        """World of each contact, int32, shape [max_contacts]."""
+        return self._known().contact_arrays.world()
+
+    def points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
+        """Position of each contact at its toi in a step between given positions.
+
+        Args:
+            vertices_t0: Start positions on the device, one row for each vertex, as
+                :meth:`ccd_warp.CollisionPipeline.launch` takes them.
+            vertices_t1: End positions of the same type; or rows of the moving vertices only. Static bodies stay at
+                their start positions.
+
+        Returns:
+            The positions, vec3d, shape [max_contacts]; the same array for all positions of one dtype.
+
+        Raises:
+            ValueError: If an array is not as described.
+            RuntimeError: If a graph is being captured and there was no earlier call with arrays of this dtype.
+        """
+        return self._known().contact_points_at(vertices_t0, vertices_t1)
+
+    def order_by_toi(self) -> wp.array:
+        """Indices of the contacts by ascending toi, those with one toi in the order of :class:`Contacts`.
+
+        Returns:
+            The indices, int32, shape [max_contacts]. Those of the contacts come first, the earliest at the front, and
+            then those of the rows without one.
+
+        Raises:
+            RuntimeError: If a graph is being captured and there was no earlier call.
+        """
+        return self._known().contact_arrays.order_by_toi()
+
+    def _known(self) -> Any:
+        """The step to which the contacts belong, or a ValueError."""
+        if self._place is None:
+            raise ValueError("contacts were made of arrays alone; expected those of a launch, which knows its mesh")
+        return self._place
 
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> Contacts:
         """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.

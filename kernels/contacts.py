@@ -136,6 +136,14 @@ def normal_at(
     return point_normal(q, va - vb, a0 - b0 - uv[0] * q)
 
 
+@wp.func
+def contact_key(contacts: ContactList, n: int) -> wp.int64:
+    """A key that orders contacts by kind, then by pair: two bits, and 31 for each index."""
+    pair = contacts.primitives[n]
+    kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
+    return (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
+
+
 @wp.kernel
 def contact_keys(
     begin: int,
@@ -144,13 +152,10 @@ def contact_keys(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Keys that order contacts by kind, then by pair: two bits, and 31 for each index."""
+    """The keys of all contacts."""
     n = begin + wp.tid()
-    if n >= contacts.count[0]:
-        return
-    pair = contacts.primitives[n]
-    kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
-    keys[n] = (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
+    if n < contacts.count[0]:
+        keys[n] = contact_key(contacts, n)
 
 
 @wp.kernel

@@ -7,6 +7,7 @@ import ccd_warp as ccd
 
 TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 FACE = np.array([[0, 1, 2]])
+NO_FACES = np.zeros((0, 3), dtype=int)
 # Points of a pair.
 CORNERS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
 
@@ -88,3 +89,25 @@ def sheet_over_floor():
     floor = vertices * 1.3 + [0.013, 0.007, -0.2]
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (floor, faces)], static=[1])
     return mesh, mesh.vertices, mesh.vertices - [0, 0, 0.4] * (mesh.vertex_body == 0)[:, None]
+
+
+def named_cloth_and_ball():
+    """A cloth that falls through a ball, with names."""
+    unnamed, start, end = sheet_over_ball()
+    cut = np.count_nonzero(unnamed.face_body == 0)
+    low = int(unnamed.body_vertex_range[1])
+    bodies = [(start[:low], unnamed.faces[:cut]), (start[low:], unnamed.faces[cut:] - low)]
+    return ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"]), start, end
+
+
+def cloth_and_ball_in_worlds(count=4):
+    """Copies of a cloth over a ball, of which the first half fall on it: mesh, start and end positions [W, n, 3]."""
+    vertices, faces = sheet(4)
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+    bodies = [(vertices + [0.01, 0.02, 0.5], faces), (ball.vertices, ball.faces)]
+    one = ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"])
+    start = np.tile(one.vertices, (count, 1, 1))
+    end = start.copy()
+    end[: count // 2, : len(vertices), 2] -= 1.0
+    end[count // 2 :, : len(vertices), 2] += 1.0
+    return one, one.replicate(count), start, end

@@ -5,29 +5,17 @@ import pickle
 
 import numpy as np
 import pytest
-import trimesh
 import warp as wp
-from scenes import FACE, TRIANGLE, sheet, sheet_over_ball
+from scenes import FACE, NO_FACES, TRIANGLE, cloth_and_ball_in_worlds, named_cloth_and_ball
 
 import ccd_warp as ccd
 from ccd_warp import viz
 from ccd_warp._contact_place import located
 
-NO_FACES = np.zeros((0, 3), dtype=int)
-
-
-def named_step():
-    """A cloth that falls through a ball, with names."""
-    unnamed, start, end = sheet_over_ball()
-    cut = np.count_nonzero(unnamed.face_body == 0)
-    low = int(unnamed.body_vertex_range[1])
-    bodies = [(start[:low], unnamed.faces[:cut]), (start[low:], unnamed.faces[cut:] - low)]
-    return ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"]), start, end
-
 
 @pytest.fixture(scope="module")
 def step():
-    mesh, start, end = named_step()
+    mesh, start, end = named_cloth_and_ball()
     return mesh, start, end, ccd.mesh_ccd(mesh, start, end)
 
 
@@ -62,7 +50,7 @@ def test_points_lie_on_both_primitives_at_toi(step):
 
 def test_points_are_those_of_the_step_whatever_becomes_of_the_callers_arrays():
     for length in (1, 20):  # few and many vertices for each contact
-        mesh, start, end = named_step()
+        mesh, start, end = named_cloth_and_ball()
         extra = np.tile(TRIANGLE, (1000 * (length - 1), 1)) + [9.0, 9.0, 9.0]
         faces = np.arange(len(extra)).reshape(-1, 3)
         bodies = [(mesh.vertices[:169], mesh.faces[mesh.face_body == 0])]
@@ -184,21 +172,8 @@ def test_points_of_a_launch_can_be_those_of_positions_given_later(step):
         copy.copy(result.contacts)
 
 
-def worlds(count=4):
-    """Copies of a cloth over a ball, of which the first half fall on it: mesh, start and end positions [W, n, 3]."""
-    vertices, faces = sheet(4)
-    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
-    bodies = [(vertices + [0.01, 0.02, 0.5], faces), (ball.vertices, ball.faces)]
-    one = ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"])
-    start = np.tile(one.vertices, (count, 1, 1))
-    end = start.copy()
-    end[: count // 2, : len(vertices), 2] -= 1.0
-    end[count // 2 :, : len(vertices), 2] += 1.0
-    return one, one.replicate(count), start, end
-
-
 def test_copies_of_a_mesh_are_worlds_of_their_own():
-    one, mesh, start, _ = worlds(3)
+    one, mesh, start, _ = cloth_and_ball_in_worlds(3)
     n = one.num_vertices
     assert mesh.num_worlds == 3 and mesh.num_bodies == 6 and np.array_equal(mesh.vertices, start.reshape(-1, 3))
     assert mesh.names == ("cloth[0]", "ball[0]", "cloth[1]", "ball[1]", "cloth[2]", "ball[2]")
@@ -226,7 +201,7 @@ def test_copies_keep_codimensional_primitives_and_filters():
 
 
 def test_every_call_takes_positions_with_an_axis_of_worlds():
-    one, mesh, start, end = worlds()
+    one, mesh, start, end = cloth_and_ball_in_worlds()
     flat_start, flat_end = start.reshape(-1, 3), end.reshape(-1, 3)
     moving = end[:, :25]  # the vertices of the cloths alone
     options = {"length_scale": 1.0, "device": "cpu"}
@@ -251,7 +226,7 @@ def test_every_call_takes_positions_with_an_axis_of_worlds():
 
 @pytest.mark.parametrize("make", ["numpy", "warp float64", "warp vec3d", "warp vec3f"])
 def test_launches_take_an_axis_of_worlds_and_write_through_it(make):
-    _, mesh, start, end = worlds()
+    _, mesh, start, end = cloth_and_ball_in_worlds()
     options = {"length_scale": 1.0, "device": "cpu"}
     real = np.float32 if make.endswith("f") else np.float64
 

@@ -15,12 +15,13 @@ from pathlib import Path
 import ccd_warp.kernels
 import pytest
 import warp as wp
+from ccd_warp.kernels.contact_place import make_contact_points
 from ccd_warp.kernels.device_step import make_input
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.pair_search import BOXES, CULL, make_pair_search
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes"]
+PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
 
 
 def warp_modules():
@@ -31,6 +32,7 @@ def warp_modules():
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
         modules[f"device_step input {real.__name__}"] = make_input(real).read_moving.module
+        modules[f"contact_place points {real.__name__}"] = make_contact_points(real).fill_points.module
         for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
     for end in (BOXES, CULL):

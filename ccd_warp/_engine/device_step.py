@@ -8,12 +8,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
+from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
-from ccd_warp._input.interop import as_positions
+from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
@@ -121,6 +122,7 @@ class DeviceStep:
 
     Attributes:
         result: The arrays of the result.
+        contact_arrays: What its contacts are asked for beside their own arrays.
     """
 
     def __init__(
@@ -159,6 +161,7 @@ class DeviceStep:
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
+        self.contact_arrays = ContactArrays(topology, execution, result.contacts)
         minima = new_minima(
             topology,
             vertex=result.vertex_toi,
@@ -244,10 +247,7 @@ class DeviceStep:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
         start = as_positions(vertices_t0, "vertices_t0", device, rows)
         end = as_positions(vertices_t1, name_t1, device, rows)
-        if start.dtype is not end.dtype:
-            raise ValueError(
-                f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like vertices_t0"
-            )
+        _check_same_dtype(start, end, name_t1)
         real = wp.float64 if start.dtype is wp.vec3d else wp.float32
         count = mesh.num_vertices
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
@@ -278,12 +278,41 @@ class DeviceStep:
         if vertices_t0 is not None:
             given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
             return located(contacts, self._mesh, *self._mesh.frames(*given))
-        if self._last is None:
+        last = self._last_positions()
+        if last is None:
             return located(contacts, self._mesh)
-        start, end = self._last.vertices_t0, self._last.vertices_t1
+        return located(contacts, self._mesh, *(v.numpy().reshape(-1, 3) for v in last))
+
+    def contact_points(self) -> wp.array:
+        """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.
+
+        Raises:
+            ValueError: If there was no launch.
+        """
+        last = self._last_positions()
+        if last is None:
+            raise ValueError("contacts.points are not known, as no launch has read positions; expected a launch before")
+        return self.contact_arrays.points("points", last)
+
+    def contact_points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
+        """The same at given positions, which are as for a launch with a start position for every vertex."""
+        mesh, device = self._mesh, self.topology.device
+        every = {mesh.num_vertices: "one a vertex"}
+        moving = {len(mesh.moving_vertices): "one a moving vertex"}
+        vertices_t0 = without_worlds(vertices_t0, "vertices_t0", mesh.rows_by_world)
+        vertices_t1 = without_worlds(vertices_t1, "vertices_t1", mesh.rows_by_world)
+        start = as_positions(vertices_t0, "vertices_t0", device, every)
+        end = as_positions(vertices_t1, "vertices_t1", device, every | moving if self._has_static else every)
+        _check_same_dtype(start, end, "vertices_t1")
+        return self.contact_arrays.points(f"points_at with {start.dtype.__name__}", (start, end))
+
+    def _last_positions(self) -> tuple[wp.array, wp.array] | None:
+        """Positions of all vertices in the last launch, in float64; None before the first."""
+        if self._last is None:
+            return None
         if _is_copied(self._last.form, self._has_static):
-            start, end = self._start, self._end
-        return located(contacts, self._mesh, start.numpy().reshape(-1, 3), end.numpy().reshape(-1, 3))
+            return self._start, self._end
+        return self._last.vertices_t0, self._last.vertices_t1
 
     def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """All launches of a step, or of all passes of a line search."""
@@ -420,6 +449,11 @@ class DeviceStep:
                     device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
                 )
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
+
+
+def _check_same_dtype(start: wp.array, end: wp.array, name_t1: str) -> None:
+    if start.dtype is not end.dtype:
+        raise ValueError(f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like vertices_t0")
 
 
 def _is_copied(form: _Form, has_static: bool) -> bool:
