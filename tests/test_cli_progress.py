@@ -153,6 +153,25 @@ def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
         assert [warning.filename for warning in caught] == [__file__]
 
 
+def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch):
+    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS_EACH", 1)
+    rng = np.random.default_rng(0)
+    flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
+    faces = np.arange(300).reshape(-1, 3)
+    options = {"names": ["sheet", "far", "lining"], "self_collision": False}
+    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
+    for pair_bytes in (1 << 30, 1):  # in one batch, and in several
+        monkeypatch.setattr("ccd_warp._engine.host_step.DEFAULT_PAIR_BYTES", pair_bytes)
+        with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
+            result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
+        assert (result.counts.num_batches > 1) == (pair_bytes == 1)
+    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces)], names=["cloth", "far"])
+    end = mesh.vertices + 0.1 * (mesh.vertex_body[:, None] == 0)
+    with pytest.warns(RuntimeWarning, match=r"most often of cloth and itself \(\d+ % of a sample\)$"):
+        ccd.mesh_ccd(mesh, mesh.vertices, end, device="cpu")
+
+
 def test_estimate_is_what_the_stage_has_taken_and_its_share():
     assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
     assert line_of(Progress(None, "pairs", 1, 1000), 10.0).endswith("0%  …")

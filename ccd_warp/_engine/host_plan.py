@@ -374,6 +374,11 @@ class HostPlan:
         section = "narrow phase, second round" if is_second else "narrow phase"
         self.play(section, lambda stages, recording: stages.bound(recording, is_second=is_second))
 
+    def some_keys(self, kind: PairKind, count: int, most: int) -> NDArray[np.int64]:
+        """Keys of at most ``most`` of the ``count`` pairs of a batch that the narrow phase has not marked yet."""
+        keys = self._recording.values[f"{kind.name} keys"][:count]
+        return keys[:: max(1, -(-count // most))].numpy()
+
     def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
         """The marked keys of the open pairs among the first ``count`` of a batch."""
         keys = self._recording.values[f"{kind.name} keys"][:count].numpy()

@@ -14,8 +14,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
+from ccd_warp._display import shortened
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
+from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.scene import half_up, length_scale_of
@@ -38,6 +40,8 @@ _WORTH_SHORTENING = 0.5
 # Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
+# Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
+_MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
 
 _T = TypeVar("_T")
@@ -263,7 +267,7 @@ class Step:
         for batch in self.timed_batches(batches):
             with self.timed("narrow phase"):
                 survivors.update(batch.found)
-                self.warn_of_overlaps(survivors.total())
+                self.warn_of_overlaps(survivors.total(), plan, batch.found)
                 plan.set_contacts(store.begin_batch(sum(batch.found.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
@@ -340,8 +344,11 @@ class Step:
             )
         self.counts = counts
 
-    def warn_of_overlaps(self, num_pairs: int) -> None:
-        """Warn once if so many pairs are left that parts of the scene seem to overlap."""
+    def warn_of_overlaps(self, num_pairs: int, plan: HostPlan, found: Mapping[PairKind, int]) -> None:
+        """Warn once if so many pairs are left that parts of the scene seem to overlap, and name the bodies.
+
+        ``found`` are the pairs of the last batch, whose keys the plan still has.
+        """
         mesh = self.mesh
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         if self.is_warned or num_pairs < _MANY_PAIRS or num_pairs < _MANY_PAIRS_EACH * primitives:
@@ -349,10 +356,26 @@ class Step:
         self.is_warned = True
         warnings.warn(
             f"{num_pairs:,} pairs of {primitives:,} primitives may touch, so parts of the scene seem to lie in each "
-            f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory",
+            f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
+            + ("" if mesh.num_bodies == 1 else f"; they are most often of {self._most_common_bodies(plan, found)}"),
             RuntimeWarning,
             stacklevel=_level_of_caller(),
         )
+
+    def _most_common_bodies(self, plan: HostPlan, found: Mapping[PairKind, int]) -> str:
+        """The two bodies, or the one, to which the most pairs of a batch belong, and the share of these in a sample."""
+        mesh, total = self.mesh, sum(found.values())
+        sample = []
+        for kind, count in found.items():
+            if count > 0:
+                keys = plan.some_keys(kind, count, max(1, _MOST_SAMPLED * count // total))
+                pairs = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
+                bodies = [mesh.vertex_body[corners[:, 0]] for corners in contact_corners(mesh, kind, pairs)]
+                sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
+        pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
+        a, b = pairs[np.argmax(counts)].tolist()
+        names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
+        return f"{names} ({100 * counts.max() / counts.sum():.0f} % of a sample)"
 
 
 def _level_of_caller() -> int:
