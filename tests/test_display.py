@@ -1,5 +1,8 @@
-"""What objects show in a session: a line or two each, however large they are, and tables in notebooks."""
+"""What objects show in a session: a line or two each, however large they are, tables in notebooks, and help."""
 
+import inspect
+import math
+import pydoc
 from xml.etree import ElementTree
 
 import numpy as np
@@ -92,3 +95,31 @@ def test_tables_for_notebooks_are_short_and_well_formed(public, name):
 def test_names_are_escaped_in_tables():
     mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])], names=["<script>"])
     assert "<script>" not in mesh._repr_html_() and "&lt;script&gt;" in mesh._repr_html_()
+
+
+def public_calls():
+    """Every public function, and every method and property of a public class, by its name."""
+    calls = {}
+    for module in (ccd, ccd.viz, ccd.datasets):
+        for name in module.__all__:
+            value = getattr(module, name)
+            if not inspect.isclass(value):
+                calls |= {name: value} if callable(value) else {}
+                continue
+            for part in dir(value):
+                if part == "__init__" or not part.startswith("_"):
+                    found = inspect.getattr_static(value, part)
+                    found = getattr(value, part) if isinstance(found, (classmethod, staticmethod)) else found
+                    calls |= {f"{name}.{part}": found} if callable(found) or isinstance(found, property) else {}
+    return calls
+
+
+def test_help_of_every_call_fits_on_a_screen_or_two():
+    calls = public_calls()
+    assert {"mesh_ccd", "CollisionPipeline.launch", "DeviceContacts.points", "render_step", "find_queries"} <= set(
+        calls
+    )
+    for name, call in calls.items():
+        text = pydoc.plain(pydoc.render_doc(call))
+        # lines as a terminal shows them that is 120 columns wide: a signature is one line of the text
+        assert sum(max(1, math.ceil(len(line) / 120)) for line in text.splitlines()) <= 80, name
