@@ -1,14 +1,21 @@
-"""The tests under every Python that pyproject.toml claims and that is found here: run `nox`.
+"""Checks under every Python that pyproject.toml claims and that is found here: `nox` runs all tests.
 
 Interpreters that are absent are skipped, and nox says so. What follows `--` goes to pytest: `nox -- -k bullet`.
 """
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import nox
 
 nox.needs_version = ">=2024.10"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
+nox.options.sessions = ["tests"]
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
+TESTS = Path(__file__).resolve().parent / "tests"
+# What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
+FEW = ["options", "mesh", "files", "read_frames"]
 
 
 @nox.session(python=PYTHONS)
@@ -16,3 +23,16 @@ def tests(session: nox.Session) -> None:
     """Install the package with what its tests need, as a user would, and run them."""
     session.install(".[test]")
     session.run("python", "-m", "pytest", *session.posargs)
+
+
+@nox.session(python=PYTHONS, reuse_venv=False)
+def users(session: nox.Session) -> None:
+    """Install a wheel and nothing else, act as three users in an empty folder, and run a few tests: `-- WHEEL`."""
+    if len(session.posargs) != 1:
+        session.error("expected the path of one wheel: nox --session users -- dist/NAME.whl")
+    session.install(str(Path(session.posargs[0]).resolve()))
+    # kernels are compiled anew, for it is this Python that reads their source
+    with TemporaryDirectory() as kernels, TemporaryDirectory() as empty, session.chdir(empty):
+        session.run("python", "-P", str(TESTS / "as_users.py"), env={"WARP_CACHE_PATH": kernels})
+    session.install("pytest", "hypothesis")
+    session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))

@@ -1,0 +1,243 @@
+"""Three users of an installed package, each with a program of their own; run by `.ci/run` and `nox`, not by pytest.
+
+One replaces ipc-toolkit's CCD in the line search of a cloth code, one has a loop on the device with a graph and arrays
+of Warp, NumPy and another library, one has STL and OBJ files and a command line. The environment holds the package and
+what it depends on, nothing else, and the current folder is empty: `python -P …/tests/as_users.py`.
+"""
+
+import json
+import pickle
+import re
+import subprocess
+import sysconfig
+import time
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import trimesh
+import warp as wp
+
+import ccd_warp as ccd
+
+BARE = {"ccd-warp", "numpy", "trimesh", "warp-lang", "pip", "setuptools"}
+_STIFFNESS, _BARRIER, _FRAMES, _ITERATIONS = 0.5, 1e-4, 20, 6
+COMMAND = Path(sysconfig.get_path("scripts"), "ccd-warp")
+
+
+def check_surroundings() -> None:
+    """The package is the installed one, in an environment and a folder without anything that could help it."""
+    assert Path(sysconfig.get_path("purelib")) in Path(ccd.__file__).parents, ccd.__file__
+    installed = {str(found.metadata["Name"]).lower().replace("_", "-") for found in metadata.distributions()}
+    assert installed <= BARE, f"more is installed than the package needs: {sorted(installed - BARE)}"
+    assert not list(Path.cwd().iterdir()), f"{Path.cwd()} is not empty"
+
+
+def sheet(cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """A square of two triangles a cell: vertices and faces."""
+    x, y = np.meshgrid(*[np.linspace(-0.5, 0.5, cells + 1)] * 2, indexing="ij")
+    low = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1, 1)
+    faces = np.concatenate([low + [0, cells + 1, 1], low + [1, cells + 1, cells + 2]])
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1), faces
+
+
+def run_cloth_code() -> str:
+    """A cloth of springs by implicit Euler falls on a ball; CCD and the step are those of this package."""
+    vertices, faces = sheet(12)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    bodies = [(vertices + [0, 0, 0.32], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"])
+    options: ccd.MeshOptions = {"minimum_separation": 1e-4, "start_gap_fraction": 0.2, "length_scale": 1.0}
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    i, j = mesh.edges[mesh.edges.max(axis=1) < len(vertices)].T
+    rest = np.linalg.norm(vertices[i] - vertices[j], axis=1)
+    moves = ~mesh.static[mesh.vertex_body, None]
+
+    def energy(x: np.ndarray, inertia: np.ndarray) -> tuple[float, np.ndarray]:
+        side = x[i] - x[j]
+        length = np.linalg.norm(side, axis=1)
+        gradient = x - inertia
+        pull = (_STIFFNESS * (length - rest) / length)[:, None] * side
+        np.add.at(gradient, i, pull)
+        np.add.at(gradient, j, -pull)
+        # the code's own response, a barrier around the ball
+        away = np.linalg.norm(x, axis=1, keepdims=True)
+        inside = np.clip((away - 0.3) / 0.02, 1e-9, 1.0)
+        barrier = -((inside - 1) ** 2) * np.log(inside)
+        gradient += -_BARRIER / 0.02 * (2 * (inside - 1) * np.log(inside) + (inside - 1) ** 2 / inside) * x / away
+        value = 0.5 * np.sum((x - inertia)[: len(vertices)] ** 2) + 0.5 * _STIFFNESS * np.sum((length - rest) ** 2)
+        return value + _BARRIER * np.sum(barrier[: len(vertices)]), gradient * moves
+
+    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
+    for _ in range(_FRAMES):
+        before, inertia = x, x + velocity - [0, 0, 0.005] * moves
+        for _ in range(_ITERATIONS):
+            value, gradient = energy(x, inertia)
+            direction = -gradient / (1 + 12 * _STIFFNESS)  # by a bound of the diagonal
+            step = pipeline.collision_free_step(x, x + direction)
+            bounded += step < 1
+            assert step > 0, "the line search is stuck"
+            while energy(x + step * direction, inertia)[0] > value and step > 1e-9:
+                step /= 2
+            assert ccd.is_step_collision_free(mesh, x, x + step * direction)
+            x = x + step * direction
+        velocity = 0.95 * (x - before)
+    lowest = np.linalg.norm(x[: len(vertices)], axis=1).min()
+    assert bounded and 0.3 < lowest < 0.32, (bounded, lowest)
+    assert ccd.mesh_ccd(mesh, x, x).first is None
+    down = x - [0, 0, 0.5] * moves
+    first = ccd.mesh_ccd(mesh, x, down).first
+    assert first is not None and first.toi > 0 and set(first.body_names) == {"cloth", "ball"}
+    assert 0.2 < np.linalg.norm(first.point) < 0.31
+    found = ccd.line_search(mesh, x, down, per="vertex")
+    assert ccd.is_step_collision_free(mesh, x, found.vertices)
+    again = pickle.loads(pickle.dumps(mesh))  # for the workers of a pool
+    assert ccd.mesh_ccd(again, x, down).toi == first.toi
+    try:
+        ccd.mesh_ccd(mesh, x, down, minimum_seperation=1e-4)  # type: ignore[call-arg]
+    except TypeError as error:
+        assert "minimum_separation" in str(error) and "\n" not in str(error)
+    else:
+        raise AssertionError("a misspelled option was accepted")
+    count = _FRAMES * _ITERATIONS
+    return f"{bounded} of {count} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
+
+
+class OfAnotherLibrary:
+    """An array that only speaks DLPack, as those of PyTorch, JAX and CuPy do."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values = values
+        self.shape, self.dtype = values.shape, values.dtype
+
+    def __dlpack__(self, **options: object) -> object:
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.values.__dlpack_device__()
+
+
+@wp.kernel
+def fall(x: wp.array[wp.vec3f], velocity: wp.array[wp.vec3f], dt: float, wished: wp.array[wp.vec3f]):
+    i = wp.tid()
+    velocity[i] += dt * wp.vec3f(0.0, 0.0, -9.81)
+    wished[i] = x[i] + dt * velocity[i]
+
+
+@wp.kernel
+def respond(
+    wished: wp.array[wp.vec3f],
+    count: wp.array[wp.int32],
+    bodies: wp.array[wp.vec2i],
+    points: wp.array[wp.vec3d],
+    order: wp.array[wp.int32],
+    dt: float,
+    x: wp.array[wp.vec3f],
+    velocity: wp.array[wp.vec3f],
+    first: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    velocity[i] = (wished[i] - x[i]) / dt
+    x[i] = wished[i]
+    if i == 0 and count[0] > 0:
+        first[0] = points[order[0]]
+        first[1] = wp.vec3d(wp.float64(bodies[order[0]][0]), wp.float64(bodies[order[0]][1]), wp.float64(0.0))
+
+
+def run_loop_on_the_device() -> str:
+    """A cloth falls on a ball in a graph, with a line search, and the contacts of the free fall where they are."""
+    vertices, faces = sheet(12)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    bodies = [(vertices + [0.01, 0.02, 0.5], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1])
+    start = mesh.vertices.astype(np.float32)
+    pipeline, probe = (ccd.CollisionPipeline(mesh, length_scale=1.0) for _ in range(2))
+    x, wished = wp.array(start, dtype=wp.vec3f), wp.array(start, dtype=wp.vec3f)
+    velocity, first = wp.zeros_like(x), wp.zeros(2, dtype=wp.vec3d)
+    contacts = probe.launch(x, wished).contacts
+
+    def step(dt: float = 0.03) -> None:
+        wp.launch(fall, dim=len(vertices), inputs=[x, velocity, dt], outputs=[wished])
+        probe.launch(x, wished)
+        places = [contacts.count, contacts.bodies, contacts.points, contacts.order_by_toi()]
+        pipeline.launch_line_search(x, wished, per="body", safety=0.99)
+        wp.launch(respond, dim=len(vertices), inputs=[wished, *places, dt], outputs=[x, velocity, first])
+
+    step()
+    with wp.ScopedCapture() as capture:
+        step()
+    for _ in range(30):
+        wp.capture_launch(capture.graph)
+    height = float(x.numpy()[: len(vertices), 2].min())
+    point, pair = first.numpy()
+    assert 0.3 < height < 0.31, height
+    assert abs(np.linalg.norm(point) - 0.3) < 1e-2 and set(pair[:2].tolist()) == {0.0, 1.0}
+
+    end = start.copy()
+    end[: len(vertices), 2] -= 1.0
+    results = []
+    device = wp.get_device()
+    kinds = [np.copy, OfAnotherLibrary] if device.is_cpu else []
+    for make in (lambda v: wp.array(v, dtype=wp.vec3f), *kinds):
+        result = probe.launch(make(start), make(end))
+        assert ccd.LaunchFlag(int(result.flags.numpy()[0])) == ccd.LaunchFlag(0)
+        results.append(result.to_host())
+        shared = np.from_dlpack(result.vertex_toi) if device.is_cpu else result.vertex_toi.numpy()
+        assert np.array_equal(shared, results[-1].vertex_toi)
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
+    for host in results:
+        assert host.toi == expected.toi and np.array_equal(host.contacts.points, expected.contacts.points)
+    return f"the cloth stops {height:.4f} above the middle of the ball; first contact of its fall: {point.round(3)}"
+
+
+def run_command(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run `ccd-warp` with these arguments."""
+    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+def run_on_files() -> str:
+    """A ball in STL flies through a wall in OBJ; the same from the command line and in Python."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    for name, x in (("t0", -1.0), ("t1", 1.0)):
+        trimesh.Trimesh(ball.vertices + [x, 0, 0], ball.faces).export(f"ball_{name}.stl")
+    wall = trimesh.creation.box(extents=(0.02, 2.0, 2.0))
+    wall.export("wall.obj")
+    done = run_command("run", "ball_t0.stl", "ball_t1.stl", "--static", "wall.obj", "--output", "result.json")
+    assert (done.returncode, done.stderr) == (0, ""), done
+    assert "wall" in done.stdout
+    frames = ccd.read_frames("ball_t0.stl", "ball_t1.stl", static=["wall.obj"])
+    result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
+    assert json.loads(Path("result.json").read_text(encoding="utf-8"))["toi"] == result.toi
+    # the tip at x = 0.1 - 1 meets the wall at x = -0.01 after 0.89 of a way of 2; STL holds single precision
+    assert abs(result.toi - 0.445) < 1e-6 and np.allclose(result.first.point, [-0.01, 0, 0], atol=1e-6)
+    assert frames.mesh.num_vertices == len(ball.vertices) + len(wall.vertices)
+
+    for wrong, says in (
+        (["run", "ball_t0.stl", "missing.stl"], "missing.stl"),
+        (["run", "ball_t0.stl", "wall.obj"], "save both frames in the same format"),
+        (["run", "ball_t0.stl", "ball_t1.stl", "--tolerence", "1"], "--tolerence"),
+        (["run", "ball_t0.stl", "ball_t1.stl", "--picture", "step.png"], "viz"),
+    ):
+        done = run_command(*wrong)
+        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done
+    done = run_command("--version")
+    assert done.stdout == f"ccd-warp {ccd.__version__}\n"
+    done = run_command("demo", "--output-dir", "demo")
+    assert done.returncode == 0 and len(list(Path("demo").iterdir())) > 4, done
+    toi = re.search(r"toi\D+([\d.]+)", done.stdout)
+    assert toi is not None
+    done = run_command("explore", "--output", "page.html", "--quiet")
+    assert done.returncode == 0 and Path("page.html").stat().st_size > 50_000, done
+    return f"the ball meets {result.first.body_names[1]} at t = {result.toi:.6f}"
+
+
+def main() -> None:
+    check_surroundings()
+    for user in (run_cloth_code, run_loop_on_the_device, run_on_files):
+        begin = time.perf_counter()
+        said = user()
+        print(f"{user.__name__}: {said} ({time.perf_counter() - begin:.1f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()
