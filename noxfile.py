@@ -15,7 +15,7 @@ nox.options.sessions = ["tests"]
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
-FEW = ["options", "mesh", "files", "read_frames"]
+FEW = ["options", "mesh", "files", "read_frames", "datasets"]
 
 
 @nox.session(python=PYTHONS)

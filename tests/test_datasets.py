@@ -368,10 +368,12 @@ def test_binary_file_is_refused(tmp_path):
         datasets.read_queries(path)
 
 
-def test_missing_file(tmp_path):
-    for options in ({}, {"progress": True}):
-        with pytest.raises(FileNotFoundError, match=r"0vf\.csv"):
-            datasets.read_queries(tmp_path / "0vf.csv", **options)
+@pytest.mark.parametrize("progress", [False, True])
+def test_missing_file(tmp_path, progress):
+    if progress:
+        pytest.importorskip("tqdm")
+    with pytest.raises(FileNotFoundError, match=r"0vf\.csv"):
+        datasets.read_queries(tmp_path / "0vf.csv", progress=progress)
 
 
 # ---- Progress --------------------------------------------------------------------------------------------------------
