@@ -12,8 +12,6 @@ from ccd_warp._results import DeviceContacts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels import contact_place as kernels
 
-Positions = tuple[wp.array, wp.array]
-
 
 class ContactArrays:
     """Arrays with a row for each contact that the list has capacity for; one is made when it is first asked for.
@@ -40,7 +38,7 @@ class ContactArrays:
         """World of each contact, int32."""
         return self._filled("world", wp.int32, kernels.fill_world, self._topology.vertex_world)
 
-    def points(self, name: str, positions: Positions) -> wp.array:
+    def points(self, name: str, positions: tuple[wp.array, wp.array]) -> wp.array:
         """Points at toi, vec3d, in a step between positions of one precision, in an array of this name.
 
         The first array has a row for every vertex, the second for every vertex or for the moving ones alone; its rows
