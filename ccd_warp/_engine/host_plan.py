@@ -33,6 +33,7 @@ _GROWTH = 1.25
 _MOST_COPIED = 1 << 12
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
+_NONE = dict.fromkeys(PairKind, 0)
 _POSITIONS = ("vertices_t0", "vertices_t1")
 
 
@@ -142,13 +143,13 @@ class HostPlan:
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
-        self.num_searches = dict.fromkeys(PairKind, 0)
+        self.num_searches = dict(_NONE)
         self.num_batches = 0
         self.begin_candidates()
 
     def begin_candidates(self) -> None:
         """Count the candidates of the next search."""
-        self.num_candidates = dict.fromkeys(PairKind, 0)
+        self.num_candidates = dict(_NONE)
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""

@@ -5,7 +5,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import TypeVar
 
@@ -45,6 +45,19 @@ _MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
 
 _T = TypeVar("_T")
+
+
+class _Timer:
+    """Adds the time of its block to that of a stage."""
+
+    def __init__(self, timings: dict[str, float], stage: str) -> None:
+        self._timings, self._stage = timings, stage
+
+    def __enter__(self) -> None:
+        self._begin = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._timings[self._stage] = self._timings.get(self._stage, 0.0) + time.perf_counter() - self._begin
 
 
 class Step:
@@ -92,27 +105,25 @@ class Step:
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
         mesh = self.mesh
-        if mesh.num_bodies == 1 or mesh.num_worlds > 1 or mesh.self_collision[~mesh.static].all():
+        if not self.topology.may_have_inactive_bodies:
             return None
         near = bodies_near(self.topology, self.positions, self.inflation, self.execution)
         self._num_active_bodies = int((near | mesh.static).sum())
         return near
 
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
+    def timed(self, stage: str) -> "AbstractContextManager[None]":
         """Add the time of a stage; on CUDA by events, which are read once the result is available."""
+        return self._timed_by_events(stage) if self.topology.device.is_cuda else _Timer(self.timings, stage)
+
+    @contextmanager
+    def _timed_by_events(self, stage: str) -> Iterator[None]:
         device = self.topology.device
-        if device.is_cuda:
-            begin_event, end_event = (wp.Event(device, enable_timing=True) for _ in range(2))
-            stream = wp.get_stream(device)
-            stream.record_event(begin_event)
-            yield
-            stream.record_event(end_event)
-            self._events.append((stage, begin_event, end_event))
-            return
-        begin = time.perf_counter()
+        begin_event, end_event = (wp.Event(device, enable_timing=True) for _ in range(2))
+        stream = wp.get_stream(device)
+        stream.record_event(begin_event)
         yield
-        self.timings[stage] = self.timings.get(stage, 0.0) + time.perf_counter() - begin
+        stream.record_event(end_event)
+        self._events.append((stage, begin_event, end_event))
 
     def finish_timings(self) -> None:
         """Read the events of CUDA, and sum the stages."""

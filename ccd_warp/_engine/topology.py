@@ -120,6 +120,12 @@ class Topology:
         return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
 
     @lazy_property
+    def may_have_inactive_bodies(self) -> bool:
+        """Whether a body may be without a partner in a step: one that moves and does not collide with itself."""
+        mesh = self.mesh
+        return mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all()
+
+    @lazy_property
     def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
         mesh = self.mesh
