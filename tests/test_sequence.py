@@ -235,6 +235,22 @@ def test_pictures_of_a_sequence(ball, suffix):
         assert getattr(image, "n_frames", 1) == (9 if suffix == ".gif" else 1)
 
 
+def test_colour_of_few_pixels_stays_as_it_is(tmp_path):
+    """As the legend's colour of a body that another hides, in a picture of many shades of one colour."""
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    from PIL import Image
+
+    from ccd_warp.viz._animation import write_animation
+
+    shade = np.linspace(0.3, 1.0, 800 * 600).reshape(600, 800, 1)
+    image = (shade * [230.0, 170.0, 90.0] + np.arange(800)[:, None] % 9).astype(np.uint8)
+    image[580:592, 12:24] = 91, 135, 181
+    write_animation(tmp_path / "a.gif", [(image, False)])
+    with Image.open(tmp_path / "a.gif") as read:
+        found = np.asarray(read.convert("RGB"))[586, 18].astype(int)
+    assert np.abs(found - [91, 135, 181]).max() <= 16
+
+
 def test_picture_that_cannot_be_made_is_refused_before_the_work(ball, capfd, monkeypatch):
     pytest.importorskip("pyvista", reason="the extra viz is not installed")
     assert ".gif, .mp4, .png" in _refused(capfd, *_frames_of(ball), "--picture", ball / "a.webm")

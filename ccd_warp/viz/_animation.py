@@ -24,7 +24,7 @@ _SIZE, _SHORTER_SIDE, _ZOOM = (800, 600), 520, 2
 _MARGINS = (14, 40, 72)  # pixels at the sides, above for the title, below for the legend
 _PER_SECOND = 10
 _HELD = 4  # a contact is shown as long as this many frames
-_COLOURS = 128
+_COLOURS = 256
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 _BEYOND = 1.08  # between these directions a ball reaches so much farther
 
@@ -175,7 +175,8 @@ def _write_gif(path: Path, images: Iterable[tuple[NDArray[np.uint8], bool]]) -> 
     durations: list[int] = []
     pictures: list[Any] = []
     for image, is_held in images:
-        pictures.append(Image.fromarray(image).quantize(_COLOURS))  # a third of the memory of the image
+        # By octree, which keeps a colour that few pixels have, as one of the legend; a third of the image's memory.
+        pictures.append(Image.fromarray(image).quantize(_COLOURS, Image.Quantize.FASTOCTREE))
         durations.append(1000 // _PER_SECOND * (_HELD if is_held else 1))
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations, loop=0)
 
