@@ -19,11 +19,12 @@ class Frames:
     """A step read from files.
 
     Attributes:
-        mesh: The bodies, called by the names of their files: first the one that moves, then the static ones.
+        mesh: The bodies, called by the names of their files, objects or nodes: first those that move, then the static
+            ones.
         vertices_t0: Start positions, float64, in the files' length unit, shape [V, 3].
         vertices_t1: End positions, shape [V, 3]; static bodies are where they were.
         source_index: Index of each vertex in its file, the first one of merged vertices, int64, shape [V].
-        num_merged: Number of vertices of each file that were merged into others, int64, shape [B].
+        num_merged: Number of vertices of each body that were merged into others, int64, shape [B].
     """
 
     mesh: CollisionMesh
@@ -52,6 +53,9 @@ def read_frames(
     positions in ``start_path``, which ``end_path`` must agree with; copies of a vertex that GLB makes at a seam are
     merged where they coincide at both ends.
 
+    Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
+    share a vertex are one. A file that holds one body gives it its own name.
+
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces in the same order.
@@ -70,11 +74,12 @@ def read_frames(
     """
     start, end = check_path("start_path", start_path), check_path("end_path", end_path)
     paths = [check_path("static", path) for path in check_items("static", static, "a list of paths")]
-    bodies = [files.read_frames(start, end, max_bytes=max_bytes)]
-    bodies += [files.read_static(path, max_bytes=max_bytes) for path in paths]
+    read = [files.read_frames(start, end, max_bytes=max_bytes)]
+    read += [files.read_static(path, max_bytes=max_bytes) for path in paths]
+    bodies = [body for file in read for body in file.split()]
     mesh = CollisionMesh.from_arrays(
         [(body.vertices_t0, body.faces) for body in bodies],
-        static=range(1, len(bodies)),
+        static=[b for b, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
         names=distinct_names([body.name for body in bodies]),
     )

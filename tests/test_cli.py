@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -15,6 +16,7 @@ from published import DATA, requires_data, simulation_boxes, simulation_queries,
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
 from ccd_warp._files.frames import read_frames, read_static, write_mesh
+from ccd_warp._input.options import Options
 
 # A ball of radius 0.5 comes down five units onto a box whose top is at z = 0; it touches after 1.5 units.
 EXACT_TOI = 0.3
@@ -36,13 +38,13 @@ def _run(scene, *options):
 
 
 def _expected(scene, **options):
-    """The same run through the Python interface."""
+    """The same run through the Python interface, with the length scale of the bodies at the start."""
     bodies = [read_frames(scene / "start.ply", scene / "end.ply"), read_static(scene / "floor.ply")]
     mesh = ccd.CollisionMesh.from_trimesh(
         [trimesh.Trimesh(body.vertices_t0, body.faces, process=False) for body in bodies], static=[1]
     )
     frames = [np.vstack([getattr(body, end) for body in bodies]) for end in ("vertices_t0", "vertices_t1")]
-    return mesh, ccd.mesh_ccd(mesh, *frames, **options)
+    return mesh, ccd.mesh_ccd(mesh, *frames, length_scale=float(np.ptp(mesh.vertices, axis=0).max()), **options)
 
 
 def _refused(capfd, *arguments) -> str:
@@ -57,6 +59,8 @@ def _refused(capfd, *arguments) -> str:
 
 def test_report_names_bodies_toi_counts_and_stages(scene, capfd):
     assert _run(scene, "--static", scene / "floor.ply") == 0
+    assert "candidates" not in capfd.readouterr().out
+    assert _run(scene, "--static", scene / "floor.ply", "--verbose") == 0
     captured = capfd.readouterr()
     assert captured.err == ""
     _, result = _expected(scene)
@@ -86,8 +90,14 @@ def test_quiet_prints_nothing(scene, capfd):
 
 def test_any_number_of_obstacles(scene, capfd):
     write_mesh(scene / "far.ply", np.eye(3) + 50.0, np.array([[0, 1, 2]]))
-    assert _run(scene, "--static", scene / "far.ply", scene / "floor.ply", "--static", scene / "far.ply") == 0
-    assert capfd.readouterr().out.count("far.ply") == 2
+    """One a time, before the frames or after them; a second of the same name is told apart."""
+    obstacles = ["--static", str(scene / "far.ply"), "--static", str(scene / "floor.ply")]
+    after = ["--static", str(scene / "far.ply")]
+    assert main(["run", *obstacles, str(scene / "start.ply"), str(scene / "end.ply"), *after]) == 0
+    out = capfd.readouterr().out
+    assert "\n  far.ply      static" in out and "\n  far.ply (2)  static" in out
+    # Two files after one --static would be taken for frames.
+    assert "--help" in _refused(capfd, "run", scene / "start.ply", scene / "end.ply", "--static", "a.ply", "b.ply")
 
 
 def test_npz_holds_the_result_bit_for_bit(scene, capfd):
@@ -145,6 +155,150 @@ def test_csv_comes_as_contacts_and_vertices(scene, capfd):
     assert [float(row["toi"]) for row in rows] == result.vertex_toi.tolist()
 
 
+def test_standard_output_takes_the_json_alone(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--output", "-") == 0
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["toi"] == _expected(scene)[1].toi
+    assert captured.err.startswith("ccd-warp ") and "first contact" in captured.err
+    assert _run(scene, "--output", "-", "--quiet") == 0
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["toi"] is None and captured.err == ""
+
+
+def test_exit_status_tells_a_script_of_a_contact(scene):
+    assert _run(scene, "--static", scene / "floor.ply", "--fail-on-contact", "--quiet") == 1
+    assert _run(scene, "--fail-on-contact", "--quiet") == 0
+
+
+def test_every_format_says_where_the_first_contact_is_and_of_which_bodies(scene, capfd):
+    """By ascending toi, with numbers within the bodies, and all that is needed to understand the numbers."""
+    mesh, result = _expected(scene)
+    for suffix in ("csv", "json", "npz"):
+        output = ["--output", scene / f"out.{suffix}"]
+        assert _run(scene, "--static", scene / "floor.ply", *output, "--minimum-separation", "0") == 0
+    report = capfd.readouterr().out
+    first = result.first
+    point = first.point.tolist()
+    assert f"at ({', '.join(f'{x + 0.0:.6g}' for x in point)})" in report
+    data = json.loads((scene / "out.json").read_text())
+    with (scene / "out.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with np.load(scene / "out.npz") as file:
+        arrays = dict(file)
+    for tois in ([float(row["toi"]) for row in rows], [row["toi"] for row in data["contacts"]], arrays["contact_toi"]):
+        assert np.array_equal(tois, np.sort(result.contacts.toi))
+    assert [float(rows[0][axis]) for axis in "xyz"] == data["contacts"][0]["point"] == point
+    assert arrays["contact_point"][0].tolist() == point
+    in_body = ["start.ply" if body == 0 else "floor.ply" for body in first.bodies]
+    assert [rows[0]["body_0"], rows[0]["body_1"]] == data["contacts"][0]["bodies"] == in_body
+    assert arrays["body_name"][arrays["contact_bodies"][0]].tolist() == in_body
+    # The box has 12 faces, 8 vertices and 18 edges, whatever their numbers are behind those of the ball.
+    for row in data["contacts"]:
+        for side, name in enumerate(row["bodies"]):
+            if name == "floor.ply":
+                kind = row["kind"]
+                size = 18 if kind == "edge_edge" else (8, 12)[side]
+                assert 0 <= row["primitives_in_body"][side] < size
+        first_vertex = mesh.body_vertex_range[mesh.vertex_body[row["vertices"]]]
+        assert np.array_equal(row["vertices_in_body"] + first_vertex, row["vertices"])
+    kinds = {"vertex_face": 0, "edge_edge": 1, "point_segment": 2, "point_point": 3}
+    options = json.loads(str(arrays["options"]))
+    assert data["version"] == str(arrays["version"]) == ccd.__version__
+    assert data["options"] == options and options["minimum_separation"] == 0.0 and options["length_scale"] > 0
+    assert options.keys() == ccd.MeshOptions.__optional_keys__
+    assert data["kinds"] == kinds and arrays["kind_name"].tolist() == list(kinds)
+    assert data["units"]["length"] == json.loads(str(arrays["units"]))["length"] == "that of the files"
+
+
+def test_a_face_is_numbered_within_its_body(tmp_path, capfd):
+    """The third face of an obstacle that comes after a body of many faces."""
+    floor = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    floors = np.vstack([floor - [9.0, 0, 0], floor - [6.0, 0, 0], floor])
+    write_mesh(tmp_path / "floor.ply", floors, np.arange(9).reshape(-1, 3))
+    drop = np.array([[0.2, 0.2, 1.0], [0.25, 0.2, 2.0], [0.2, 0.25, 2.0]])
+    write_mesh(tmp_path / "start.ply", drop, [[0, 1, 2]])
+    write_mesh(tmp_path / "end.ply", drop - [0, 0, 1.5], [[0, 1, 2]])
+    assert _run(tmp_path, "--static", tmp_path / "floor.ply") == 0
+    out = capfd.readouterr().out
+    assert "first contact  vertex 0 of start.ply and face 2 of floor.ply\n               at (0.2, 0.2, " in out
+
+
+def test_a_start_in_contact_is_said_in_a_sentence(tmp_path, capfd):
+    floor = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    write_mesh(tmp_path / "floor.ply", floor, [[0, 1, 2]])
+    drop = np.array([[0.2, 0.2, 0.0], [0.25, 0.2, 2.0], [0.2, 0.25, 2.0]])
+    write_mesh(tmp_path / "start.ply", drop, [[0, 1, 2]])
+    write_mesh(tmp_path / "end.ply", drop - [0, 0, 0.1], [[0, 1, 2]])
+    assert _run(tmp_path, "--static", tmp_path / "floor.ply", "--pair-kinds", "vertex-face") == 0
+    sentence = "1 pair is in contact at the start already, with toi 0: 1 of start.ply and floor.ply"
+    assert f"at the start  {sentence}\n" in capfd.readouterr().out
+
+
+def test_report_gives_the_lengths_in_the_unit_of_the_files(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--minimum-separation", "0.01", "--tolerance", "1e-3") == 0
+    lines = [" ".join(line.split()) for line in capfd.readouterr().out.splitlines()]
+    # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
+    assert "extents at the start 4 x 4 x 3.5" in lines and "largest displacement 5" in lines
+    assert "length scale 4" in lines and "tolerance 0.004" in lines and "minimum separation 0.04" in lines
+    assert _run(scene, "--minimum-separation", "0.01", "--length-scale", "2") == 0
+    lines = [" ".join(line.split()) for line in capfd.readouterr().out.splitlines()]
+    assert "length scale 2" in lines and "minimum separation 0.02" in lines
+
+
+def test_no_report_is_certain_of_surfaces_that_cross_at_the_start(tmp_path, capfd):
+    """An edge through the inside of a face, and both at rest: no contact in CCD, which the report says."""
+    face = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    write_mesh(tmp_path / "start.ply", face, faces)
+    write_mesh(tmp_path / "end.ply", face, faces)
+    assert _run(tmp_path) == 0
+    out = capfd.readouterr().out
+    assert "scene toi  none   (certain for the pairs looked at: " in out
+    assert "not seen  surfaces that cross, or lie one inside the other, at the start already" in out
+
+
+def test_frames_in_different_units_are_warned_of(scene, capfd):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    write_mesh(scene / "end.ply", 1000.0 * ball.vertices, ball.faces)
+    assert _run(scene) == 0
+    error = capfd.readouterr().err
+    assert error.startswith(
+        "ccd-warp: warning: the bodies that move are 1 long at the start and 1000 at the end of the"
+    )
+    assert error.count("\n") == 1
+    assert _run(scene, "--quiet") == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_rotation_that_shrinks_edges_is_warned_of(scene, capfd):
+    """Half a turn moves every vertex through the middle; an eighth of one leaves edges nine tenths of their length."""
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
+    for angle, is_odd in ((np.pi, True), (np.pi / 4, False)):
+        turn = trimesh.transformations.rotation_matrix(angle, [0.3, 0.2, 1.0])[:3, :3]
+        write_mesh(scene / "start.ply", ball.vertices, ball.faces)
+        write_mesh(scene / "end.ply", ball.vertices @ turn.T, ball.faces)
+        assert _run(scene) == 0
+        error = capfd.readouterr().err
+        assert ("edges shrink to a tenth or less within the step" in error) == is_odd
+        assert ("take smaller steps" in error) == is_odd
+
+
+def test_defaults_and_choices_in_the_help_are_those_of_the_library(capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    # Each option is in one line, or in two where its name is long.
+    text = re.sub(r"\n {20,}", " ", capfd.readouterr().out)
+    lines = {line.split()[0]: line for line in text.splitlines() if line.strip().startswith("--")}
+    options = Options()
+    for name in ("tolerance", "minimum_separation", "t_max", "max_iterations", "max_work", "precision", "method"):
+        default = getattr(options, name)
+        shown = f"({default:g})" if isinstance(default, float) else f"({default})"
+        assert lines[f"--{name.replace('_', '-')}"].endswith(shown)
+    assert "length that tolerance and minimum separation are multiples of" in lines["--length-scale"]
+    assert "{float64,float32}" in lines["--precision"] and "{clipping,bisection}" in lines["--method"]
+
+
 def test_json_of_a_run_without_contacts(scene):
     assert _run(scene, "--output", scene / "out.json", "--quiet") == 0
     data = json.loads((scene / "out.json").read_text())
@@ -153,7 +307,8 @@ def test_json_of_a_run_without_contacts(scene):
 
 def test_options_reach_the_library(scene, capfd):
     assert _run(scene, "--static", scene / "floor.ply", "--t-max", "0.25") == 0
-    assert "scene toi  none   (certain: nothing touches in [0, 0.25])" in capfd.readouterr().out
+    out = capfd.readouterr().out
+    assert "scene toi  none   (certain for the pairs looked at: vertex-face and edge-edge, in [0, 0.25])" in out
     options = ["--minimum-separation", "0.01", "--length-scale", "1", "--tolerance", "1e-9", "--num-threads", "1"]
     assert _run(scene, "--static", scene / "floor.ply", *options, "--output", scene / "out.json", "--quiet") == 0
     toi = json.loads((scene / "out.json").read_text())["toi"]
@@ -163,9 +318,10 @@ def test_options_reach_the_library(scene, capfd):
 
 def test_kinds_and_memory_limit_reach_the_library(scene, capfd):
     arguments = ("--static", scene / "floor.ply", "--pair-kinds", "edge-edge", "--memory-limit", "64000000")
-    assert _run(scene, *arguments) == 0
+    assert _run(scene, *arguments, "--verbose") == 0
     out = capfd.readouterr().out
-    assert "edge-edge candidates" in out and "vertex-face" not in out
+    assert "edge-edge candidates" in out and "vertex-face candidates" not in out
+    assert "left out  vertex-face pairs (--pair-kinds); pairs of static bodies; pairs that share a vertex" in out
     arguments = ("run", scene / "start.ply", scene / "end.ply", "--static", scene / "floor.ply", "--memory-limit", "9")
     assert "memory_limit is 9 bytes; expected at least" in _refused(capfd, *arguments)
 
@@ -214,6 +370,7 @@ def test_missing_file_is_refused(scene, capfd):
         (("--device", "abacus"), "device"),
         (("--num-threads", "0"), "num_threads"),
         (("--pair-kinds", "face-face"), "pair_kinds"),
+        (("--pair-kinds", "point-point"), "point-point, which these bodies cannot form"),
         (("--memory-limit", "0"), "memory_limit"),
         (("--output", "result.txt"), ".npz, .json, .csv"),
         (("--output", "no_such_folder/result.npz"), "does not exist"),
@@ -230,7 +387,8 @@ def test_incomplete_command_lines_are_refused_in_one_line(capfd, arguments):
 
 
 @pytest.mark.parametrize(
-    "arguments", [("--help",), ("run", "--help"), ("demo", "--help"), ("explore", "--help"), ("--version",)]
+    "arguments",
+    [("--help",), *((name, "--help") for name in ("run", "sequence", "demo", "explore", "bench")), ("--version",)],
 )
 def test_help_and_version_end_well(capfd, arguments):
     with pytest.raises(SystemExit) as ended:

@@ -61,10 +61,10 @@ def triangles_in_a_plane(tmp_path):
     return write
 
 
-def at_terminal(arguments, *, stop_at=None, overlaps=10**6):
+def at_terminal(arguments, *, stop_at=None, overlaps=10**6, name="run"):
     """Status and what stderr, a terminal, was sent; Ctrl-C is pressed as soon as it shows some words."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-P", "-c", _RUN.format(overlaps=overlaps), "run", *arguments, "--device", "cpu"]
+    command = [sys.executable, "-P", "-c", _RUN.format(overlaps=overlaps), name, *arguments, "--device", "cpu"]
     process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
     os.close(theirs)
     shown, end = b"", time.monotonic() + _PATIENCE
@@ -107,6 +107,14 @@ def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangle
     status, shown = at_terminal(triangles_in_a_plane(800))
     assert status == 0
     assert "narrow phase  [" in shown
+    assert screen_of(shown) == []
+
+
+def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
+    frames = [*triangles_in_a_plane(300), *triangles_in_a_plane(300)]
+    status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
+    assert status == 0
+    assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown
     assert screen_of(shown) == []
 
 

@@ -236,7 +236,7 @@ _OFF = OFF.decode()
         ("a.stl", _STL.replace("vertex 1 0 0", "vertex 1 0 x"), "line 5 holds 'x'; expected a number"),
         ("a.stl", _STL + "facet", "line 10 begins with 'facet'; expected solid"),
         ("a.stl", _STL.replace("solid\nfacet", "solid\nendsolid\nfacet"), "line 3 begins with 'facet'; expected solid"),
-        ("a.vtk", "# vtk DataFile Version 3.0\n", "files that end in '.vtk' are not read; save it as PLY"),
+        ("a.msh", "$MeshFormat\n", "files that end in '.msh' are not read; save it as PLY"),
     ],
 )
 def test_malformed_content_is_named(tmp_path, name, text, message):
@@ -465,9 +465,9 @@ def test_file_names_reach_the_terminal_without_their_escape_codes(falling, capfd
     assert "\x1b" not in captured.out and "\x07" not in captured.out and "\x9b" not in captured.out
     assert captured.out.count(_SHOWN) == 2  # in the table and in the first contact
     assert r"a\x1b[2J.json" in captured.out
-    # What is written is the name itself.
+    # A body has one name, which everything that is written calls it by.
     data = json.loads((falling / "a\x1b[2J.json").read_text())
-    assert [body["name"] for body in data["bodies"]] == ["start.ply", _HOSTILE]
+    assert [body["name"] for body in data["bodies"]] == ["start.ply", _SHOWN]
 
 
 @pytest.mark.parametrize("content", [b"not a mesh", _FLOORS["floor.ply"][:-9], None])

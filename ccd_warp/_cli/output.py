@@ -1,44 +1,62 @@
-"""Write the results of a run as NPZ, JSON or CSV."""
+"""Write the result of a step as NPZ, JSON or CSV; ``docs/command_line.md`` describes what they hold."""
 
 import csv
 import json
+import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ccd_warp._engine.contact_corners import contact_vertices
-from ccd_warp._files.frames import Body, InputError
-
-if TYPE_CHECKING:
-    from ccd_warp._results import Counts
-    from ccd_warp._status import PairKind
+from ccd_warp._cli.places import ContactTable
+from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._files.frames import InputError
+from ccd_warp._input.options import Options
+from ccd_warp._results import Counts
+from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._version import __version__
 
 RESULT_SUFFIXES = (".npz", ".json", ".csv")
+STDOUT = Path("-")
+UNITS = {"length": "that of the files", "toi": "fraction of the step", "seconds": "s"}
+
+CONTACT_COLUMNS = (
+    *("toi", "kind", "body_0", "body_1", "x", "y", "z", "primitive_0", "primitive_1"),
+    *("vertex_0", "vertex_1", "vertex_2", "vertex_3", "u", "v", "normal_x", "normal_y", "normal_z"),
+    *("status", "gap", "width", "mesh_primitive_0", "mesh_primitive_1"),
+)
+VERTEX_COLUMNS = ("body", "vertex", "toi", "source_vertex", "mesh_vertex")
 
 
 def check_output_path(path: Path) -> None:
-    """Reject a result file that cannot be written, before the computation."""
+    """Refuse a result file that cannot be written, before the computation."""
+    if path == STDOUT:
+        return
     if path.suffix.lower() not in RESULT_SUFFIXES:
-        raise InputError(f"--output {path}: the name must end in {', '.join(RESULT_SUFFIXES)}")
+        raise InputError(f"--output {path}: the name must end in {', '.join(RESULT_SUFFIXES)}, or be - alone")
     if not path.parent.is_dir():
         raise InputError(f"--output {path}: the folder {path.parent} does not exist; create it first")
 
 
-def write_result(path: Path, bodies: list[Body], mesh, result) -> list[Path]:
-    """Write a run's result: contacts, and the toi of every vertex, of every body and of the scene.
+def make_folder(folder: Path, option: str) -> None:
+    """Make a folder to write to, if it does not exist."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option} {folder}: cannot create it ({error.strerror or error})") from error
 
-    Vertices and faces are numbered consecutively over all bodies in their order, and edges as in
-    ``CollisionMesh.edges``. Floats are written so that they read back bit for bit; "no collision" is ``inf``, and null
-    in JSON, which has no infinity.
+
+def write_result(path: Path, step: SolvedStep) -> list[Path]:
+    """Write the result of a step: contacts by ascending toi, and the toi of every vertex, body and of the scene.
+
+    Floats are written so that they read back bit for bit; "no collision" is ``inf``, and null in JSON, which has no
+    infinity.
 
     Args:
         path: ``.npz`` (everything), ``.json`` (all but the mesh) or ``.csv`` (contacts; the vertices' toi go to a
-            second file whose name ends in ``_vertices.csv``).
-        bodies: The scene.
-        mesh: Its ``CollisionMesh``.
-        result: The result of ``mesh_ccd``.
+            second file whose name ends in ``_vertices.csv``); ``-`` is JSON on standard output.
+        step: The step.
 
     Returns:
         The files written.
@@ -46,119 +64,160 @@ def write_result(path: Path, bodies: list[Body], mesh, result) -> list[Path]:
     Raises:
         InputError: If a file cannot be written.
     """
+    table = ContactTable.of(step.mesh, step.result.contacts)
     try:
         match path.suffix.lower():
+            case _ if path == STDOUT:
+                sys.stdout.write(_json(step, table))
+                return []
             case ".npz":
-                _write_npz(path, bodies, mesh, result)
+                _write_npz(path, step, table)
                 return [path]
             case ".json":
-                _write_json(path, bodies, mesh, result)
+                path.write_text(_json(step, table), encoding="utf-8")
                 return [path]
             case ".csv":
-                return _write_csv(path, mesh, result)
+                return _write_csv(path, step, table)
             case _:
                 raise InputError(f"{path}: the name must end in {', '.join(RESULT_SUFFIXES)}")
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
 
-def _write_npz(path: Path, bodies: list[Body], mesh, result) -> None:
-    contacts = result.contacts
-    arrays: dict[str, Any] = {
-        "toi": np.float64(result.toi),
-        "vertex_toi": np.asarray(result.vertex_toi),
-        "body_toi": np.asarray(result.body_toi),
-        "body_name": np.array([body.name for body in bodies]),
-        "body_first_vertex": np.cumsum([0] + [len(body.vertices_t0) for body in bodies])[:-1],
-        "vertex_source_index": np.concatenate([body.source_index for body in bodies]),
-        "faces": np.asarray(mesh.faces),
-        "edges": np.asarray(mesh.edges),
-        "contact_kind": np.asarray(contacts.kind),
-        "contact_primitives": np.asarray(contacts.primitives),
-        "contact_vertices": contact_vertices(mesh, contacts).astype(np.int64),
-        "contact_toi": np.asarray(contacts.toi),
-        "contact_parameters": np.asarray(contacts.parameters),
-        "contact_normal": np.asarray(contacts.normal),
-        "contact_status": np.asarray(contacts.status),
-        "contact_gap": np.asarray(contacts.gap),
-        "contact_width": np.asarray(contacts.width),
-    }
-    with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
-        np.savez_compressed(file, **arrays)
+def plain_options(options: Options) -> dict[str, Any]:
+    """Options as JSON holds them, kinds of pairs by name."""
+    plain = {field.name: getattr(options, field.name) for field in fields(options)}
+    plain["pair_kinds"] = None if options.pair_kinds is None else [kind.name.lower() for kind in options.kinds]
+    plain["device"] = None if options.device is None else str(options.device)
+    return plain
 
 
-_CONTACT_FIELDS = ("kind", "primitives", "vertices", "toi", "parameters", "normal", "status", "gap", "width")
-
-
-def _contact_rows(mesh, contacts) -> list[dict[str, Any]]:
-    """The contacts as plain Python values, the enumerations by name."""
-    from ccd_warp._status import CCDStatus, PairKind
-
-    columns = (
-        [PairKind(int(kind)).name.lower() for kind in np.asarray(contacts.kind)],
-        np.asarray(contacts.primitives).tolist(),
-        contact_vertices(mesh, contacts).tolist(),
-        np.asarray(contacts.toi).tolist(),
-        np.asarray(contacts.parameters).tolist(),
-        np.asarray(contacts.normal).tolist(),
-        [CCDStatus(int(status)).name.lower() for status in np.asarray(contacts.status)],
-        np.asarray(contacts.gap).tolist(),
-        np.asarray(contacts.width).tolist(),
-    )
-    return [dict(zip(_CONTACT_FIELDS, row, strict=True)) for row in zip(*columns, strict=True)]
-
-
-def plain_counts(counts: "Counts") -> dict[str, int | dict[str, int]]:
+def plain_counts(counts: Counts) -> dict[str, int | dict[str, int]]:
     """Counts as JSON holds them, kinds of pairs by name."""
 
-    def plain(value: int | dict["PairKind", int]) -> int | dict[str, int]:
+    def plain(value: int | dict[PairKind, int]) -> int | dict[str, int]:
         return {kind.name.lower(): n for kind, n in value.items()} if isinstance(value, dict) else value
 
     return {field.name: plain(getattr(counts, field.name)) for field in fields(counts)}
 
 
-def _write_json(path: Path, bodies: list[Body], mesh, result) -> None:
-    def finite_or_none(value):
-        return float(value) if np.isfinite(value) else None
+def finite_or_none(value: float) -> float | None:
+    """A number, None where it is infinite."""
+    return float(value) if np.isfinite(value) else None
 
-    first = np.cumsum([0] + [len(body.vertices_t0) for body in bodies])
+
+def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
+    mesh, result, contacts = step.mesh, step.result, table.contacts
+    arrays: dict[str, Any] = {
+        "version": np.array(__version__),
+        "options": np.array(json.dumps(plain_options(step.options))),
+        "units": np.array(json.dumps(UNITS)),
+        "kind_name": np.array([kind.name.lower() for kind in PairKind]),
+        "status_name": np.array([status.name.lower() for status in CCDStatus]),
+        "toi": np.float64(result.toi),
+        "vertex_toi": np.asarray(result.vertex_toi),
+        "body_toi": np.asarray(result.body_toi),
+        "body_name": np.array(mesh.names),
+        "body_static": mesh.static,
+        "body_first_vertex": mesh.body_vertex_range[:-1].astype(np.int64),
+        "vertex_body": mesh.vertex_body,
+        "vertex_source_index": np.concatenate([body.source_index for body in step.bodies]),
+        "faces": mesh.faces,
+        "edges": mesh.edges,
+        "contact_kind": contacts.kind,
+        "contact_bodies": contacts.bodies,
+        "contact_point": contacts.points,
+        "contact_primitives": contacts.primitives,
+        "contact_vertices": contacts.vertices.astype(np.int64),
+        "contact_primitives_in_body": table.primitives,
+        "contact_vertices_in_body": table.vertices,
+        "contact_toi": contacts.toi,
+        "contact_parameters": contacts.parameters,
+        "contact_normal": contacts.normal,
+        "contact_status": contacts.status,
+        "contact_gap": contacts.gap,
+        "contact_width": contacts.width,
+    }
+    with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
+        np.savez_compressed(file, **arrays)
+
+
+_CONTACT_FIELDS = (
+    *("toi", "kind", "bodies", "point", "primitives", "vertices", "primitives_in_body", "vertices_in_body"),
+    *("parameters", "normal", "status", "gap", "width"),
+)
+
+
+def contact_rows(table: ContactTable) -> list[dict[str, Any]]:
+    """The contacts by ascending toi as plain Python values, bodies and enumerations by name."""
+    contacts = table.contacts
+    columns = (
+        contacts.toi.tolist(),
+        [kind.name.lower() for kind in table.kinds],
+        [list(names) for names in table.body_names],
+        contacts.points.tolist(),
+        contacts.primitives.tolist(),
+        contacts.vertices.tolist(),
+        table.primitives.tolist(),
+        table.vertices.tolist(),
+        contacts.parameters.tolist(),
+        contacts.normal.tolist(),
+        [CCDStatus(status).name.lower() for status in contacts.status.tolist()],
+        contacts.gap.tolist(),
+        contacts.width.tolist(),
+    )
+    return [dict(zip(_CONTACT_FIELDS, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _json(step: SolvedStep, table: ContactTable) -> str:
+    mesh, result = step.mesh, step.result
     data = {
+        "version": __version__,
+        "options": plain_options(step.options),
+        "units": UNITS,
+        "kinds": {kind.name.lower(): int(kind) for kind in PairKind},
         "toi": finite_or_none(result.toi),
         "bodies": [
             {
-                "name": body.name,
+                "name": name,
                 "static": body.is_static,
-                "first_vertex": int(first[k]),
+                "first_vertex": int(mesh.body_vertex_range[k]),
                 "vertices": len(body.vertices_t0),
                 "faces": len(body.faces),
                 "toi": finite_or_none(result.body_toi[k]),
             }
-            for k, body in enumerate(bodies)
+            for k, (name, body) in enumerate(zip(mesh.names, step.bodies, strict=True))
         ],
         "counts": plain_counts(result.counts),
         "timings": {name: float(seconds) for name, seconds in result.timings.items()},
-        "vertex_toi": [finite_or_none(toi) for toi in np.asarray(result.vertex_toi)],
-        "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in _contact_rows(mesh, result.contacts)],
+        "vertex_toi": [finite_or_none(toi) for toi in result.vertex_toi.tolist()],
+        "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in contact_rows(table)],
     }
-    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
-def _write_csv(path: Path, mesh, result) -> list[Path]:
+def _write_csv(path: Path, step: SolvedStep, table: ContactTable) -> list[Path]:
     vertices_path = path.with_name(f"{path.stem}_vertices{path.suffix}")
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(
-            "kind primitive_0 primitive_1 vertex_0 vertex_1 vertex_2 vertex_3 toi u v "
-            "normal_x normal_y normal_z status gap width".split()
-        )
-        for row in _contact_rows(mesh, result.contacts):
+        writer.writerow(CONTACT_COLUMNS)
+        for row in contact_rows(table):
             writer.writerow(
-                [row["kind"], *row["primitives"], *row["vertices"], repr(row["toi"])]
-                + [repr(x) for x in row["parameters"] + row["normal"]]
-                + [row["status"], repr(row["gap"]), repr(row["width"])]
+                [row["toi"], row["kind"], *row["bodies"], *row["point"]]
+                + row["primitives_in_body"]
+                + row["vertices_in_body"]
+                + row["parameters"]
+                + row["normal"]
+                + [row["status"], row["gap"], row["width"], *row["primitives"]]
             )
+    mesh = step.mesh
     with vertices_path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["vertex", "toi"])
-        writer.writerows([k, repr(toi)] for k, toi in enumerate(np.asarray(result.vertex_toi).tolist()))
+        writer.writerow(VERTEX_COLUMNS)
+        toi = step.result.vertex_toi.tolist()
+        source = np.concatenate([body.source_index for body in step.bodies]).tolist()
+        for k, body in enumerate(mesh.vertex_body.tolist()):
+            writer.writerow([mesh.names[body], k - mesh.body_vertex_range[body], toi[k], source[k], k])
     return [path, vertices_path]

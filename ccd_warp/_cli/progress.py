@@ -42,6 +42,28 @@ class ProgressLine:
         self._length = len(text)
 
 
+class ItemsLine(ProgressLine):
+    """The same for items of which each takes a while: the line shows how many are done, whatever stage each is in."""
+
+    def __init__(self, is_quiet: bool) -> None:
+        super().__init__(is_quiet)
+        self._items = Progress()
+
+    def begin(self, what: str, total: int) -> None:
+        """Begin with so many items of some name."""
+        self._items.begin(what, total)
+        self.show(self._items)
+
+    def advance(self) -> None:
+        """One more is done."""
+        self._items.done += 1
+        self.show(self._items)
+
+    def show(self, progress: Progress) -> None:
+        """Rewrite the line; the progress within an item only says that time goes by."""
+        super().show(self._items)
+
+
 def line_of(progress: Progress, seconds: float) -> str:
     """The line of a stage that has taken ``seconds`` so far."""
     share = min(1.0, progress.done / max(progress.total, 1))

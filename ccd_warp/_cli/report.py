@@ -1,18 +1,24 @@
-"""The text that the command line prints: bodies and their toi, the first contact, counts, the time of each stage."""
+"""The text that the command line prints on a step: bodies and their toi, the first contact, lengths, times."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
-import numpy as np
+import warp as wp
 
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._cli.motion import Lengths, largest_displacement
+from ccd_warp._cli.places import ContactTable, kind_name, pairs_at_start, start_sentence
+from ccd_warp._cli.scope import NOT_SEEN, left_out, looked_at
+from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.frames import Body
 from ccd_warp._input.messages import printable
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import Counts
+from ccd_warp._status import CCDStatus
+from ccd_warp._version import __version__
 
-if TYPE_CHECKING:
-    from ccd_warp._results import Counts
+_MOST_BODIES = 30  # that a report lists; the result files have all
 
 
 def format_toi(toi: float) -> str:
@@ -29,56 +35,33 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align:
     ]
 
 
-def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dict[str, float], t_max: float) -> str:
-    """The report of one run.
+def format_title(title: str, options: Options) -> str:
+    """The first line of a report."""
+    device = wp.get_device(options.device)
+    return printable(
+        f"ccd-warp {__version__}  {title}  ({options.precision}, {device.name if device.is_cuda else 'CPU'})"
+    )
+
+
+def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is_verbose: bool) -> str:
+    """The report of one step.
 
     Args:
         title: First line.
-        bodies: The scene, in the order of its vertices.
-        mesh: Its ``CollisionMesh``.
-        result: Of ``mesh_ccd``.
+        step: The step and its result.
         timings: Seconds of each stage, in order, as they are to be shown.
-        t_max: End of the step that was looked at.
+        is_verbose: Whether to show what each stage counted.
 
     Returns:
         Several lines without a final newline.
     """
-    lines = [printable(title), ""]
-    lines += format_table(
-        ("body", "", "vertices", "faces", "earliest toi"),
-        [
-            (
-                printable(body.name),
-                "static" if body.is_static else "moving",
-                f"{len(body.vertices_t0):,}",
-                f"{len(body.faces):,}",
-                format_toi(result.body_toi[k]),
-            )
-            for k, body in enumerate(bodies)
-        ],
-        align="<<>><",
-    )
-    lines += [
-        f"  ({body.merged:,} vertices of {printable(body.name)} merged by position)" for body in bodies if body.merged
-    ]
+    lines = [format_title(title, step.options), "", *_bodies(step), "", *_outcome(step), ""]
+    lengths = Lengths.of(step.vertices_t0, largest_displacement(step.vertices_t0, step.vertices_t1), step.options)
+    lines += format_table(("in the unit of the files", ""), lengths.rows(), align="<<")
     lines.append("")
-    if math.isfinite(result.toi):
-        lines.append(f"scene toi  {format_toi(result.toi)}   (of the step; no pair touches before it)")
-        if len(result.contacts.toi):
-            lines.append(f"first contact  {describe_contact(bodies, mesh, result)}")
-    else:
-        lines.append(f"scene toi  none   (certain: nothing touches in [0, {t_max!r}])")
-    capped = _count_capped(result)
-    if capped:
-        lines.append(
-            f"{capped:,} of {len(result.contacts.toi):,} contacts stopped at the iteration limit: their toi is early, "
-            "never late; raise --max-iterations or --max-work to refine them"
-        )
-    lines.append("")
-    lines += format_table(
-        ("count", ""), [(name, f"{count:,}") for name, count in count_rows(result.counts)], align="<>"
-    )
-    lines.append("")
+    if is_verbose:
+        rows = [(name, f"{count:,}") for name, count in count_rows(step.result.counts)]
+        lines += [*format_table(("count", ""), rows, align="<>"), ""]
     total = sum(timings.values())
     lines += format_table(
         ("stage", "seconds", "share"),
@@ -91,40 +74,81 @@ def format_report(title: str, bodies: Sequence[Body], mesh, result, timings: dic
     return "\n".join(lines)
 
 
-def count_rows(counts: "Counts") -> list[tuple[str, int]]:
+def body_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str) -> list[str]:
+    """A table of bodies, the first ones where there are many."""
+    more = [f"  … {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
+    return format_table(header, rows[:_MOST_BODIES], align=align) + more
+
+
+def body_rows(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[tuple[str, str, str, str]]:
+    """Name, whether it moves, and size of each body."""
+    return [
+        (
+            name,
+            "static" if body.is_static else "moving",
+            f"{len(body.vertices_t0):,}",
+            f"{len(body.faces):,}",
+        )
+        for name, body in zip(mesh.names, bodies, strict=True)
+    ]
+
+
+def merged_lines(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[str]:
+    """What was merged in reading, a line for each body."""
+    return [
+        f"  ({body.merged:,} vertices of {name} merged by position)"
+        for name, body in zip(mesh.names, bodies, strict=True)
+        if body.merged
+    ][:_MOST_BODIES]
+
+
+def scope_lines(mesh: CollisionMesh, options: Options) -> list[str]:
+    """What was left out, and what CCD does not see."""
+    return [f"left out  {left_out(mesh, options)}", f"not seen  {NOT_SEEN}"]
+
+
+def _bodies(step: SolvedStep) -> list[str]:
+    rows = [
+        (*row, format_toi(toi))
+        for row, toi in zip(body_rows(step.mesh, step.bodies), step.result.body_toi.tolist(), strict=True)
+    ]
+    header = ("body", "", "vertices", "faces", "earliest toi")
+    return body_table(header, rows, align="<<>><") + merged_lines(step.mesh, step.bodies)
+
+
+def _outcome(step: SolvedStep) -> list[str]:
+    result, contacts = step.result, step.result.contacts
+    if not result.hit:
+        pairs = looked_at(step.mesh, step.options)
+        return [f"scene toi  none   (certain for the pairs looked at: {pairs})", *scope_lines(step.mesh, step.options)]
+    lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
+    if len(contacts):
+        first = ContactTable.of(step.mesh, contacts, 1)
+        lines += [f"first contact  {first.described(0)}", f"               {first.placed(0)}"]
+        by_kind = result.counts.num_contacts.items()
+        counts = ", ".join(f"{count:,} {kind_name(kind)}" for kind, count in by_kind if count)
+        lines.append(f"contacts  {len(contacts):,}: {counts}")
+    sentence = start_sentence(pairs_at_start(step.mesh, contacts))
+    lines += [f"at the start  {sentence}"] if sentence else []
+    num_capped = int((contacts.status == int(CCDStatus.ITERATION_LIMIT)).sum())
+    if num_capped:
+        lines.append(
+            f"{num_capped:,} of {len(contacts):,} contacts stopped at the iteration limit: their toi is early, never "
+            "late; raise --max-iterations or --max-work to refine them"
+        )
+    return [*lines, *scope_lines(step.mesh, step.options)]
+
+
+def count_rows(counts: Counts) -> list[tuple[str, int]]:
     """Counts by what a reader calls them; codimensional primitives only where there are any."""
     rows: list[tuple[str, int]] = []
     for field in fields(counts):
         value, name = getattr(counts, field.name), _spaced(field.name.removeprefix("num_"))
         if isinstance(value, dict):
-            rows += [(f"{kind.name.lower().replace('_', '-')} {name}", count) for kind, count in value.items()]
+            rows += [(f"{kind_name(kind)} {name}", count) for kind, count in value.items()]
         elif value or not name.startswith("codimensional"):
             rows.append((name, value))
     return rows
-
-
-def describe_contact(bodies: Sequence[Body], mesh, result) -> str:
-    """One line on the earliest contact: what touches what, where, and the normal."""
-    contacts = result.contacts
-    k = int(np.argmin(np.asarray(contacts.toi)))
-    first_vertex = np.cumsum([0] + [len(body.vertices_t0) for body in bodies])
-    vertices = contact_vertices(mesh, contacts)[k].tolist()
-    touching = [bodies[int(np.searchsorted(first_vertex, v, side="right")) - 1] for v in (vertices[0], vertices[3])]
-    names = [printable(body.name) for body in touching]
-    if int(np.asarray(contacts.kind)[k]) == 0:
-        face = int(np.asarray(contacts.primitives)[k, 1])
-        pair = f"vertex {vertices[0]} of {names[0]} and face {face} of {names[1]}"
-    else:
-        pair = f"edge {vertices[0]}-{vertices[1]} of {names[0]} and edge {vertices[2]}-{vertices[3]} of {names[1]}"
-    u, v = np.asarray(contacts.parameters)[k].tolist()
-    normal = ", ".join(f"{x:.6g}" for x in np.asarray(contacts.normal)[k].tolist())
-    return f"{pair} at (u, v) = ({u:.6g}, {v:.6g}), normal ({normal})"
-
-
-def _count_capped(result) -> int:
-    from ccd_warp._status import CCDStatus
-
-    return int((np.asarray(result.contacts.status) == CCDStatus.ITERATION_LIMIT).sum())
 
 
 def _spaced(name: str) -> str:

@@ -2,20 +2,21 @@
 
 import io
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 
-from ccd_warp._files.archive import archive_end, unpack
+from ccd_warp._files.archive import ARCHIVES, archive_end, unpack
 from ccd_warp._files.gltf import check_glb, check_gltf
 from ccd_warp._files.obj import read_obj
 from ccd_warp._files.off import read_off
 from ccd_warp._files.ply import read_ply
 from ccd_warp._files.stl import read_stl
+from ccd_warp._files.through_meshio import SUFFIXES, read_through_meshio
 from ccd_warp._input.messages import InputError
 from ccd_warp._input.trimesh_bodies import transformed
 
@@ -28,7 +29,7 @@ _SHARING: dict[str, Sharing] = {".stl": "soup", ".stl_ascii": "soup", ".glb": "s
 _BY_SHARING: tuple[Sharing, ...] = ("indexed", "split", "soup")
 
 # trimesh would read these formats leniently: it pads, skips and truncates inconsistent data.
-_READERS: dict[str, Callable[[bytes], tuple[np.ndarray, np.ndarray]]] = {
+_READERS: dict[str, Callable[[bytes], tuple[Any, ...]]] = {
     ".ply": read_ply,
     ".obj": read_obj,
     ".off": read_off,
@@ -44,26 +45,47 @@ _BESIDE = frozenset(
     ]
 )
 _ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"
+# Endings of the files that are read here; those of ``SUFFIXES`` are read through meshio.
+MESH_SUFFIXES = (*_READERS, *_OF_TRIMESH, *ARCHIVES)
 
-Part = tuple[np.ndarray, np.ndarray]
+
+class Part(NamedTuple):
+    """A part of a scene: its positions and triangles, the names in it, and the index of the name of each triangle."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    names: Sequence[str] = ("",)
+    face_name: np.ndarray | None = None  # None where there is one name
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """The content of one file: vertices in double precision, nothing merged or reordered."""
+    """The content of one file: vertices in double precision, nothing merged or reordered.
+
+    Attributes:
+        path: The file.
+        vertices: Positions, float64, shape [n, 3].
+        faces: Vertex indices, shape [m, 3].
+        sharing: How it stores a vertex that several faces share.
+        names: Names of its objects, groups and nodes; "" stands for what has none.
+        face_name: Index of the name of each face, shape [m]; None where there is one name.
+    """
 
     path: Path
     vertices: np.ndarray
     faces: np.ndarray
     sharing: Sharing
+    names: Sequence[str] = ("",)
+    face_name: np.ndarray | None = None
 
 
-def read_mesh(path: Path, max_bytes: int) -> Mesh:
+def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Mesh:
     """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
         path: Mesh file, or an archive of mesh files.
         max_bytes: Limit on the unpacked size of an archive.
+        displacement: Field of a VTK or XDMF file that is added to its positions.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
@@ -71,6 +93,15 @@ def read_mesh(path: Path, max_bytes: int) -> Mesh:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
+    if path.suffix.lower() in SUFFIXES:
+        vertices, faces = read_through_meshio(path, displacement)
+        try:
+            if not len(faces):
+                raise InputError("holds no triangles; give a triangle mesh")
+            check_part(vertices, faces)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        return Mesh(path, vertices, faces, "indexed")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -81,10 +112,21 @@ def read_mesh(path: Path, max_bytes: int) -> Mesh:
         sharing = _SHARING.get(path.suffix.lower(), "indexed")
     else:
         parts, sharing = _read_archive(path, data, max_bytes)
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
-    vertices = np.vstack([vertices for vertices, _ in parts])
-    faces = np.vstack([faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)])
-    return Mesh(path, vertices, faces, sharing)
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts])
+    vertices = np.vstack([part.vertices for part in parts])
+    faces = np.vstack([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
+    return Mesh(path, vertices, faces, sharing, *_joined_names(parts))
+
+
+def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:
+    """The names of all parts, and the index of the name of each face; parts of one name are one."""
+    numbers: dict[str, int] = {}
+    face_names = []
+    for part in parts:
+        of_part = np.array([numbers.setdefault(name, len(numbers)) for name in part.names], dtype=np.int64)
+        local = np.zeros(len(part.faces), dtype=np.int64) if part.face_name is None else part.face_name
+        face_names.append(of_part[local])
+    return list(numbers), np.concatenate(face_names) if len(numbers) > 1 else None
 
 
 def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], Sharing]:
@@ -103,7 +145,8 @@ def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], 
         # macOS packs a hidden file with each file, under the same name in a separate folder.
         if place.name.startswith(".") or "__MACOSX" in place.parts or suffix in _BESIDE:
             continue
-        parts += _read_parts(f"{path}, {name}", place.name, content, resolver, max_bytes)
+        read = _read_parts(f"{path}, {name}", place.name, content, resolver, max_bytes)
+        parts += [part._replace(names=[f"{name}/{each}".rstrip("/") for each in part.names]) for part in read]
         sharing = max(sharing, _SHARING.get(suffix, "indexed"), key=_BY_SHARING.index)
     if not parts:
         raise InputError(f"{path}: holds no mesh file; {_ADVICE}")
@@ -122,16 +165,16 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
     suffix = PurePosixPath(name).suffix.lower()
     try:
         if suffix in _READERS:
-            parts = [_READERS[suffix](data.removeprefix(b"\xef\xbb\xbf"))]
+            parts = [Part(*_READERS[suffix](data.removeprefix(b"\xef\xbb\xbf")))]
         elif suffix in _OF_TRIMESH:
             parts = _read_with_trimesh(name, suffix, data, resolver, max_bytes)
         else:
             raise InputError(f"files that end in {suffix or 'nothing'!r} are not read; {_ADVICE}")
-        parts = [(vertices, faces) for vertices, faces in parts if len(faces)]
+        parts = [part for part in parts if len(part.faces)]
         if not parts:
             raise InputError("holds no triangles; give a triangle mesh")
-        for vertices, faces in parts:
-            _check_part(vertices, faces)
+        for part in parts:
+            check_part(part.vertices, part.faces)
         return parts
     except InputError as error:
         raise InputError(f"{label}: {error}") from error
@@ -140,7 +183,8 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
         raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason}); {_ADVICE}") from error
 
 
-def _check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
+def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Refuse faces of vertices that do not exist, and positions that are not finite."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         k = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
         raise InputError(f"face {k} is {faces[k].tolist()}, but the file has {len(vertices)} vertices; repair the file")
@@ -174,7 +218,7 @@ def _read_with_trimesh(name: str, suffix: str, data: bytes, resolver: Any, max_b
 
 
 def _flatten(scene: Any) -> list[Part]:
-    """Vertices and faces of every mesh of a scene, with the scene's transformation applied."""
+    """Every mesh of a scene, with the scene's transformation applied, called by its node."""
     parts = []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
@@ -182,5 +226,8 @@ def _flatten(scene: Any) -> list[Part]:
         faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
         if faces.size == 0:
             continue
-        parts.append((transformed(mesh.vertices, matrix), faces.reshape(-1, 3)))
+        if mesh.metadata.get("from_gltf_primitive"):
+            # trimesh makes a node for each material of a mesh, below the node of the mesh.
+            node = scene.graph.transforms.parents.get(node, node)
+        parts.append(Part(transformed(mesh.vertices, matrix), faces.reshape(-1, 3), [str(node)]))
     return parts

@@ -1,4 +1,4 @@
-"""Read OBJ files: vertices and faces as in the file; lines that are not understood are rejected."""
+"""Read OBJ files: vertices, faces and objects as in the file; lines that are not understood are rejected."""
 
 import re
 
@@ -15,10 +15,17 @@ _BESIDE = frozenset(
 _VERTEX_LENGTHS = (3, 4, 6, 7)  # with a weight, a colour, or a colour with its opacity
 
 
-def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of an OBJ file; polygons become fans.
+_LABEL = re.compile(rb"(?:^|(?<=[\r\n]))[ \t\v\f]*([og])(?=[ \t\v\f\r\n]|$)([^\r\n]*)")
+
+
+def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray]:
+    """Vertices and triangles of an OBJ file, and the object or group to which each belongs; polygons become fans.
 
     An OBJ file has no counts, so a file truncated between two lines cannot be distinguished from a complete one.
+
+    Returns:
+        Vertices [n, 3], triangles [m, 3], the names of objects and groups, and for each triangle the index of its name,
+        shape [m]. A group within an object is called OBJECT/GROUP; what precedes the first has the name "".
 
     Raises:
         InputError: If a line is malformed, or the last one has no line end.
@@ -31,10 +38,12 @@ def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     text = re.sub(rb"#[^\r\n]*", b"", data)
     if b"\\" in text:
         text = re.sub(rb"\\\r?\n", b" ", text)
+    labels = [(line[1] == b"o", line[2].strip()) for line in _LABEL.finditer(text)]
     if b"/" in text:
         text = re.sub(rb"(?<=[0-9])/\S*", b"", text)
     vertices, num_vertices = [np.zeros((0, 3))], 0
     faces: list[tuple[np.ndarray, ...]] = []
+    num_labels, above = 0, [NO_INDICES]  # labels above each face
     for block in text_rows(text).blocks():
         beginnings = block.beginnings()
         unknown = set(beginnings) - _BESIDE - {b"v", b"f"}
@@ -47,8 +56,12 @@ def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
         vertices.append(_vertices(block.pick(is_vertex).columns(1)))
         faces.append(_faces(block.pick(is_face).columns(1), num_vertices + np.cumsum(is_vertex)[is_face]))
         num_vertices += len(vertices[-1])
+        is_label = np.fromiter((word in (b"o", b"g") for word in beginnings), bool, len(beginnings))
+        above.append(num_labels + np.cumsum(is_label)[is_face])
+        num_labels += int(is_label.sum())
+    assert num_labels == len(labels), "both find the same lines"
     if not faces:
-        return np.concatenate(vertices), NO_INDICES.reshape(-1, 3)
+        return np.concatenate(vertices), NO_INDICES.reshape(-1, 3), [], NO_INDICES
     corners, found, counts, lines = (np.concatenate(arrays) for arrays in zip(*faces, strict=True))
     bad = np.flatnonzero((found < 0) | (found >= num_vertices))
     if bad.size:
@@ -57,7 +70,23 @@ def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
             f"line {np.repeat(lines, counts)[k]} is a face of vertex {corners[k]}, but the file has {num_vertices} "
             "vertices, counted from 1; repair the file"
         )
-    return np.concatenate(vertices), fan(found, counts)
+    names, of_label = _names(labels)
+    return np.concatenate(vertices), fan(found, counts), names, np.repeat(of_label[np.concatenate(above)], counts - 2)
+
+
+def _names(labels: list[tuple[bool, bytes]]) -> tuple[list[str], np.ndarray]:
+    """The distinct pairs of an object and a group as names, and the index of that which is valid after so many lines.
+
+    An object ends the group before it.
+    """
+    numbers: dict[tuple[bytes, bytes], int] = {(b"", b""): 0}
+    of_label = [0]
+    part = group = b""
+    for is_object, name in labels:
+        part, group = (name, b"") if is_object else (part, name)
+        of_label.append(numbers.setdefault((part, group), len(numbers)))
+    names = [b"/".join(filter(None, names)).decode("utf-8", "backslashreplace") for names in numbers]
+    return names, np.array(of_label, dtype=np.int64)
 
 
 def _vertices(rows: Tokens) -> np.ndarray:

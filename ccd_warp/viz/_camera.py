@@ -60,7 +60,7 @@ def make_camera(
         ValueError: If the direction is not valid.
     """
     given = validated_direction(direction)
-    towards = _automatic_direction(end - start) if given is None else given
+    towards = automatic_direction(end - start) if given is None else given
     axis = np.array([0.0, 0.0, 1.0]) if np.hypot(*towards[:2]) > 1e-6 else np.array([0.0, 1.0, 0.0])
     right = np.cross(axis, towards)
     right /= np.linalg.norm(right)
@@ -76,7 +76,8 @@ def make_camera(
     return Camera(focus + 10.0 * towards, focus, up, 0.5 * size[1] * pixel, size)
 
 
-def _automatic_direction(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+def automatic_direction(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vector to the viewer, across a motion of shape [n, 3]."""
     along_x, along_y, _ = np.abs(motion).max(axis=0)
     towards = np.array([_ALONG, _ACROSS, _UP] if along_x >= along_y else [_ACROSS, _ALONG, _UP])
     return towards / np.linalg.norm(towards)

@@ -148,15 +148,12 @@ def make_scene(
     contacts = result.contacts
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
-    is_point = np.ones(len(start), dtype=bool)
-    is_point[mesh.faces] = False
-    is_point[mesh.edges] = False
     return StepScene(
         start=(start - centre) / unit,
         end=(end - centre) / unit,
         faces=mesh.faces,
         segments=mesh.edges[mesh.codimensional_edges],
-        points=np.flatnonzero(is_point).astype(np.int32),
+        points=points_of_no_primitive(mesh),
         vertex_body=mesh.vertex_body,
         static=mesh.static,
         vertex_toi=np.asarray(result.vertex_toi),
@@ -168,6 +165,14 @@ def make_scene(
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
         names=mesh.names,
     )
+
+
+def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
+    """Indices of the vertices in no face and no edge, shape [P]."""
+    is_point = np.ones(mesh.num_vertices, dtype=bool)
+    is_point[mesh.faces] = False
+    is_point[mesh.edges] = False
+    return np.flatnonzero(is_point).astype(np.int32)
 
 
 def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:

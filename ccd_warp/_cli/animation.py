@@ -1,0 +1,51 @@
+"""An animation of a sequence of frames, with the contacts of its steps."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._cli.frame_sequence import FrameSequence
+from ccd_warp._cli.process import closed_stderr
+from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.sequence_records import StepRecord
+from ccd_warp._cli.solve import positions_of
+from ccd_warp._files.frames import InputError
+
+
+def draw_animation(path: Path, sequence: FrameSequence, records: dict[int, StepRecord], line: ItemsLine) -> Path:
+    """Draw every frame, and every step with a contact at its toi; return the path."""
+    from ccd_warp.viz._animation import write_animation
+
+    line.begin("pictures", 2 * sequence.num_steps)
+    try:
+        with closed_stderr():
+            write_animation(path, _images(sequence, records, line))
+    except OSError as error:
+        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
+    return path
+
+
+def _images(
+    sequence: FrameSequence, records: dict[int, StepRecord], line: ItemsLine
+) -> Iterator[tuple[NDArray[np.uint8], bool]]:
+    from ccd_warp.viz._animation import FrameView, draw_frame, outermost
+
+    points, moved = [], np.zeros((1, 3))
+    for k in range(sequence.num_steps):
+        start, end = positions_of(sequence.bodies(k))
+        points += [outermost(start), outermost(end)]
+        moved = np.maximum(moved, np.abs(end - start).max(axis=0))
+        line.advance()
+    view = FrameView.of(np.concatenate(points), moved)
+    for k in range(sequence.num_steps):
+        bodies, record = sequence.bodies(k), records[k]
+        mesh, (start, end) = sequence.mesh(bodies), positions_of(bodies)
+        yield draw_frame(mesh, start, [], record.start, view), False
+        if record.hit:
+            at_toi = (1.0 - record.toi) * start + record.toi * end
+            yield draw_frame(mesh, at_toi, record.points, f"{record.start}, toi = {record.toi:.4g}", view), True
+        if k == sequence.num_steps - 1:
+            yield draw_frame(mesh, end, [], record.end, view), True
+        line.advance()

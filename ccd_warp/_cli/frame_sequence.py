@@ -1,0 +1,49 @@
+"""The bodies of a sequence of frames, step by step."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ccd_warp._cli.solve import make_mesh
+from ccd_warp._files.frames import Body, body_between
+from ccd_warp._files.mesh import Mesh
+from ccd_warp._files.series import Series
+from ccd_warp._input.messages import printable
+from ccd_warp._mesh import CollisionMesh
+
+
+class FrameSequence:
+    """The steps of a sequence: its bodies at both ends of each, and their mesh, which is kept while it is the same."""
+
+    def __init__(self, series: Sequence[Series], static: list[Body], *, self_collision: bool) -> None:
+        self.series = series
+        self.static = static
+        self.self_collision = self_collision
+        self.num_steps = len(series[0].labels) - 1
+        self._read: dict[int, list[Mesh]] = {}
+        self.first_bodies = self.bodies(0)
+        self.first_mesh = make_mesh(self.first_bodies, self_collision=self_collision)
+
+    def bodies(self, k: int) -> list[Body]:
+        """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
+        self._read = {n: self._read.get(n) or [each.read(n) for each in self.series] for n in (k, k + 1)}
+        moving = [
+            body
+            for each, start, end in zip(self.series, self._read[k], self._read[k + 1], strict=True)
+            for body in replace(body_between(start, end), name=each.name).split()
+        ]
+        return moving + self.static
+
+    def mesh(self, bodies: list[Body]) -> CollisionMesh:
+        """The mesh of these bodies: that of the first step, unless vertices are merged in another way."""
+        same = len(bodies) == len(self.first_bodies) and all(
+            len(a.vertices_t0) == len(b.vertices_t0) and np.array_equal(a.faces, b.faces)
+            for a, b in zip(bodies, self.first_bodies, strict=False)
+        )
+        return self.first_mesh if same else make_mesh(bodies, self_collision=self.self_collision)
+
+    def labels(self, k: int) -> tuple[str, str]:
+        """Names of the frames at both ends of step ``k``, those of the first body, without control characters."""
+        start, end = self.series[0].labels[k : k + 2]
+        return printable(start), printable(end)

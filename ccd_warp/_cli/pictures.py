@@ -1,0 +1,51 @@
+"""Pictures that the command line draws, checked before the work is done."""
+
+from pathlib import Path
+
+from ccd_warp._cli.process import closed_stderr
+from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._files.frames import InputError
+
+
+def check_picture(path: Path, option: str) -> None:
+    """Refuse a picture that cannot be drawn or written, before the work is done."""
+    from ccd_warp.viz._file import check_picture_path
+
+    check_picture_path(path, option)
+    check_drawing(option)
+
+
+def check_drawing(option: str) -> None:
+    """Refuse to draw where PyVista or OpenGL is missing."""
+    from ccd_warp.viz._window import drawing_without_display
+
+    try:
+        with closed_stderr(), drawing_without_display():
+            pass
+    except (ImportError, RuntimeError) as error:
+        raise InputError(f"{option}: {error}") from error
+
+
+def draw_step(path: Path, step: SolvedStep) -> Path:
+    """Draw a step at its start, toi and end; return the path."""
+    from ccd_warp import viz
+
+    try:
+        with closed_stderr():
+            viz.render_step(path, step.mesh, step.vertices_t0, step.vertices_t1, step.result, t_max=step.options.t_max)
+    except OSError as error:
+        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
+    return path
+
+
+def check_animation(path: Path, option: str) -> None:
+    """Refuse a picture of a sequence that cannot be drawn or written, before the work is done."""
+    if path.suffix.lower() == ".png":
+        check_picture(path, option)
+        return
+    from ccd_warp.viz._animation import ANIMATION_SUFFIXES, check_animation_path
+
+    if path.suffix.lower() not in ANIMATION_SUFFIXES:
+        raise InputError(f"{option} {path}: the name must end in {', '.join([*ANIMATION_SUFFIXES, '.png'])}")
+    check_animation_path(path, option)
+    check_drawing(option)

@@ -1,0 +1,60 @@
+"""``ccd-warp run``: CCD of one step between two mesh files."""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.motion import motion_warnings
+from ccd_warp._cli.output import STDOUT, check_output_path, write_result
+from ccd_warp._cli.pictures import check_picture, draw_step
+from ccd_warp._cli.process import start_quietly, warn
+from ccd_warp._cli.report import format_report
+from ccd_warp._cli.solve import load_kernels, solve_scene
+from ccd_warp._files.frames import read_frames, read_static
+from ccd_warp._input.messages import printable
+
+
+def run_step(arguments: argparse.Namespace) -> int:
+    """Read, solve, write and report one step.
+
+    Returns:
+        1 if there is a contact and ``--fail-on-contact`` is given, else 0.
+    """
+    start_quietly(arguments.device)
+    if arguments.output is not None:
+        check_output_path(arguments.output)
+    if arguments.picture is not None:
+        check_picture(arguments.picture, "--picture")
+    begin = time.perf_counter()
+    files = [read_frames(arguments.start, arguments.end, max_bytes=arguments.max_bytes)]
+    files += [read_static(path, max_bytes=arguments.max_bytes) for path in arguments.static]
+    bodies = [body for file in files for body in file.split()]
+    timings = {"read files": time.perf_counter() - begin}
+
+    options = given_options(arguments)
+    timings["load kernels"] = load_kernels(options, is_quiet=arguments.quiet)
+    self_collision = not arguments.no_self_collision
+    step = solve_scene(bodies, options, self_collision=self_collision, is_quiet=arguments.quiet)
+    timings.update(step.timings)
+    if not arguments.quiet:
+        for line in motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max):
+            warn(line)
+    written: list[Path] = []
+    if arguments.output is not None:
+        begin = time.perf_counter()
+        written = write_result(arguments.output, step)
+        timings["write files"] = time.perf_counter() - begin
+    if arguments.picture is not None:
+        begin = time.perf_counter()
+        written.append(draw_step(arguments.picture, step))
+        timings["draw picture"] = time.perf_counter() - begin
+    if not arguments.quiet:
+        # Standard output belongs to the result where that is written to it.
+        report = sys.stderr if arguments.output == STDOUT else sys.stdout
+        title = f"{arguments.start} -> {arguments.end}"
+        print(format_report(title, step, timings, is_verbose=arguments.verbose), file=report)
+        for path in written:
+            print(f"wrote {printable(str(path))}", file=report)
+    return int(arguments.fail_on_contact and step.result.hit)

@@ -1,0 +1,49 @@
+"""What an answer is about: the pairs that were looked at, those that were left out, and what CCD does not see."""
+
+from collections.abc import Sequence
+
+from ccd_warp._cli.places import kind_name
+from ccd_warp._engine.scene import possible_kinds
+from ccd_warp._input.messages import InputError
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._status import PairKind
+
+NOT_SEEN = (
+    "surfaces that cross, or lie one inside the other, at the start already: CCD finds surfaces that meet in the step"
+)
+
+
+def check_kinds(mesh: CollisionMesh, options: Options) -> None:
+    """Refuse kinds of pairs that the bodies cannot form: the answer would be about nothing."""
+    if options.pair_kinds is None:
+        return
+    possible = possible_kinds(mesh, Options())
+    for kind in options.kinds:
+        if kind not in possible:
+            raise InputError(
+                f"--pair-kinds holds {kind_name(kind)}, which these bodies cannot form, as they have no particles and "
+                f"no cables; expected some of {', '.join(map(kind_name, possible))}"
+            )
+
+
+def looked_at(mesh: CollisionMesh, options: Options) -> str:
+    """Kinds of the pairs that were looked at, and the part of the step."""
+    kinds = _listed([kind_name(kind) for kind in possible_kinds(mesh, options)])
+    return f"{kinds}, in [0, {repr(options.t_max).removesuffix('.0')}]"
+
+
+def left_out(mesh: CollisionMesh, options: Options) -> str:
+    """The pairs of these bodies that were not looked at."""
+    kinds: Sequence[PairKind] = possible_kinds(mesh, options)
+    unasked = [kind for kind in possible_kinds(mesh, Options()) if kind not in kinds]
+    parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in unasked]
+    if not mesh.self_collision[~mesh.static].all():
+        parts.append("pairs within a body (--no-self-collision)")
+    if mesh.static.any():
+        parts.append("pairs of static bodies")
+    return "; ".join([*parts, "pairs that share a vertex"])
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(words) if len(words) < 3 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,174 @@
+"""``ccd-warp sequence``: CCD of every step of a sequence of frames, each saved so that a run can be resumed."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from ccd_warp._cli.animation import draw_animation
+from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.frame_sequence import FrameSequence
+from ccd_warp._cli.output import STDOUT, make_folder, plain_options
+from ccd_warp._cli.pictures import check_animation, draw_step
+from ccd_warp._cli.process import INTERRUPTED, say, start_quietly, warn
+from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.sequence_records import StepRecord, csv_text, draw_plot
+from ccd_warp._cli.sequence_report import format_sequence
+from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
+from ccd_warp._files.frames import InputError, read_static
+from ccd_warp._files.series import find_series
+from ccd_warp._input.arguments import check_count
+from ccd_warp._input.messages import printable
+from ccd_warp._input.options import Options
+from ccd_warp._version import __version__
+from ccd_warp.benchmarks.journal import Journal, fingerprint
+
+JOURNAL, CSV, PLOT = "sequence.journal", "steps.csv", "steps.png"
+
+
+def run_sequence(arguments: argparse.Namespace) -> int:
+    """Solve every step that an earlier run has not solved, and write and report all.
+
+    Returns:
+        0; 1 if a step has a contact and ``--fail-on-contact`` is given; 130 after Ctrl-C, with what was computed kept.
+    """
+    start_quietly(arguments.device)
+    if arguments.picture is not None:
+        check_animation(arguments.picture, "--picture")
+    sequence = _open(arguments)
+    given = given_options(arguments)
+    options = make_options(given, sequence.first_mesh)
+    folder: Path | None = None if arguments.output == STDOUT else arguments.output
+    journal = None
+    if folder is not None:
+        make_folder(folder, "--output")
+        journal = _journal(folder, arguments, sequence, options)
+    load_kernels(given, is_quiet=arguments.quiet)
+
+    report = sys.stderr if folder is None else sys.stdout
+    records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
+    if records and not arguments.quiet:
+        print(f"{len(records)} of {sequence.num_steps} steps were computed before", file=report)
+    line = ItemsLine(arguments.quiet)
+    is_complete = True
+    written: list[Path] = []
+    try:
+        todo = [k for k in range(sequence.num_steps) if k not in records]
+        line.begin("steps", len(todo))
+        for k in todo:
+            step = _solve_step(sequence, k, options, line, is_quiet=arguments.quiet)
+            records[k] = record = StepRecord.of(k, sequence.labels(k), step)
+            if journal is not None:
+                journal.add(str(k), record.plain())
+            line.advance()
+        if arguments.picture is not None:
+            written.append(_draw(arguments.picture, sequence, records, options, line, is_quiet=arguments.quiet))
+    except KeyboardInterrupt:
+        is_complete = False
+    finally:
+        line.clear()
+    ordered = [records[k] for k in sorted(records)]
+    if folder is not None:
+        written = _write(folder, ordered, options.t_max, is_quiet=arguments.quiet) + written
+    elif ordered:
+        sys.stdout.write(csv_text(ordered))
+    if not arguments.quiet:
+        _warn_of_motions(ordered)
+        if ordered:
+            print(format_sequence(sequence, ordered, options), file=report)
+        for path in written:
+            print(f"wrote {printable(str(path))}", file=report)
+    if not is_complete:
+        kept = "what was computed is kept, and the same command goes on from there"
+        lost = "without a folder for --output nothing is kept"
+        say(f"interrupted after {len(ordered)} of {sequence.num_steps} steps; {lost if journal is None else kept}")
+        return INTERRUPTED
+    if journal is not None:
+        journal.close()
+    return int(arguments.fail_on_contact and any(record.hit for record in ordered))
+
+
+def _open(arguments: argparse.Namespace) -> FrameSequence:
+    """The frames of the command line, with the first step read."""
+    limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
+    series = find_series(arguments.frames, max_bytes=limit, displacement=arguments.displacement, faces=arguments.faces)
+    static = [body for path in arguments.static for body in read_static(path, max_bytes=limit).split()]
+    return FrameSequence(series, static, self_collision=not arguments.no_self_collision)
+
+
+def _solve_step(sequence: FrameSequence, k: int, options: Options, line: ItemsLine, *, is_quiet: bool) -> SolvedStep:
+    bodies = sequence.bodies(k)
+    return solve(bodies, sequence.mesh(bodies), options, line, is_quiet=is_quiet)
+
+
+def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options) -> Journal:
+    """The steps that an interrupted run of the same command has left in the folder."""
+    files = [*(path for each in sequence.series for path in each.files), *arguments.static]
+    settings: dict[str, Any] = {
+        "options": plain_options(options),
+        "self_collision": sequence.self_collision,
+        "displacement": arguments.displacement,
+        "labels": [each.labels for each in sequence.series],
+        "files": [_stamp(path) for path in files],
+    }
+    about = {"version": __version__, "device": wp.get_device(options.device).name}
+    try:
+        return Journal(folder / JOURNAL, fingerprint(settings, about, None))
+    except OSError as error:
+        raise InputError(f"--output {folder}: cannot be written ({error.strerror or error})") from error
+
+
+def _stamp(path: Path) -> list[Any]:
+    """What tells whether a file has changed."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return [str(path.absolute()), found.st_size, found.st_mtime_ns]
+
+
+def _draw(
+    path: Path,
+    sequence: FrameSequence,
+    records: dict[int, StepRecord],
+    options: Options,
+    line: ItemsLine,
+    *,
+    is_quiet: bool,
+) -> Path:
+    """Draw the animation, or the first step that has a contact."""
+    if path.suffix.lower() != ".png":
+        return draw_animation(path, sequence, records, line)
+    bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
+    return draw_step(path, _solve_step(sequence, bad, options, line, is_quiet=is_quiet))
+
+
+def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: bool) -> list[Path]:
+    """Write the CSV file and, where matplotlib is installed, the plot of the steps so far."""
+    if not records:
+        return []
+    written = [folder / CSV]
+    try:
+        unfinished = folder / f"{CSV}.new"
+        unfinished.write_text(csv_text(records), encoding="utf-8")
+        os.replace(unfinished, folder / CSV)
+        try:
+            draw_plot(folder / PLOT, records, t_max)
+            written.append(folder / PLOT)
+        except ImportError:
+            if not is_quiet:
+                warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
+    except OSError as error:
+        raise InputError(f"cannot write to {folder} ({error.strerror or error})") from error
+    return written
+
+
+def _warn_of_motions(records: list[StepRecord]) -> None:
+    """Say once what is odd about the motions, and in how many steps."""
+    odd = [record for record in records if record.warnings]
+    if odd:
+        more = f" (and {len(odd) - 1} more steps)" if len(odd) > 1 else ""
+        warn(f"step {odd[0].step}: {odd[0].warnings[0]}{more}")

@@ -1,0 +1,161 @@
+"""What is kept of each step of a sequence: in the journal, in the CSV file, and in the plot."""
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ccd_warp._cli.motion import largest_displacement, motion_warnings
+from ccd_warp._cli.places import ContactTable, pairs_at_start
+from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._status import PairKind
+
+# Points of contacts that are kept for pictures, the earliest ones.
+_MOST_POINTS = 200
+_KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE)
+
+COLUMNS = (
+    *("step", "start", "end", "toi", "contacts", *(kind.name.lower() for kind in _KINDS), "at_start", "at_limit"),
+    *("kind", "body_0", "body_1", "x", "y", "z", "vertex_0", "vertex_1", "vertex_2", "vertex_3"),
+)
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """A step of a sequence.
+
+    Attributes:
+        step: Its number, from 0 on: the step from frame ``step`` to the next.
+        start: Name of the frame at its start.
+        end: Name of that at its end.
+        toi: Earliest time of impact, inf if none.
+        counts: Number of contacts of each kind, by its name.
+        at_start: Number of pairs in contact at the start, with the names of their bodies.
+        at_limit: Number of contacts that stopped at a limit.
+        first: Of the earliest contact, by the names of the CSV file; None if there is none.
+        described: What touches what in it, and where; empty if there is none.
+        points: Places of the earliest contacts.
+        displacement: The largest of a vertex.
+        warnings: What is odd about the motion.
+    """
+
+    step: int
+    start: str
+    end: str
+    toi: float
+    counts: dict[str, int]
+    at_start: list[tuple[str, str, int]]
+    at_limit: int
+    first: dict[str, Any] | None
+    described: list[str]
+    points: list[list[float]]
+    displacement: float
+    warnings: list[str]
+
+    @classmethod
+    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep) -> "StepRecord":
+        """The record of a solved step."""
+        contacts, counts = step.result.contacts, step.result.counts
+        table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
+        first = None
+        if len(table):
+            columns = COLUMNS[COLUMNS.index("kind") :]
+            place = table.contacts.points[0].tolist()
+            values = [table.kinds[0].name.lower(), *table.body_names[0], *place, *table.vertices[0].tolist()]
+            first = dict(zip(columns, values, strict=True))
+        return cls(
+            step=number,
+            start=labels[0],
+            end=labels[1],
+            toi=float(step.result.toi),
+            counts={kind.name.lower(): counts.num_contacts.get(kind, 0) for kind in _KINDS},
+            at_start=[(a, b, count) for (a, b), count in pairs_at_start(step.mesh, contacts).most_common()],
+            at_limit=counts.num_contacts_at_limit,
+            first=first,
+            described=[table.described(0), table.placed(0)] if len(table) else [],
+            points=table.contacts.points.tolist(),
+            displacement=largest_displacement(step.vertices_t0, step.vertices_t1),
+            warnings=motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max),
+        )
+
+    @property
+    def hit(self) -> bool:
+        """Whether the step has a contact."""
+        return math.isfinite(self.toi)
+
+    @property
+    def pairs_at_start(self) -> Counter[tuple[str, str]]:
+        """Number of pairs in contact at the start, by the names of their bodies."""
+        return Counter({(a, b): count for a, b, count in self.at_start})
+
+    def plain(self) -> dict[str, Any]:
+        """The record as JSON holds it."""
+        return {**vars(self), "toi": self.toi if self.hit else None}
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> "StepRecord":
+        """The record that :meth:`plain` gave."""
+        toi = math.inf if plain["toi"] is None else plain["toi"]
+        return cls(**{**plain, "toi": toi, "at_start": [(a, b, count) for a, b, count in plain["at_start"]]})
+
+    def row(self) -> list[Any]:
+        """The row of the CSV file; numbers read back bit for bit."""
+        first = self.first or dict.fromkeys(COLUMNS[COLUMNS.index("kind") :], "")
+        counts = list(self.counts.values())
+        at_start = sum(count for _, _, count in self.at_start)
+        return [
+            *(self.step, self.start, self.end, self.toi, sum(counts), *counts, at_start, self.at_limit),
+            *first.values(),
+        ]
+
+
+def csv_text(records: Sequence[StepRecord]) -> str:
+    """The CSV file: a row for each step."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(record.row() for record in records)
+    return file.getvalue()
+
+
+def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> None:
+    """Draw the toi and the number of contacts of every step.
+
+    Raises:
+        ImportError: If matplotlib is not installed.
+    """
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 10}):
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(9.0, 4.5), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        bad = [record for record in records if record.hit]
+        free = [record.step for record in records if not record.hit]
+        upper.plot(free, [t_max] * len(free), ".", color="#b8b8b8", label="no contact")
+        upper.plot([record.step for record in bad], [record.toi for record in bad], "o", color="#c8102e", label="toi")
+        upper.set_ylim(-0.05 * t_max, 1.08 * t_max)
+        upper.set_ylabel("toi")
+        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
+        lower.bar([record.step for record in bad], [sum(record.counts.values()) for record in bad], color="#c8102e")
+        lower.set_ylabel("contacts")
+        lower.set_xlabel("step")
+        lower.xaxis.get_major_locator().set_params(integer=True)
+        lower.yaxis.get_major_locator().set_params(integer=True)
+        figure.savefig(path, dpi=120)
+
+
+def ranges_text(numbers: Sequence[int]) -> str:
+    """Ascending numbers, with runs of them as ranges: ``3-5, 8``."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1] = [parts[-1][0], number]
+        else:
+            parts.append([number])
+    return ", ".join("-".join(map(str, part)) for part in parts)

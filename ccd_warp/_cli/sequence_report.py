@@ -1,0 +1,63 @@
+"""The text that the command line prints on a sequence of frames."""
+
+from collections.abc import Sequence
+
+from ccd_warp._cli.frame_sequence import FrameSequence
+from ccd_warp._cli.motion import Lengths
+from ccd_warp._cli.places import start_sentence
+from ccd_warp._cli.report import (
+    body_rows,
+    body_table,
+    format_table,
+    format_title,
+    format_toi,
+    merged_lines,
+    scope_lines,
+)
+from ccd_warp._cli.scope import looked_at
+from ccd_warp._cli.sequence_records import StepRecord, ranges_text
+from ccd_warp._input.options import Options
+
+# Steps whose toi the report lists; the CSV file has all.
+_MOST_ROWS = 20
+
+
+def format_sequence(sequence: FrameSequence, records: Sequence[StepRecord], options: Options) -> str:
+    """The report of the steps that were computed, in their order, without a final newline."""
+    mesh, bodies = sequence.first_mesh, sequence.first_bodies
+    names = ", ".join(each.name for each in sequence.series)
+    lines = [format_title(f"{sequence.num_steps + 1} frames of {names}", options), ""]
+    lines += body_table(("body", "", "vertices", "faces"), body_rows(mesh, bodies), align="<<>>")
+    lines += [*merged_lines(mesh, bodies), ""]
+    bad = [record for record in records if record.hit]
+    if bad:
+        steps = ranges_text([record.step for record in bad])
+        lines.append(f"steps with contacts  {len(bad)} of {len(records)}: {steps}")
+        lines += _first(bad[0])
+        lines.append("")
+        rows = [
+            (str(record.step), record.start, format_toi(record.toi), f"{sum(record.counts.values()):,}")
+            for record in bad[:_MOST_ROWS]
+        ]
+        lines += format_table(("step", "from frame", "toi", "contacts"), rows, align="><<>")
+        lines += [f"  … {len(bad) - _MOST_ROWS} more"] if len(bad) > _MOST_ROWS else []
+        lines.append("")
+        num_capped = sum(record.at_limit for record in records)
+        if num_capped:
+            lines.append(f"{num_capped:,} contacts stopped at a limit: their toi is early, never late")
+    else:
+        pairs = looked_at(mesh, options)
+        lines.append(f"steps with contacts  none of {len(records)}   (certain for the pairs looked at: {pairs})")
+    lines += [*scope_lines(mesh, options), ""]
+    displacement = max(record.displacement for record in records)
+    lengths = Lengths.of(mesh.vertices, displacement, options)
+    return "\n".join([*lines, *format_table(("in the unit of the files", ""), lengths.rows(), align="<<")])
+
+
+def _first(record: StepRecord) -> list[str]:
+    """Lines on the first step that has a contact."""
+    frames = f"{record.start} -> {record.end}"
+    lines = [f"the first  step {record.step}, {frames}, toi {format_toi(record.toi)}"]
+    lines += [f"           {line}" for line in record.described]
+    sentence = start_sentence(record.pairs_at_start)
+    return lines + ([f"           {sentence}"] if sentence else [])
