@@ -3,7 +3,7 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, fields
 from typing import Any
 
@@ -14,6 +14,7 @@ from ccd_warp._display import counted, html_table, listed
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.edges import unique_edges
+from ccd_warp._input.excluded_pairs import ExcludedPairs, validated_excluded_pairs
 from ccd_warp._input.mesh_checks import (
     as_positions,
     find_codimensional_points,
@@ -67,6 +68,8 @@ class CollisionMesh:
         vertex_world: World of each vertex, int32, shape [V]. Worlds are independent scenes: their primitives never
             collide with those of another world.
         names: Name of each body, B texts; "body 0", "body 1" and so on where none were given.
+        exclude_pairs: The excluded pairs of :meth:`excluding`, by what is paired, int32, shapes [k, 2]; each pair once,
+            in lexicographic order, the lower index first where both are of one kind.
 
     A mesh can be copied and pickled at any time. What earlier calls have left on a device stays behind.
     """
@@ -87,6 +90,7 @@ class CollisionMesh:
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
     names: tuple[str, ...]
+    exclude_pairs: ExcludedPairs
     # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
@@ -124,6 +128,7 @@ class CollisionMesh:
         parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
         parts += [f"{count} {name}" for name, count in self._sizes() if count]
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
+        parts += [f"{self.exclude_pairs.total} excluded pairs"] if self.exclude_pairs else []
         return f"CollisionMesh({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -155,6 +160,7 @@ class CollisionMesh:
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
+        exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
     ) -> CollisionMesh:
         """Build a mesh from objects of trimesh.
@@ -176,6 +182,7 @@ class CollisionMesh:
                 than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
                 each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
                 diameter of the mesh as a graph costs no more than the diameter itself.
+            exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
 
@@ -183,7 +190,7 @@ class CollisionMesh:
             The mesh.
 
         Raises:
-            TypeError: If ``bodies`` is no object of trimesh and no list of these.
+            TypeError: If ``bodies`` is no object of trimesh and no list of these, or ``exclude_pairs`` no mapping.
             ValueError: If there is no body, or an argument is not as described.
         """
         parts = trimesh_bodies(bodies)
@@ -199,6 +206,7 @@ class CollisionMesh:
             names=names,
             body_pairs=body_pairs,
             exclusion_rings=exclusion_rings,
+            exclude_pairs=exclude_pairs,
             vertex_world=vertex_world,
         )
 
@@ -213,6 +221,7 @@ class CollisionMesh:
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
+        exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
     ) -> CollisionMesh:
         """Build a mesh from the arrays of each body.
@@ -233,6 +242,7 @@ class CollisionMesh:
                 than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
                 each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
                 diameter of the mesh as a graph costs no more than the diameter itself.
+            exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
 
@@ -240,6 +250,7 @@ class CollisionMesh:
             The mesh.
 
         Raises:
+            TypeError: If ``exclude_pairs`` is no mapping.
             ValueError: If there is no body, or an argument is not as described.
         """
         bodies = check_items("bodies", bodies, "a list of (vertices, faces) or (vertices, faces, edges), one a body")
@@ -268,7 +279,7 @@ class CollisionMesh:
             )
         faces = np.concatenate(all_faces).astype(np.int32)
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)
-        return cls(
+        mesh = cls(
             vertices=np.concatenate(all_vertices),
             faces=faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
@@ -285,7 +296,39 @@ class CollisionMesh:
                 lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
             ),
             names=names,
+            exclude_pairs=ExcludedPairs(),
         )
+        return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
+
+    def excluding(self, exclude_pairs: Mapping[str, Any]) -> CollisionMesh:
+        """The same mesh without further pairs, as given or as found in an earlier result.
+
+        Args:
+            exclude_pairs: The pairs by what is paired, each an integer array of shape [k, 2]. ``"bodies"``: indices or
+                names; all pairs of their primitives are excluded, and a pair of a body with itself is the same as
+                ``self_collision=False`` for it. ``"vertices"``: all pairs of primitives with one of the vertices on
+                either side. ``"vertex_face"``, ``"edge_edge"``, ``"point_segment"``, ``"point_point"``: the pair of
+                primitives alone, with the indices of ``contacts.primitives`` and of :class:`ccd_warp.Candidates`, which
+                are those of ``vertices``, ``edges`` and ``faces``. Where both are of one kind, their order means
+                nothing. Pairs that are not tested anyway may be among them, and so may duplicates.
+
+        Returns:
+            A mesh with the same bodies and primitives, which excludes these pairs besides those of this mesh.
+
+        Raises:
+            TypeError: If ``exclude_pairs`` is no mapping.
+            ValueError: If it has another key, or an index that is not one of such a part of the mesh.
+        """
+        given = validated_excluded_pairs(exclude_pairs, self)
+        bodies = given.get("bodies", np.zeros((0, 2), dtype=np.int32))
+        is_self = bodies[:, 0] == bodies[:, 1]
+        self_collision = self.self_collision.copy()
+        self_collision[bodies[is_self, 0]] = False
+        given = ExcludedPairs({**given, "bodies": bodies[~is_self]})
+        mesh = object.__new__(type(self))
+        changed = {"self_collision": self_collision, "exclude_pairs": self.exclude_pairs.joined(given)}
+        mesh.__setstate__(self.__getstate__() | changed)
+        return mesh
 
     def replicate(self, count: int) -> CollisionMesh:
         """Copies of all bodies in worlds of their own, for many simulations of one scene at once.

@@ -27,7 +27,7 @@ def find_candidates(
     The box of a primitive encloses its vertices at both ends of the step, is enlarged by ``inflation`` on every side,
     rounded outward, and is closed: boxes that only touch overlap. The collision filter of the mesh excludes pairs that
     share a vertex, pairs of two static bodies, pairs within a body whose self-collision is off, and pairs excluded by
-    ``body_pairs``, ``exclusion_rings`` or ``vertex_world``.
+    ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
 
     Four kinds of pair suffice: vertex-face, edge-edge, codimensional point with codimensional edge, and two
     codimensional points. The sets that collide are faces, codimensional edges and codimensional points. All are convex.

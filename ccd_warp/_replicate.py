@@ -3,8 +3,10 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_count
+from ccd_warp._input.excluded_pairs import ExcludedPairs
 
 _MOST_INDICES = np.iinfo(np.int32).max
 # Largest number of entries of ``body_pairs``, one byte each, for which a mesh is replicated.
@@ -45,5 +47,22 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         body_pairs=None if mesh.body_pairs is None else np.tile(mesh.body_pairs, (count, count)),
         exclusion_rings=mesh.exclusion_rings,
         vertex_world=(mesh.vertex_world + (copies * mesh.num_worlds)[:, None]).ravel().astype(np.int32),
+        exclude_pairs=ExcludedPairs(
+            {key: _copied(key, pairs, mesh, copies) for key, pairs in mesh.exclude_pairs.items()}
+        ),
         names=tuple(f"{name}[{w}]" for w in range(count) for name in mesh.names),
     )
+
+
+def _copied(key: str, pairs: NDArray[np.int32], mesh: Any, copies: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The excluded pairs of every copy. The primitives of a copy follow those of the one before, the edges too."""
+    sizes = {"body": mesh.num_bodies, "vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
+    columns = {
+        "bodies": ("body", "body"),
+        "vertex_face": ("vertex", "face"),
+        "edge_edge": ("edge", "edge"),
+        "point_segment": ("vertex", "edge"),
+    }.get(key, ("vertex", "vertex"))
+    shift = copies[:, None] * [sizes[column] for column in columns]
+    shifted: NDArray[np.int64] = (pairs + shift[:, None]).reshape(-1, 2)
+    return shifted

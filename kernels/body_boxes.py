@@ -8,6 +8,7 @@ Boxes that overlap there are compared again in float64, as closed boxes: boxes t
 import warp as wp
 
 from .box_tree import WIDTH, vec8i
+from .collision_filter import CollisionFilter, are_bodies_excluded
 from .interrupts import is_stopped
 from .lanes import lowest_bit, overlap_mask
 from .pair_search import vec8u
@@ -30,16 +31,14 @@ class BodyTree:
 
 
 @wp.func
-def overlaps_one_of(
-    query: int, mask: wp.uint32, first: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]
-) -> bool:
+def overlaps_one_of(query: int, mask: wp.uint32, first: int, tree: BodyTree, collision_filter: CollisionFilter) -> bool:
     """Whether the box at place ``query`` overlaps that of a partner among the places first + bits of a mask."""
     low = tree.lower[query]
     high = tree.upper[query]
     while mask != _NONE:
         place = first + lowest_bit(mask)
         mask = mask & (mask - wp.uint32(1))
-        if place != query and (by_pair == 0 or body_pairs[tree.body[query], tree.body[place]] != wp.uint8(0)):
+        if place != query and not are_bodies_excluded(tree.body[query], tree.body[place], collision_filter):
             a = wp.max(low, tree.lower[place])
             b = wp.min(high, tree.upper[place])
             if a[0] <= b[0] and a[1] <= b[1] and a[2] <= b[2]:
@@ -48,13 +47,13 @@ def overlaps_one_of(
 
 
 @wp.func
-def overlaps_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.array2d[wp.uint8]) -> bool:
+def overlaps_another(query: int, tree: BodyTree, collision_filter: CollisionFilter) -> bool:
     """Whether the box at place ``query`` overlaps that of any possible partner."""
     block = query / WIDTH
     lane = query % WIDTH
     # neighbours first, among which most bodies that have a partner find one
     mask = overlap_mask(tree.nodes, block, tree.nodes, block, lane, 0)
-    if overlaps_one_of(query, mask, block * WIDTH, tree, by_pair, body_pairs):
+    if overlaps_one_of(query, mask, block * WIDTH, tree, collision_filter):
         return True
     top = tree.num_levels - 1
     level = wp.int32(top)
@@ -63,7 +62,7 @@ def overlaps_another(query: int, tree: BodyTree, by_pair: int, body_pairs: wp.ar
     pending[top] = overlap_mask(tree.nodes, tree.block_begin[top], tree.nodes, block, lane, 0)
     while level <= top:
         if level == 0:
-            if overlaps_one_of(query, pending[0], node[0] * WIDTH, tree, by_pair, body_pairs):
+            if overlaps_one_of(query, pending[0], node[0] * WIDTH, tree, collision_filter):
                 return True
             level = 1
         elif pending[level] == _NONE:
@@ -83,8 +82,7 @@ def mark_bodies_near(
     # in
     queries: wp.array[wp.int32],  # places in the tree
     tree: BodyTree,
-    by_pair: int,  # 1: the next array applies
-    body_pairs: wp.array2d[wp.uint8],
+    collision_filter: CollisionFilter,
     stop: wp.array[wp.int32],
     # out
     near: wp.array[wp.int32],  # per body
@@ -93,5 +91,5 @@ def mark_bodies_near(
     if is_stopped(stop):
         return
     query = queries[begin + wp.tid()]
-    if overlaps_another(query, tree, by_pair, body_pairs):
+    if overlaps_another(query, tree, collision_filter):
         near[tree.body[query]] = 1

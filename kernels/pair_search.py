@@ -18,7 +18,7 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i
-from .collision_filter import CollisionFilter, is_excluded
+from .collision_filter import CollisionFilter, is_excluded, is_listed
 from .cull import is_free
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
@@ -68,6 +68,28 @@ def without_preceding(mask: wp.uint32, within: int, query_block: int, level: int
     return mask
 
 
+@wp.func
+def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
+    """Whether the target is the first primitive of a pair."""
+    return tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and target < query)
+
+
+@wp.func
+def is_left_out(
+    query: BoxTree, target: BoxTree, tree_pair: TreePair, collision_filter: CollisionFilter, q: int, p: int
+) -> bool:
+    """Whether the collision filter excludes a pair of boxes, given by their places."""
+    if is_excluded(box_corners(query, q), box_corners(target, p), collision_filter):
+        return True
+    if collision_filter.by_listed_pair != 0:
+        i = query.primitive[q]
+        j = target.primitive[p]
+        if is_turned(tree_pair, i, j):
+            return is_listed(tree_pair.kind, j, i, collision_filter)
+        return is_listed(tree_pair.kind, i, j, collision_filter)
+    return False
+
+
 # The stage at which a search ends.
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
@@ -105,13 +127,12 @@ def make_pair_search(end: str) -> SimpleNamespace:
         if q >= query.num_boxes:
             return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
         mask = overlapping & lanes_before(target.num_boxes - block * WIDTH)
-        if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
-            a = box_corners(query, q)
+        if collision_filter.applies != 0:
             left = wp.uint32(mask)
             while left != _NONE:
                 lane = lowest_bit(left)
                 left = left & (left - wp.uint32(1))
-                if is_excluded(a, box_corners(target, block * WIDTH + lane), collision_filter):
+                if is_left_out(query, target, tree_pair, collision_filter, q, block * WIDTH + lane):
                     mask = mask & ~(wp.uint32(1) << wp.uint32(lane))
         if (mask & tied) != _NONE:
             mask = mask & ~separated_mask(
@@ -164,14 +185,14 @@ def make_pair_search(end: str) -> SimpleNamespace:
         """Filter and cull a pair whose quantized boxes overlap, keep it if it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
             return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
+        if collision_filter.applies != 0:
+            if is_left_out(query, target, tree_pair, collision_filter, q, p):
+                return 0
         a = box_corners(query, q)
         b = box_corners(target, p)
-        if collision_filter.by_body + collision_filter.by_world + collision_filter.by_ring > 0:
-            if is_excluded(a, b, collision_filter):
-                return 0
         i = query.primitive[q]
         j = target.primitive[p]
-        if tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and j < i):
+        if is_turned(tree_pair, i, j):
             c = a
             a = b
             b = c

@@ -51,6 +51,38 @@ def brute_force(mesh, start, end, inflation=0.0):
                 (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
             ]
         found.append(pairs)
+    is_allowed = listing(mesh)
+    return [[pair for pair in pairs if is_allowed(kind, pair)] for kind, pairs in enumerate(found)]
+
+
+def listing(mesh):
+    """Whether neither `exclude_pairs` nor the worlds of a mesh leave out a pair of primitives of a kind."""
+    tables = {"v": [[v] for v in range(mesh.num_vertices)], "e": mesh.edges.tolist(), "f": mesh.faces.tolist()}
+    listed = {key: set(map(tuple, pairs.tolist())) for key, pairs in mesh.exclude_pairs.items()}
+    of_kind = [listed.get(kind.name.lower(), set()) for kind in ccd.PairKind]
+    bodies, vertices = (listed.get(key, set()) for key in ("bodies", "vertices"))
+    body, world = mesh.vertex_body.tolist(), mesh.vertex_world.tolist()
+
+    def is_allowed(kind, pair):
+        a, b = (tables[name][i] for name, i in zip(("vf", "ee", "ve", "vv")[kind], pair, strict=True))
+        return (
+            world[a[0]] == world[b[0]]
+            and pair not in of_kind[kind]
+            and tuple(sorted((body[a[0]], body[b[0]]))) not in bodies
+            and not any(tuple(sorted(both)) in vertices for both in itertools.product(a, b))
+        )
+
+    return is_allowed
+
+
+def exact_pairs(mesh, start, end):
+    """All pairs of each kind that the mesh lets collide and that touch, by exact arithmetic: (kind, *pair) to toi."""
+    found = {}
+    for kind, pairs in zip(ccd.PairKind, brute_force(mesh, 0 * start, 0 * start), strict=True):
+        if pairs:
+            corners = corners_of(mesh, kind, pairs)
+            exact = exact_tois(kind.name.lower().replace("_", "-"), start[corners], end[corners])
+            found |= {(int(kind), *pair): e for pair, e in zip(pairs, exact, strict=True) if e.hit}
     return found
 
 

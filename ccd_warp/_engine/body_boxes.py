@@ -52,8 +52,7 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
         inputs=[
             wp.array(queries, dtype=wp.int32, device=device, copy=False),
             tree,
-            topology.collision_filter.by_pair,
-            topology.collision_filter.body_pairs,
+            topology.collision_filter,
             execution.flag.array,
         ],
         outputs=[found],

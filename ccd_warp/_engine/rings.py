@@ -1,4 +1,4 @@
-"""The vertices within a few edges of each vertex, for the pairs that ``exclusion_rings`` excludes."""
+"""The vertices within a few edges of each vertex, or paired with it, for the pairs of primitives that these exclude."""
 
 from typing import Any
 
@@ -8,6 +8,27 @@ from numpy.typing import NDArray
 # Vertices whose rings are computed at a time, and the most vertices in all rings: half a gigabyte on the device.
 _SOURCES = 256
 _MOST_VERTICES = 1 << 27
+
+
+def excluded_vertices(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The begin of each vertex's row, and the rows: the vertices that must not meet it, ascending.
+
+    They are those of ``exclusion_rings``, and the other vertices of its pairs in ``exclude_pairs``.
+
+    Raises:
+        ValueError: If the rings hold more than 2²⁷ vertices in all.
+    """
+    count = mesh.num_vertices
+    begin, rows = np.zeros(count + 1, dtype=np.int32), np.zeros(0, dtype=np.int32)
+    if mesh.exclusion_rings > 1:
+        begin, rows = vertex_rings(mesh)
+    if "vertices" in mesh.exclude_pairs:
+        a, b = mesh.exclude_pairs["vertices"].astype(np.int64).T
+        near = np.repeat(np.arange(count), np.diff(begin)) * count + rows
+        keys = np.unique(np.concatenate([near, a * count + b, b * count + a]))
+        lengths = np.bincount(keys // count, minlength=count)
+        begin, rows = np.append(0, np.cumsum(lengths)).astype(np.int32), (keys % count).astype(np.int32)
+    return begin, rows
 
 
 def vertex_rings(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.rings import vertex_rings
+from ccd_warp._engine.rings import excluded_vertices
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -44,6 +44,8 @@ CORNER_ARRAYS = {
     PairKind.POINT_SEGMENT: ("vertex", "edge"),
     PairKind.POINT_POINT: ("vertex", "vertex"),
 }
+# What the listed pairs of the collision filter are, in the order of the pair kinds, and the bodies.
+_LISTED = (*(kind.name.lower() for kind in PairKind), "bodies")
 
 
 @dataclass(frozen=True)
@@ -172,16 +174,31 @@ class Topology:
         none = wp.empty(0, dtype=wp.int32, device=self.device)
         collision_filter.vertex_body = self.vertex_body
         collision_filter.by_pair = int(mesh.body_pairs is not None)
-        collision_filter.by_body = int(not mesh.self_collision.all() or collision_filter.by_pair)
+        collision_filter.by_listed_body = int("bodies" in mesh.exclude_pairs)
+        collision_filter.by_body = int(
+            not mesh.self_collision.all() or collision_filter.by_pair or collision_filter.by_listed_body
+        )
         collision_filter.self_collision = self._array(mesh.self_collision.astype(np.int32))
         pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
         collision_filter.body_pairs = self._array(pairs, wp.uint8)
         collision_filter.by_world = int(mesh.num_worlds > 1)
         collision_filter.vertex_world = self.vertex_world
-        collision_filter.by_ring = int(mesh.exclusion_rings > 1)
+        collision_filter.by_ring = int(mesh.exclusion_rings > 1 or "vertices" in mesh.exclude_pairs)
         collision_filter.ring_begin, collision_filter.ring = none, none
         if collision_filter.by_ring:
-            collision_filter.ring_begin, collision_filter.ring = (self._array(array) for array in vertex_rings(mesh))
+            collision_filter.ring_begin, collision_filter.ring = (
+                self._array(array) for array in excluded_vertices(mesh)
+            )
+        listed = [mesh.exclude_pairs.get(name, np.zeros((0, 2))).astype(np.int64) for name in _LISTED]
+        collision_filter.listed_begin = self._array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
+        collision_filter.listed = self._array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
+        collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
+        collision_filter.applies = int(
+            collision_filter.by_body
+            or collision_filter.by_world
+            or collision_filter.by_ring
+            or collision_filter.by_listed_pair
+        )
         return collision_filter
 
     def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
@@ -244,6 +261,8 @@ class Topology:
             collision_filter.body_pairs,
             collision_filter.ring_begin,
             collision_filter.ring,
+            collision_filter.listed_begin,
+            collision_filter.listed,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 
