@@ -1,7 +1,7 @@
 """Where contacts are: their vertices, and their positions at the time of impact."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,11 +74,15 @@ def located(
 
     The positions may be arrays of the caller, who changes them afterwards. Where there are many contacts, the positions
     are therefore copied, and the points computed when they are asked for; otherwise the points are computed at once.
-    Without positions the points stay unknown.
+    Without positions the points stay unknown. Positions and normals have three columns, or of a mesh in the plane the
+    positions two; of such a mesh two are kept.
     """
     place = ContactPlace(mesh)
+    if mesh.dimension == 2:
+        contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
+        start, end = (None if x is None else x[:, :2] for x in (start, end))
     if len(contacts) == 0:
-        place.points = np.zeros((0, 3))
+        place.points = np.zeros((0, mesh.dimension))
     elif start is not None and end is not None:
         if len(start) < len(contacts) + _WORTH_POINTS:
             place.frames = start.copy(), end.copy()
@@ -99,14 +103,14 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
 def points_at_toi(
     mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], contacts: Contacts
 ) -> NDArray[np.float64]:
-    """Midpoints of the two closest points of each contact, shape [m, 3].
+    """Midpoints of the two closest points of each contact, shape [m, 3] or [m, 2].
 
-    The positions are those of all vertices at both ends of the step, shape [V, 3].
+    The positions are those of all vertices at both ends of the step, shape [V, 3] or [V, 2].
 
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
-    points = np.empty((len(contacts), 3))
+    points = np.empty((len(contacts), start.shape[1]))
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
         for k in range(0, len(of_kind), _CHUNK):

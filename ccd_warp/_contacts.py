@@ -43,13 +43,14 @@ class Contacts(Placed):
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
         primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge, or of the vertices of two codimensional points, int32, shape [m, 2].
+            and a codimensional edge (in the plane of any vertex and edge), or of the vertices of two codimensional
+            points, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
         normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
             comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
             sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
-            or points along the gap where that velocity is zero.
+            or points along the gap where that velocity is zero. Of a mesh in the plane, shape [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
         width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
@@ -114,7 +115,7 @@ class Contacts(Placed):
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Position of each contact at its toi, a length, float64, shape [m, 3].
+        """Position of each contact at its toi, a length, float64, shape [m, 3], or [m, 2] in the plane.
 
         It is halfway between the closest points. These have the parameters (u, v), and are v and
         f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q.
@@ -212,7 +213,7 @@ class Contact:
 
     @property
     def normal(self) -> NDArray[np.float64]:
-        """Unit normal at toi, as in :class:`ccd_warp.Contacts`, float64, shape [3]."""
+        """Unit normal at toi, as in :class:`ccd_warp.Contacts`, float64, shape [3], or [2] in the plane."""
         return self._row.normal[0].copy()
 
     @property
@@ -232,7 +233,7 @@ class Contact:
 
     @property
     def point(self) -> NDArray[np.float64]:
-        """Position at toi, a length, float64, shape [3]."""
+        """Position at toi, a length, float64, shape [3], or [2] in the plane."""
         return self._row.points[0].copy()
 
     @property

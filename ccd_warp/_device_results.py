@@ -29,7 +29,7 @@ class DeviceContacts(Placed):
         primitives: vec2i.
         toi: float64.
         parameters: vec2d.
-        normal: vec3d.
+        normal: vec3d; of a mesh in the plane z is 0.
         status: int32.
         gap: float64.
         width: float64.
@@ -49,7 +49,7 @@ class DeviceContacts(Placed):
     def points(self) -> wp.array:
         """Position of each contact at its toi, as in :class:`Contacts`, vec3d, shape [max_contacts].
 
-        The step is what the arrays of the last launch hold when the device gets there. Points agree in every bit with
+        Of a mesh in the plane z is 0. The step is what the arrays of the last launch hold when the device gets there. Points agree in every bit with
         those of :meth:`to_host`; where the arrays have changed since the launch, they are those of another step.
 
         Raises:

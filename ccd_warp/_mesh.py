@@ -14,9 +14,10 @@ from ccd_warp._display import counted, html_table, listed
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.edges import unique_edges
-from ccd_warp._input.excluded_pairs import ExcludedPairs, validated_excluded_pairs
+from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.mesh_checks import (
     as_positions,
+    common_dimension,
     find_codimensional_points,
     validated_body_pairs,
     validated_flags,
@@ -45,8 +46,12 @@ class CollisionMesh:
     codimensional point only in bodies whose ``codimensional_points`` flag is set, because meshes from files often
     contain unused vertices; in other bodies such a vertex is tested against faces only.
 
+    A mesh **in the plane** has positions with two coordinates and no faces. Every vertex is tested against every edge,
+    and codimensional points against each other. Wherever positions are taken or given, by NumPy or on a device, they
+    have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
+
     Attributes:
-        vertices: Positions as given, float64, in the caller's length unit, shape [V, 3].
+        vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
         edges: The unique pairs (min, max) of vertices that are consecutive in a face or joined by a codimensional edge,
             sorted by (max, min), int32, shape [E, 2]. A pair (a, a), which a face with a repeated vertex contains, is
@@ -90,7 +95,7 @@ class CollisionMesh:
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
     names: tuple[str, ...]
-    exclude_pairs: ExcludedPairs
+    exclude_pairs: Mapping[str, NDArray[np.int32]]
     # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
@@ -127,8 +132,9 @@ class CollisionMesh:
     def __repr__(self) -> str:
         parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
         parts += [f"{count} {name}" for name, count in self._sizes() if count]
+        parts += ["in the plane"] if self.dimension == 2 else []
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
-        parts += [f"{self.exclude_pairs.total} excluded pairs"] if self.exclude_pairs else []
+        parts += [f"{sum(map(len, self.exclude_pairs.values()))} excluded pairs"] if self.exclude_pairs else []
         return f"CollisionMesh({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -190,7 +196,7 @@ class CollisionMesh:
             The mesh.
 
         Raises:
-            TypeError: If ``bodies`` is no object of trimesh and no list of these, or ``exclude_pairs`` no mapping.
+            TypeError: If ``bodies`` is no object of trimesh and no list of these.
             ValueError: If there is no body, or an argument is not as described.
         """
         parts = trimesh_bodies(bodies)
@@ -229,7 +235,8 @@ class CollisionMesh:
         Args:
             bodies: One tuple for each body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape
                 [V_b, 3]; faces, integer indices into these vertices, shape [F_b, 3]; codimensional edges, also indices
-                into these vertices, shape [E_b, 2].
+                into these vertices, shape [E_b, 2]. Or (vertices, edges) for each body of a mesh in the plane, with
+                vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points.
             static: Indices or names of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
@@ -250,26 +257,36 @@ class CollisionMesh:
             The mesh.
 
         Raises:
-            TypeError: If ``exclude_pairs`` is no mapping.
             ValueError: If there is no body, or an argument is not as described.
         """
-        bodies = check_items("bodies", bodies, "a list of (vertices, faces) or (vertices, faces, edges), one a body")
+        expected = (
+            "a list of (vertices, faces) or (vertices, faces, edges), or (vertices, edges) in the plane, one a body"
+        )
+        bodies = check_items("bodies", bodies, expected)
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
         names = validated_names(names, len(bodies))
         all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
+        with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         for b, body in enumerate(bodies):
             if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
                 raise ValueError(
                     f"{body_label(b, names)} is a {type(body).__name__}; "
                     f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
                 )
+        dimension = common_dimension(bodies, names)
+        for b, body in enumerate(bodies):
             label = body_label(b, names)
-            vertices = validated_positions(body[0], f"vertices of {label}")
+            vertices = validated_positions(body[0], f"vertices of {label}", dimension)
+            faces, edges = (body[1], body[2:]) if dimension == 3 else ((), body[1:])
+            if len(edges) == 2:
+                raise ValueError(f"{label} is in the plane and has 3 arrays; expected a pair (vertices, edges)")
             all_vertices.append(vertices)
-            all_faces.append(validated_indices(body[1], 3, len(vertices), f"faces of {label}") + offsets[-1])
-            if len(body) == 3:
-                all_edges.append(validated_indices(body[2], 2, len(vertices), f"edges of {label}") + offsets[-1])
+            all_faces.append(validated_indices(faces, 3, len(vertices), f"faces of {label}") + offsets[-1])
+            for given in edges:
+                all_edges.append(validated_indices(given, 2, len(vertices), f"edges of {label}") + offsets[-1])
+            if dimension == 2 and len(all_edges[-1]) == 0:
+                with_points[b] = True  # without edges the body consists of points
             offsets.append(offsets[-1] + len(vertices))
         num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
         if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
@@ -286,7 +303,7 @@ class CollisionMesh:
             static=validated_static(static, names),
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=edges,
-            with_codimensional_points=validated_flags(codimensional_points, len(bodies), "codimensional_points"),
+            with_codimensional_points=with_points,
             body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
             vertex_world=validated_worlds(
@@ -316,8 +333,8 @@ class CollisionMesh:
             A mesh with the same bodies and primitives, which excludes these pairs besides those of this mesh.
 
         Raises:
-            TypeError: If ``exclude_pairs`` is no mapping.
-            ValueError: If it has another key, or an index that is not one of such a part of the mesh.
+            ValueError: If ``exclude_pairs`` is no mapping, has another key, or an index that is not one of such a part
+                of the mesh.
         """
         given = validated_excluded_pairs(exclude_pairs, self)
         bodies = given.get("bodies", np.zeros((0, 2), dtype=np.int32))
@@ -326,7 +343,7 @@ class CollisionMesh:
         self_collision[bodies[is_self, 0]] = False
         given = ExcludedPairs({**given, "bodies": bodies[~is_self]})
         mesh = object.__new__(type(self))
-        changed = {"self_collision": self_collision, "exclude_pairs": self.exclude_pairs.joined(given)}
+        changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, given)}
         mesh.__setstate__(self.__getstate__() | changed)
         return mesh
 
@@ -345,6 +362,11 @@ class CollisionMesh:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
         """
         return type(self)(**replicated(self, count))
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates of a position, 3 in space and 2 of a mesh in the plane."""
+        return self.vertices.shape[1]
 
     @property
     def num_bodies(self) -> int:
@@ -396,6 +418,14 @@ class CollisionMesh:
         return tuple(forms)
 
     @lazy_property
+    def _vertices_in_space(self) -> NDArray[np.float64]:
+        return self._in_space(self.vertices)
+
+    def _in_space(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Validated positions as the engine takes them: those in the plane have z = 0."""
+        return positions if self.dimension == 3 else np.pad(positions, ((0, 0), (0, 1)))
+
+    @lazy_property
     def _has_names(self) -> bool:
         """Whether a body was given a name."""
         return not all(is_default_name(name, b) for b, name in enumerate(self.names))
@@ -437,12 +467,14 @@ class CollisionMesh:
             ValueError: If the shape differs or a value is not finite.
         """
         reason = "one row a vertex of the mesh" + self._or_by_world(self.num_vertices)
-        return validated_positions(vertices, name, self.num_vertices, reason, self.rows_by_world, self._where)
+        return validated_positions(
+            vertices, name, self.dimension, self.num_vertices, reason, self.rows_by_world, self._where
+        )
 
     def _or_by_world(self, count: int) -> str:
         """What a message adds where positions may have an axis of worlds."""
         shapes = [form for form in self.rows_by_world if form[0] > 1 and form[0] * form[1] == count]
-        return f", or {(*shapes[0], 3)}, with an axis of worlds" if shapes else ""
+        return f", or {(*shapes[0], self.dimension)}, with an axis of worlds" if shapes else ""
 
     def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Validate the positions at both ends of a step, and keep static bodies at their start positions.
@@ -465,9 +497,9 @@ class CollisionMesh:
         if not self.static.any():
             reason = "like vertices_t0"
             return start, validated_positions(
-                vertices_t1, "vertices_t1", self.num_vertices, reason, by_world, self._where
+                vertices_t1, "vertices_t1", self.dimension, self.num_vertices, reason, by_world, self._where
             )
-        end = as_positions(vertices_t1, "vertices_t1", by_world=by_world)
+        end = as_positions(vertices_t1, "vertices_t1", self.dimension, by_world=by_world)
         moving = self.moving_vertices
         ranges = self.static_vertex_ranges
         if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):
@@ -478,7 +510,7 @@ class CollisionMesh:
         elif len(end) != len(moving):
             raise ValueError(
                 f"vertices_t1 has shape {end.shape}; expected {start.shape} like vertices_t0 "
-                f"or {(len(moving), 3)}, the moving vertices alone"
+                f"or {(len(moving), self.dimension)}, the moving vertices alone"
             )
         check_finite(end, "vertices_t1", where=self._where_moving)
         full = start.copy()

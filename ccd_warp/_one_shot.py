@@ -42,9 +42,13 @@ def find_candidates(
     detected by the two segments of that joint, just as two faces with a common edge meet only through their other
     vertices.
 
+    In the plane the sets that collide are edges and codimensional points, and the boundary of A - B consists of
+    differences (vertex) - (edge) alone: every vertex is tested against every edge, and codimensional points against
+    each other.
+
     Args:
         mesh: The bodies.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
@@ -81,7 +85,7 @@ def mesh_ccd(
 
     Args:
         mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
             vertices only, shape [V_moving, 3].
         **options: Options of :class:`ccd_warp.MeshOptions`.

@@ -103,7 +103,7 @@ class CollisionPipeline:
         self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
-        self._layout = self.mesh.vertices
+        self._layout = self.mesh._vertices_in_space
         self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
         self._is_placing = False  # whether that launch may have moved some of the static bodies
 
@@ -147,11 +147,11 @@ class CollisionPipeline:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
             begin = time.perf_counter()
-            frames = self.mesh.frames(vertices_t0, vertices_t1)
+            start, end = map(self.mesh._in_space, self.mesh.frames(vertices_t0, vertices_t1))
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
-            step = Step(workspace, frames, self._options, time.perf_counter() - begin, self._show_progress)
+            step = Step(workspace, (start, end), self._options, time.perf_counter() - begin, self._show_progress)
             result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
@@ -197,7 +197,9 @@ class CollisionPipeline:
                 raise RuntimeError("a graph is being captured; call reserve() before the capture")
             with naming("reserve"):
                 capacities = self._with_capacities(max_pairs, max_contacts)
-            layout = None if vertices is None else self.mesh.frame(vertices, "vertices").copy()
+            layout = None
+            if vertices is not None:
+                layout = self.mesh._in_space(self.mesh.frame(vertices, "vertices").copy())
             self._reserve(capacities, layout)
             assert self._device_step
             return self._device_step.result
@@ -229,7 +231,8 @@ class CollisionPipeline:
             vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
                 that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
                 rows of the moving vertices only, if the static bodies stay where they were. Of a mesh whose W worlds
-                have equally many vertices, n each, also of shape [W, n] or [W, n, 3].
+                have equally many vertices, n each, also of shape [W, n] or [W, n, 3]. Of a mesh in the plane vec2f or
+                vec2d, and 2 in place of 3.
             vertices_t1: End positions of the same type. Rows of static bodies are ignored.
             displacements: Displacements in place of end positions; they are added to the start positions in float64. A
                 solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
@@ -323,8 +326,8 @@ class CollisionPipeline:
             step = self._device_step
             assert step
             name_t1 = arguments.get("name_t1", "vertices_t1")
-            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world)
-            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world)
+            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
+            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(

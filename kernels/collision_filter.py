@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .points import pair_key
+from .pair_key import pair_key
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

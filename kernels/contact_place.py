@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .contacts import ContactList, contact_key, position
+from .in_space import make_in_space
 from .once import once
 from .patch import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 
@@ -133,10 +134,11 @@ def fill_toi_keys(
 
 
 @once
-def make_contact_points(real) -> SimpleNamespace:
-    """The kernel that computes points from positions of one precision."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    module = wp.get_module(f"ccd_warp.contact_points.{real.__name__}")
+def make_contact_points(real, dimension: int) -> SimpleNamespace:
+    """The kernel that computes points from positions of one precision, in space or in the plane."""
+    positions = make_in_space(real, dimension)
+    vec, in_space = positions.vec, positions.in_space
+    module = wp.get_module(f"ccd_warp.contact_points.{real.__name__}.{dimension}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
     @wp.kernel(module=module)
@@ -146,8 +148,8 @@ def make_contact_points(real) -> SimpleNamespace:
         contacts: ContactList,
         edge_corners: wp.array[wp.vec3i],
         face_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3],
-        vertices_t1: wp.array[vec3],
+        vertices_t0: wp.array[vec],
+        vertices_t1: wp.array[vec],
         moving_row: wp.array[wp.int32],  # the place of each vertex among the moving ones; -1: it is static
         t1_by_vertex: int,  # 0: the rows are the moving vertices only
         # out
@@ -172,11 +174,11 @@ def make_contact_points(real) -> SimpleNamespace:
         first = wp.vec3d()
         second = wp.vec3d()
         for k in range(4):
-            a = wp.vec3d(vertices_t0[v[k]])
+            a = in_space(vertices_t0[v[k]])
             b = a
             row = moving_row[v[k]]
             if row >= 0:
-                b = wp.vec3d(vertices_t1[wp.where(t1_by_vertex != 0, v[k], row)])
+                b = in_space(vertices_t1[wp.where(t1_by_vertex != 0, v[k], row)])
             p = weights[k] * position(a, b, contacts.toi[n])
             if k < num_first:
                 first += p

@@ -10,6 +10,7 @@ import warp as wp
 
 from .atomics import atomic_min_int64
 from .box_tree import WIDTH, BoxTree, Quantization, fill_block, unite_from, vertex_aabb, write_vertex_aabb
+from .in_space import make_in_space
 from .minima import INVALID_INPUT, Minima, flag_world, world_of
 from .once import once
 
@@ -188,10 +189,11 @@ def settle(
 
 
 @once
-def make_input(real) -> SimpleNamespace:
-    """Kernels that read positions of one precision."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    module = wp.get_module(f"ccd_warp.device_input.{real.__name__}")
+def make_input(real, dimension: int) -> SimpleNamespace:
+    """Kernels that read positions of one precision, in space or in the plane."""
+    positions = make_in_space(real, dimension)
+    vec, in_space = positions.vec, positions.in_space
+    module = wp.get_module(f"ccd_warp.device_input.{real.__name__}.{dimension}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
     @wp.kernel(module=module)
@@ -199,8 +201,8 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        vertices_t0: wp.array[vec3],
-        vertices_t1: wp.array[vec3],
+        vertices_t0: wp.array[vec],
+        vertices_t1: wp.array[vec],
         t0_by_vertex: int,  # 0: the rows are the moving vertices only
         t1_by_vertex: int,
         is_displacement: int,
@@ -210,11 +212,11 @@ def make_input(real) -> SimpleNamespace:
         end: wp.array[wp.vec3d],
         m: Minima,
     ):
-        """Read the positions of a moving vertex into float64, which represents either precision exactly."""
+        """Read the positions of a moving vertex into float64."""
         k = begin + wp.tid()
         v = vertices[k]
-        a = wp.vec3d(vertices_t0[wp.where(t0_by_vertex != 0, v, k)])
-        b = wp.vec3d(vertices_t1[wp.where(t1_by_vertex != 0, v, k)])
+        a = in_space(vertices_t0[wp.where(t0_by_vertex != 0, v, k)])
+        b = in_space(vertices_t1[wp.where(t1_by_vertex != 0, v, k)])
         if is_displacement != 0:
             b = a + b
         if is_kept != 0:
@@ -228,7 +230,7 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        vertices_t0: wp.array[vec3],
+        vertices_t0: wp.array[vec],
         # out
         start: wp.array[wp.vec3d],
         end: wp.array[wp.vec3d],
@@ -242,7 +244,7 @@ def make_input(real) -> SimpleNamespace:
         first = (begin + wp.tid()) * CHUNK
         for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
             v = vertices[k]
-            a = wp.vec3d(vertices_t0[v])
+            a = in_space(vertices_t0[v])
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
             elif not (a == start[v]):
@@ -255,14 +257,14 @@ def make_input(real) -> SimpleNamespace:
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        vertices_t0: wp.array[vec3],
+        vertices_t0: wp.array[vec],
         t0_by_vertex: int,
         t1_by_vertex: int,
         per: int,
         safety: wp.float64,
         m: Minima,
         # in and out
-        vertices_t1: wp.array[vec3],
+        vertices_t1: wp.array[vec],
     ):
         """Shorten the motion of a vertex to the share ``safety`` of the toi of the part that it moves with.
 
@@ -283,7 +285,7 @@ def make_input(real) -> SimpleNamespace:
             f = safety * wp.cast(bits, wp.float64)
             if f > wp.float64(0.0):
                 y = vertices_t1[row]
-                for i in range(3):
+                for i in range(wp.static(dimension)):
                     if y[i] != x[i]:  # a stationary coordinate must not move by a rounding
                         # a difference of two distant positions, which could overflow, is avoided
                         x[i] = real((wp.float64(1.0) - f) * wp.float64(x[i]) + f * wp.float64(y[i]))

@@ -18,6 +18,7 @@ from .facets import make_facets
 from .interrupts import is_stopped
 from .minima import CONTACTS_OVERFLOW, FOUND, OPEN, Minima, flag_world, lower_pair
 from .once import once
+from .pair_key import pair_of
 from .patch import VERTEX_FACE, make_patch
 from .points import Corners as Corners64
 from .points import (
@@ -26,7 +27,6 @@ from .points import (
     is_stationary,
     longest_side,
     magnitude,
-    pair_of,
     points_of,
     relative_motion,
     row_points,

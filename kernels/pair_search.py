@@ -24,9 +24,10 @@ from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
 from .minima import CANDIDATES, FOUND, Minima, mark_overflow
 from .once import once
+from .pair_key import pair_key
 from .pair_lanes import append_keys, separated_mask
 from .patch import EDGE_EDGE, VERTEX_FACE
-from .points import corners, pair_key, points_of
+from .points import corners, points_of
 from .search_types import SearchOptions, SearchRange, TreePair
 
 vec8u = wp.types.vector(length=8, dtype=wp.uint32)

@@ -38,18 +38,6 @@ def longest_side(a: Points, b: Points) -> wp.float64:
 
 
 @wp.func
-def pair_key(first: int, second: int) -> wp.int64:
-    """A pair of primitives as one number; ascending keys order the pairs lexicographically."""
-    return (wp.int64(first) << wp.int64(32)) | wp.int64(second)
-
-
-@wp.func
-def pair_of(key: wp.int64) -> wp.vec2i:
-    """The pair of a key."""
-    return wp.vec2i(wp.int32(key >> wp.int64(32)), wp.int32(key & wp.int64(0xFFFFFFFF)))
-
-
-@wp.func
 def points_of(kind: int, first: wp.vec3i, second: wp.vec3i, x: wp.array[vec3d]) -> Points:
     """Points of a pair of primitives of a mesh, from the vertices of each."""
     p = Points()

@@ -39,7 +39,10 @@ def brute_force(mesh, start, end, inflation=0.0):
     body = {"v": mesh.vertex_body, "e": mesh.edge_body, "f": mesh.face_body}
     body |= {"p": mesh.vertex_body[mesh.codimensional_points], "s": mesh.edge_body[mesh.codimensional_edges]}
     found = []
-    for first, second in ("vf", "ee", "ps", "pp"):
+    for first, second in ("vf", "ee", "ps", "pp") if mesh.dimension == 3 else (("", ""), ("", ""), "ve", "pp"):
+        if not first:
+            found.append([])
+            continue
         (lower_i, upper_i), (lower_j, upper_j) = (boxes_of(kinds[k], (start, end), inflation) for k in (first, second))
         pairs = []
         for i in range(len(lower_i)):

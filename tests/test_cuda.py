@@ -31,8 +31,10 @@ def warp_modules():
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
         modules[name] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
-        modules[f"device_step input {real.__name__}"] = make_input(real).read_moving.module
-        modules[f"contact_place points {real.__name__}"] = make_contact_points(real).fill_points.module
+        for dimension in (2, 3):
+            name = f"{real.__name__} {dimension}"
+            modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
+            modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
         for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
     for end in (BOXES, CULL):

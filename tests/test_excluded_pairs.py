@@ -258,6 +258,6 @@ def test_pairs_that_the_mesh_does_not_have_are_named(values, message):
 
 
 @pytest.mark.parametrize("values", [[[0, 1]], "edge_edge", 3, {"edge_edge"}])
-def test_pairs_without_what_is_paired_are_a_type_error(values):
-    with pytest.raises(TypeError, match=r"exclude_pairs is .*; expected a mapping from what is paired"):
+def test_pairs_without_what_is_paired_are_refused(values):
+    with pytest.raises(ValueError, match=r"exclude_pairs is .*; expected a mapping from what is paired"):
         single(np.eye(3), [[0, 1, 2]]).excluding(values)

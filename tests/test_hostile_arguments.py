@@ -55,6 +55,7 @@ BODIES = {
     "codimensional_points": False,
     "body_pairs": None,
     "exclusion_rings": 1,
+    "exclude_pairs": {"bodies": [(0, 1)]},
     "vertex_world": np.zeros(6, dtype=int),
     "names": ["face", "cable"],
 }
@@ -133,6 +134,7 @@ def _calls(folder):
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
         ),
         "replicate": (MESH.replicate, {"count": 2}),
+        "excluding": (MESH.excluding, {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
         "frame": (MESH.frame, {"vertices": START}),
         "frames": (MESH.frames, {"vertices_t0": START, "vertices_t1": END}),
         "CollisionPipeline": (
@@ -224,9 +226,9 @@ OPTIONAL = {
         "max_pairs",
         "camera",
     ),
-    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names"),
+    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs"),
 }
-REQUIRED = {("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
+REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 PATHS = {"path", "folder", "start_path", "end_path"}
 # What is no mistake: the value has the meaning that the documentation gives it.
 FLAGS = {"self_collision", "codimensional_points", "progress"}
@@ -238,7 +240,7 @@ TAKEN = {
     "float16": REALS,
     "empty list": {"static", "faces of body 0", "edges of body 0"},
     "nested empty list": {"faces of body 0", "edges of body 0"},
-    "empty dict": {"static"},
+    "empty dict": {"static", "exclude_pairs"},
     "bool": FLAGS,
     "numpy bool": FLAGS,
     "0-d bool array": FLAGS - {"progress"},

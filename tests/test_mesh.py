@@ -290,7 +290,7 @@ def test_mesh_does_not_freeze_the_arrays_of_the_caller():
         ([(np.zeros((0, 3)), [[0, 1, 2]])], {}, r"faces of body 0 holds index 0; expected indices in \[0, 0\)"),
         ([(np.eye(3), [[0, 1]])], {}, r"faces of body 0 has shape \(1, 2\); expected \(n, 3\)"),
         ([(np.eye(3), [[0.0, 1.0, 2.0]])], {}, "faces of body 0 has dtype float64; expected integers"),
-        ([(np.eye(2), [[0, 1, 1]])], {}, r"vertices of body 0 has shape \(2, 2\); expected \(n, 3\)"),
+        ([(np.eye(4), [[0, 1, 1]])], {}, r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
         ([(np.full((3, 3), np.nan), [])], {}, "vertices of body 0 holds nan in row 0; expected finite values"),
         ([(np.eye(3, dtype=complex), [])], {}, "vertices of body 0 has dtype complex128; expected real numbers"),
         (

@@ -38,7 +38,7 @@ class Candidates:
         vertex_face: Vertex and face indices, int32, shape [m, 2].
         edge_edge: Edge indices, first < second, int32, shape [k, 2].
         point_segment: Vertex indices of codimensional points and edge indices of codimensional edges, int32, shape
-            [n, 2]; empty where the mesh has none.
+            [n, 2]; empty where the mesh has none. Of a mesh in the plane, indices of any vertices and edges.
         point_point: Vertex indices of codimensional points, first < second, int32, shape [l, 2]; likewise.
     """
 

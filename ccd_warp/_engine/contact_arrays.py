@@ -45,10 +45,11 @@ class ContactArrays:
         of static vertices are not read.
         """
         start, end = positions
-        real = wp.float64 if start.dtype is wp.vec3d else wp.float32
+        real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
+        dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
         num_vertices = self._topology.mesh.num_vertices
         inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
-        return self._filled(name, wp.vec3d, kernels.make_contact_points(real).fill_points, *inputs)
+        return self._filled(name, wp.vec3d, kernels.make_contact_points(real, dimension).fill_points, *inputs)
 
     def order_by_toi(self) -> wp.array:
         """Rows of the contacts by ascending toi, those with one toi by kind and pair; then all rows without a contact.

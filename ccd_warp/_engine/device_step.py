@@ -226,7 +226,7 @@ class DeviceStep:
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
     def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
-        if self._vertices is self._mesh.vertices:
+        if self._vertices is self._mesh._vertices_in_space:
             return self.topology.rest_order(primitives, self._execution)
         return self.topology.order_at(self._vertices, primitives, self._execution)
 
@@ -245,10 +245,10 @@ class DeviceStep:
         rows = {mesh.num_vertices: "one a vertex"}
         if self._has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        start = as_positions(vertices_t0, "vertices_t0", device, rows)
-        end = as_positions(vertices_t1, name_t1, device, rows)
+        start = as_positions(vertices_t0, "vertices_t0", device, rows, mesh.dimension)
+        end = as_positions(vertices_t1, name_t1, device, rows, mesh.dimension)
         _check_same_dtype(start, end, name_t1)
-        real = wp.float64 if start.dtype is wp.vec3d else wp.float32
+        real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
         count = mesh.num_vertices
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
         if form not in self._recordings and device.is_capturing and device.is_cuda:
@@ -299,10 +299,11 @@ class DeviceStep:
         mesh, device = self._mesh, self.topology.device
         every = {mesh.num_vertices: "one a vertex"}
         moving = {len(mesh.moving_vertices): "one a moving vertex"}
-        vertices_t0 = without_worlds(vertices_t0, "vertices_t0", mesh.rows_by_world)
-        vertices_t1 = without_worlds(vertices_t1, "vertices_t1", mesh.rows_by_world)
-        start = as_positions(vertices_t0, "vertices_t0", device, every)
-        end = as_positions(vertices_t1, "vertices_t1", device, every | moving if self._has_static else every)
+        vertices_t0 = without_worlds(vertices_t0, "vertices_t0", mesh.rows_by_world, mesh.dimension)
+        vertices_t1 = without_worlds(vertices_t1, "vertices_t1", mesh.rows_by_world, mesh.dimension)
+        start = as_positions(vertices_t0, "vertices_t0", device, every, mesh.dimension)
+        rows = every | moving if self._has_static else every
+        end = as_positions(vertices_t1, "vertices_t1", device, rows, mesh.dimension)
         _check_same_dtype(start, end, "vertices_t1")
         return self.contact_arrays.points(f"points_at with {start.dtype.__name__}", (start, end))
 
@@ -310,7 +311,7 @@ class DeviceStep:
         """Positions of all vertices in the last launch, in float64; None before the first."""
         if self._last is None:
             return None
-        if _is_copied(self._last.form, self._has_static):
+        if self._is_copied(self._last.form):
             return self._start, self._end
         return self._last.vertices_t0, self._last.vertices_t1
 
@@ -347,7 +348,7 @@ class DeviceStep:
                     outputs=[self._touched],
                 )
             recording.launch(
-                device_step.make_input(form.real).shorten,
+                device_step.make_input(form.real, self._mesh.dimension).shorten,
                 len(topology.moving_vertices),
                 inputs=[
                     topology.moving_vertices,
@@ -366,7 +367,7 @@ class DeviceStep:
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
-        is_copied = _is_copied(form, self._has_static)
+        is_copied = self._is_copied(form)
         if is_copied:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
@@ -387,7 +388,7 @@ class DeviceStep:
     ) -> None:
         """Record the launches that read positions and reset the results."""
         topology, minima = self.topology, stages.minima
-        read = device_step.make_input(form.real)
+        read = device_step.make_input(form.real, self._mesh.dimension)
         stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
         if form.t0_by_vertex and self._has_static:
             recording.launch(
@@ -450,15 +451,15 @@ class DeviceStep:
                 )
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
 
+    def _is_copied(self, form: _Form) -> bool:
+        """Whether a launch reads positions into arrays of its own."""
+        is_in_plane = self._mesh.dimension == 2
+        return form.real is not wp.float64 or form.is_displacement or self._has_static or is_in_plane
+
 
 def _check_same_dtype(start: wp.array, end: wp.array, name_t1: str) -> None:
     if start.dtype is not end.dtype:
         raise ValueError(f"{name_t1} has dtype {end.dtype.__name__}; expected {start.dtype.__name__} like vertices_t0")
-
-
-def _is_copied(form: _Form, has_static: bool) -> bool:
-    """Whether a launch reads positions into arrays of its own."""
-    return form.real is not wp.float64 or form.is_displacement or has_static
 
 
 def _worlds_are_apart(mesh: CollisionMesh) -> bool:

@@ -36,7 +36,7 @@ class LineSearchResult:
     """A step that is certain to be free of collisions.
 
     Attributes:
-        vertices: Positions at its end, a new array, float64, shape [V, 3].
+        vertices: Positions at its end, a new array, float64, shape [V, 3], or [V, 2] in the plane.
         vertex_fraction: Fraction of its displacement by which each vertex moves, in [0, 1], shape [V]; 1 for static
             vertices.
         fraction: The least fraction of the vertices of moving bodies.

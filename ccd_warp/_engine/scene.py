@@ -12,7 +12,20 @@ if TYPE_CHECKING:
 
 
 def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind, ...]:
-    """Kinds of pairs that the primitives of a mesh can form and the options select."""
+    """Kinds of pairs that the primitives of a mesh can form and the options select.
+
+    In the plane vertices with edges, and points with points, suffice. Let A and B be two segments, or a point and a
+    segment, that do not touch at the start. They touch where the origin is in the convex polygon A - B. It moves
+    continuously, so the origin enters it, and first comes within a distance of it, at its boundary. Each side of that
+    boundary is a vertex of one of the two minus the other, because A - B is the convex hull of such sides: a
+    parallelogram, or, of parallel segments, one segment that the four sides cover.
+    """
+    if mesh.dimension == 2:
+        possible = {
+            PairKind.POINT_SEGMENT: mesh.num_edges > 0,
+            PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
+        }
+        return tuple(kind for kind in options.kinds if possible.get(kind))
     possible = {
         PairKind.VERTEX_FACE: mesh.num_faces > 0,
         PairKind.EDGE_EDGE: mesh.num_edges > 0,

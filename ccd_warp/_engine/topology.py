@@ -38,6 +38,8 @@ PRIMITIVES = {
     PairKind.POINT_SEGMENT: ("codimensional_point", "codimensional_edge"),
     PairKind.POINT_POINT: ("codimensional_point", "codimensional_point"),
 }
+# In the plane, where vertices and edges are what vertices and faces are in space.
+_PRIMITIVES_IN_PLANE = PRIMITIVES | {PairKind.POINT_SEGMENT: ("vertex", "edge")}
 CORNER_ARRAYS = {
     PairKind.VERTEX_FACE: ("vertex", "face"),
     PairKind.EDGE_EDGE: ("edge", "edge"),
@@ -142,6 +144,10 @@ class Topology:
             return np.repeat(np.arange(mesh.num_vertices, dtype=np.int32)[:, None], 3, axis=1)
         return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
 
+    def primitives_of(self, kind: PairKind) -> tuple[str, str]:
+        """The kinds of the two primitives of a pair."""
+        return (PRIMITIVES if self.mesh.dimension == 3 else _PRIMITIVES_IN_PLANE)[kind]
+
     def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
         """The moving or static primitives of a kind."""
         key = (kind, is_static)
@@ -208,7 +214,7 @@ class Topology:
         small, which every step checks.
         """
         if primitives.name not in self._orders:
-            order = self.order_at(self.mesh.vertices, primitives, execution)
+            order = self.order_at(self.mesh._vertices_in_space, primitives, execution)
             self._orders.setdefault(primitives.name, order)
         return self._orders[primitives.name]
 

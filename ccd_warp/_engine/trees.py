@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.topology import PRIMITIVES, WIDTH, PrimitiveSet, Topology
+from ccd_warp._engine.topology import WIDTH, PrimitiveSet, Topology
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
@@ -129,7 +129,7 @@ class TreePair:
     @property
     def is_symmetric(self) -> bool:
         """Whether both primitives are of one kind, and the lower index comes first."""
-        return len(set(PRIMITIVES[self.kind])) == 1
+        return self.kind in (PairKind.EDGE_EDGE, PairKind.POINT_POINT)
 
     @lazy_property
     def packed(self) -> Any:
@@ -185,7 +185,7 @@ def tree_pairs_of(
 
     tree_pairs = []
     for kind in kinds:
-        first, second = PRIMITIVES[kind]
+        first, second = topology.primitives_of(kind)
         for a_static, b_static in ((False, False), (False, True), (True, False)):
             is_mirrored = a_static and first == second
             if is_mirrored or (skip_moving and not a_static and not b_static):

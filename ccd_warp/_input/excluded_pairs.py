@@ -1,7 +1,7 @@
 """The pairs that ``exclude_pairs`` of a mesh leaves out: their validation, and the mapping that keeps them."""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 from ccd_warp._input.arguments import check_items, shown
 from ccd_warp._input.arrays import as_array
 from ccd_warp._input.foreign import on_host
-
-if TYPE_CHECKING:
-    from ccd_warp._mesh import CollisionMesh
 
 # What is paired, by key.
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point")
@@ -50,31 +47,34 @@ class ExcludedPairs(Mapping[str, NDArray[np.int32]]):
     def __len__(self) -> int:
         return len(self._pairs)
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ExcludedPairs):
+            return NotImplemented
+        return self.keys() == other.keys() and all(np.array_equal(self[key], other[key]) for key in self)
+
+    __hash__ = None  # type: ignore[assignment]
+
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(rows):,} {key.replace('_', '-')}" for key, rows in self.items())
         return f"ExcludedPairs({counts or 'none'})"
 
-    @property
-    def total(self) -> int:
-        """Number of pairs of all keys."""
-        return sum(map(len, self.values()))
 
-    def joined(self, other: "ExcludedPairs") -> "ExcludedPairs":
-        """The pairs of both."""
-        keys = {*self, *other}
-        return ExcludedPairs({key: np.concatenate([p[key] for p in (self, other) if key in p]) for key in keys})
+def joined_pairs(*parts: Mapping[str, NDArray[np.int32]]) -> ExcludedPairs:
+    """The pairs of all parts."""
+    keys = {key for part in parts for key in part}
+    return ExcludedPairs({key: np.concatenate([part[key] for part in parts if key in part]) for key in keys})
 
 
-def validated_excluded_pairs(values: Any, mesh: "CollisionMesh") -> ExcludedPairs:
+def validated_excluded_pairs(values: Any, mesh: Any) -> ExcludedPairs:
     """Pairs of bodies, vertices or primitives of a mesh, by what is paired.
 
     Raises:
-        TypeError: If it is no mapping.
-        ValueError: If a key is not one of ``KEYS``, or its pairs are not pairs of such parts of the mesh.
+        ValueError: If it is no mapping, a key is not one of ``KEYS``, or its pairs are not pairs of such parts of the
+            mesh.
     """
     if not isinstance(values, Mapping):
         expected = "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs"
-        raise TypeError(f"exclude_pairs is {shown(values)}; expected {expected}")
+        raise ValueError(f"exclude_pairs is {shown(values)}; expected {expected}")
     found = {}
     for key, pairs in values.items():
         if key not in KEYS:
@@ -86,11 +86,13 @@ def validated_excluded_pairs(values: Any, mesh: "CollisionMesh") -> ExcludedPair
     return ExcludedPairs(found)
 
 
-def _columns(key: str, mesh: "CollisionMesh") -> tuple[tuple[str, int, NDArray[np.int32] | None], ...]:
+def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | None], ...]:
     """What the columns of a key hold: the word for one, the number of indices, and which of them if not all."""
     vertex, edge = ("vertex", mesh.num_vertices, None), ("edge", mesh.num_edges, None)
     point = ("codimensional point", mesh.num_vertices, mesh.codimensional_points)
     segment = ("codimensional edge", mesh.num_edges, mesh.codimensional_edges)
+    if mesh.dimension == 2 and key == "point_segment":
+        return vertex, edge
     body, face = ("body", mesh.num_bodies, None), ("face", mesh.num_faces, None)
     columns: dict[str, Any] = {
         "bodies": (body, body),

@@ -12,7 +12,10 @@ from ccd_warp._quiet import start_warp
 
 # Device type of CUDA in DLPack.
 _CUDA = 2
-_VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
+_VECTORS = {
+    3: {wp.float32: wp.vec3f, wp.float64: wp.vec3d},
+    2: {wp.float32: wp.vec2f, wp.float64: wp.vec2d},
+}
 
 
 def as_warp(value: Any, name: str) -> wp.array:
@@ -57,13 +60,14 @@ def check_writable(value: Any, name: str) -> None:
         raise ValueError(f"{name} is read-only; expected an array that can be written to")
 
 
-def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]]) -> Any:
+def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]], dimension: int) -> Any:
     """Positions with an axis of worlds as an array without it, in the same memory; others as they are.
 
     Args:
         value: Array of vec3f or vec3d, shape [W, n], or of float32 or float64, shape [W, n, 3]; or of another shape.
         name: Name of the argument, for the messages.
         by_world: The accepted (W, n).
+        dimension: 3, or 2 in the plane, with vec2f and vec2d.
 
     Raises:
         ValueError: If it is not an array that can be shared.
@@ -71,25 +75,27 @@ def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]])
     is_array = isinstance(value, (wp.array, np.ndarray)) or speaks_dlpack(value)
     if not is_array or len(value.shape) not in (2, 3):
         return value
-    is_vector = isinstance(value, wp.array) and value.dtype in _VECTORS.values()
+    is_vector = isinstance(value, wp.array) and value.dtype in _VECTORS[dimension].values()
     shape = tuple(value.shape) if is_vector else tuple(value.shape[:2])
     has_axis = len(value.shape) == (2 if is_vector else 3)
-    if not has_axis or shape not in by_world or not (is_vector or value.shape[2] == 3):
+    if not has_axis or shape not in by_world or not (is_vector or value.shape[2] == dimension):
         return value
     array = as_warp(value, name)
     if not array.is_contiguous and array.size:
         raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
-    return array.reshape(array.shape[0] * array.shape[1] if is_vector else (array.shape[0] * array.shape[1], 3))
+    rows = array.shape[0] * array.shape[1]
+    return array.reshape(rows if is_vector else (rows, dimension))
 
 
-def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -> wp.array:
-    """Positions as vec3f or vec3d of shape [n], sharing the memory of the given array.
+def as_positions(value: Any, name: str, device: Any, expected: dict[int, str], dimension: int) -> wp.array:
+    """Positions as vec3f or vec3d of shape [n], or vec2f or vec2d, sharing the memory of the given array.
 
     Args:
-        value: Array of vec3f or vec3d, shape [n], or of float32 or float64, shape [n, 3].
+        value: Array of such vectors, shape [n], or of float32 or float64, shape [n, dimension].
         name: Name of the argument, for the messages.
         device: The device on which it must be.
         expected: Accepted numbers of rows, and what the rows are.
+        dimension: 3, or 2 in the plane.
 
     Returns:
         The array.
@@ -103,12 +109,13 @@ def as_positions(value: Any, name: str, device: Any, expected: dict[int, str]) -
     if not array.is_contiguous and array.size:
         raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
     dtype, shape = array.dtype, array.shape
-    if dtype in _VECTORS and array.ndim == 2 and shape[1] == 3:
-        dtype, shape = _VECTORS[dtype], shape[:1]
-    if dtype not in _VECTORS.values() or len(shape) != 1:
+    vectors = _VECTORS[dimension]
+    if dtype in vectors and array.ndim == 2 and shape[1] == dimension:
+        dtype, shape = vectors[dtype], shape[:1]
+    if dtype not in vectors.values() or len(shape) != 1:
         raise ValueError(
             f"{name} has dtype {dtype.__name__} and shape {array.shape}; "
-            f"expected vec3f or vec3d and (n,), or float32 or float64 and (n, 3)"
+            f"expected vec{dimension}f or vec{dimension}d and (n,), or float32 or float64 and (n, {dimension})"
         )
     if shape[0] not in expected:
         rows = " or ".join(f"{count}, {meaning}" for count, meaning in expected.items())

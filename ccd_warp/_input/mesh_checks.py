@@ -2,6 +2,7 @@
 
 import numbers
 from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,43 +28,71 @@ def find_codimensional_points(
     return np.flatnonzero(is_codimensional).astype(np.int32)
 
 
+def common_dimension(bodies: Sequence[Sequence[Any]], names: Sequence[str]) -> int:
+    """2 if the vertices of all bodies are in the plane, shape [n, 2], and 3 otherwise.
+
+    Raises:
+        ValueError: If those of some bodies are in the plane and those of others are not.
+    """
+    columns = {}
+    for b, body in enumerate(bodies):
+        shape = np.shape(as_any_array(on_host(body[0], "vertices"), f"vertices of {body_label(b, names)}", "positions"))
+        if len(shape) == 2:
+            columns[b] = shape[1]
+    planar = [b for b, count in columns.items() if count == 2]
+    others = [b for b, count in columns.items() if count != 2]
+    if planar and others:
+        raise ValueError(
+            f"vertices of {body_label(others[0], names)} has {columns[others[0]]} columns and those of "
+            f"{body_label(planar[0], names)} 2; expected all bodies in the plane, or none"
+        )
+    return 2 if planar else 3
+
+
 def as_positions(
-    values: ArrayLike, name: str, count: int | None = None, reason: str = "", by_world: Collection[tuple[int, int]] = ()
+    values: ArrayLike,
+    name: str,
+    dimension: int,
+    count: int | None = None,
+    reason: str = "",
+    by_world: Collection[tuple[int, int]] = (),
 ) -> NDArray[np.float64]:
-    """Float64 array of shape [n, 3], with n = ``count`` if given, or a ValueError.
+    """Float64 array of shape [n, dimension], with n = ``count`` if given, or a ValueError.
 
     Args:
         values: The positions; those of several worlds may have an axis of worlds before the others.
         name: Name of the argument, for the messages.
+        dimension: Number of columns, 3 in space and 2 in the plane.
         count: Number of rows.
         reason: Why it must be this number, for the messages.
         by_world: The accepted numbers of worlds and of rows in each.
     """
-    expected = "(n, 3)" if count is None else f"{(count, 3)} {reason}"
+    expected = f"(n, {dimension})" if count is None else f"{(count, dimension)} {reason}"
     array = as_array(on_host(values, name), name, f"shape {expected}")
-    if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == 3:
+    if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == dimension:
         if not hasattr(values, "__array_interface__") and isinstance(values, (list, tuple)):
             values = [row for world in values for row in world]  # so that its numbers are compared one by one
-        array = array.reshape(-1, 3)
-    if count is not None and array.shape != (count, 3):
+        array = array.reshape(-1, dimension)
+    if count is not None and array.shape != (count, dimension):
         raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
-    if array.ndim != 2 or array.shape[1] != 3:
+    if array.ndim != 2 or array.shape[1] != dimension:
         if array.size == 0 and array.ndim <= 2:
-            return np.zeros((0, 3))
-        raise ValueError(f"{name} has shape {array.shape}; expected (n, 3)")
+            return np.zeros((0, dimension))
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, {dimension})")
     return as_float64(array, name, values)
 
 
 def validated_positions(
     values: ArrayLike,
     name: str,
+    dimension: int,
     count: int | None = None,
     reason: str = "",
     by_world: Collection[tuple[int, int]] = (),
     where: Callable[[int], str] | None = None,
 ) -> NDArray[np.float64]:
-    """Finite positions of shape [n, 3], with n = ``count`` if given, or a ValueError; ``where`` describes a row."""
-    array = as_positions(values, name, count, reason, by_world)
+    """Finite positions as of :func:`as_positions`, or a ValueError; ``where`` describes a row."""
+    array = as_positions(values, name, dimension, count, reason, by_world)
     check_finite(array, name, where=where)
     return array
 

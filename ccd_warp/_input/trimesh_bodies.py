@@ -103,4 +103,6 @@ def _arrays_of(shape: Any, label: str) -> tuple[tuple[ArrayLike, ...], bool]:
             raise ValueError(f"{label} holds a {type(entity).__name__}; expected a path of straight lines")
     segments = [np.asarray(entity.nodes) for entity in shape.entities]
     edges = np.concatenate([np.zeros((0, 2), dtype=np.int64), *segments])
+    if np.shape(shape.vertices)[1:] == (2,):
+        return (shape.vertices, edges), False  # a path in the plane
     return (shape.vertices, no_faces, edges), False

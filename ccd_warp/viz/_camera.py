@@ -49,7 +49,8 @@ def make_camera(
     Args:
         start: Positions at t = 0, shape [V, 3].
         end: Positions at t = 1, shape [V, 3].
-        direction: From the scene to the viewer, shape [3]; by default from the side of the motion, a little above it.
+        direction: From the scene to the viewer, shape [3]; by default from the side of the motion, a little above it,
+            or along z where everything stays in a plane across it.
         size: Width and height of the panel in pixels.
         margins: Pixels that stay free at the sides, above and below.
 
@@ -60,7 +61,7 @@ def make_camera(
         ValueError: If the direction is not valid.
     """
     given = validated_direction(direction)
-    towards = automatic_direction(end - start) if given is None else given
+    towards = _direction_to_viewer(start, end) if given is None else given
     axis = np.array([0.0, 0.0, 1.0]) if np.hypot(*towards[:2]) > 1e-6 else np.array([0.0, 1.0, 0.0])
     right = np.cross(axis, towards)
     right /= np.linalg.norm(right)
@@ -74,6 +75,12 @@ def make_camera(
     middle = 0.5 * (lower + upper) + [0.0, 0.5 * (above - below) * pixel]
     focus = middle @ np.array([right, up])
     return Camera(focus + 10.0 * towards, focus, up, 0.5 * size[1] * pixel, size)
+
+
+def _direction_to_viewer(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    if (start[:, 2] == start[0, 2]).all() and (end[:, 2] == start[0, 2]).all():
+        return np.array([0.0, 0.0, 1.0])
+    return automatic_direction(end - start)
 
 
 def automatic_direction(motion: NDArray[np.float64]) -> NDArray[np.float64]:

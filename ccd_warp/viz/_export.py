@@ -50,7 +50,7 @@ def to_pyvista(
     if result is not None:
         check_result(result)
     t = check_real("t", t, "a number in [0, 1]", lambda x: 0 <= x <= 1)
-    start, end = mesh.frames(vertices_t0, vertices_t1)
+    start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
     if result is not None and result.vertex_toi.shape != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {result.vertex_toi.shape}; expected {(len(start),)}")
     pyvista = import_pyvista()
@@ -76,7 +76,8 @@ def to_pyvista(
         shape = pyvista.PolyData()
         if len(contacts):
             shape = pyvista.PolyData(points_at_toi(mesh, start, end, contacts))
-            for field in ("toi", "normal", "gap", "kind", "status"):
+            shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
+            for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()
             shape.point_data["bodies"] = mesh.vertex_body[contact_vertices(mesh, contacts)[:, [0, 3]]]
         blocks.append(shape, "contacts")

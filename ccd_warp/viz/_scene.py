@@ -136,7 +136,7 @@ def make_scene(
     Raises:
         ValueError: If the mesh is empty, or the positions or the result do not match it.
     """
-    start, end = mesh.frames(vertices_t0, vertices_t1)
+    start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
     if len(start) == 0:
         raise ValueError("mesh has no vertices; expected something to draw")
     if np.shape(result.vertex_toi) != (len(start),):
@@ -159,7 +159,7 @@ def make_scene(
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
         contact_points=(points_at_toi(mesh, start, end, contacts) - centre) / unit,
-        contact_normals=np.asarray(contacts.normal),
+        contact_normals=mesh._in_space(np.asarray(contacts.normal)),
         contact_is_first=is_first,
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
