@@ -49,8 +49,9 @@ class DeviceContacts(Placed):
     def points(self) -> wp.array:
         """Position of each contact at its toi, as in :class:`Contacts`, vec3d, shape [max_contacts].
 
-        Of a mesh in the plane z is 0. The step is what the arrays of the last launch hold when the device gets there. Points agree in every bit with
-        those of :meth:`to_host`; where the arrays have changed since the launch, they are those of another step.
+        Of a mesh in the plane z is 0. The step is what the arrays of the last launch hold when the device gets there.
+        Points agree in every bit with those of :meth:`to_host`; where the arrays have changed since the launch, they
+        are those of another step.
 
         Raises:
             ValueError: If there was no launch, so that no positions are known.

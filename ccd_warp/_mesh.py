@@ -361,7 +361,9 @@ class CollisionMesh:
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
         """
-        return type(self)(**replicated(self, count))
+        arguments = replicated(self, count)
+        arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
+        return type(self)(**arguments)
 
     @property
     def dimension(self) -> int:

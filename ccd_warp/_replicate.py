@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_count
-from ccd_warp._input.excluded_pairs import ExcludedPairs
 
 _MOST_INDICES = np.iinfo(np.int32).max
 # Largest number of entries of ``body_pairs``, one byte each, for which a mesh is replicated.
@@ -47,9 +46,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         body_pairs=None if mesh.body_pairs is None else np.tile(mesh.body_pairs, (count, count)),
         exclusion_rings=mesh.exclusion_rings,
         vertex_world=(mesh.vertex_world + (copies * mesh.num_worlds)[:, None]).ravel().astype(np.int32),
-        exclude_pairs=ExcludedPairs(
-            {key: _copied(key, pairs, mesh, copies) for key, pairs in mesh.exclude_pairs.items()}
-        ),
+        exclude_pairs={key: _copied(key, pairs, mesh, copies) for key, pairs in mesh.exclude_pairs.items()},
         names=tuple(f"{name}[{w}]" for w in range(count) for name in mesh.names),
     )
 
