@@ -51,14 +51,20 @@ def is_listed(kind: int, first: int, second: int, collision_filter: CollisionFil
 
 
 @wp.func
+def are_bodies_listed(a: int, b: int, collision_filter: CollisionFilter) -> bool:
+    """Whether a pair of bodies is listed."""
+    if collision_filter.by_listed_body != 0:
+        return is_listed(BODIES, wp.min(a, b), wp.max(a, b), collision_filter)
+    return False
+
+
+@wp.func
 def are_bodies_excluded(a: int, b: int, collision_filter: CollisionFilter) -> bool:
     """Whether the mesh excludes all pairs of primitives of two different bodies."""
     if collision_filter.by_pair != 0:
         if collision_filter.body_pairs[a, b] == wp.uint8(0):
             return True
-    if collision_filter.by_listed_body != 0:
-        return is_listed(BODIES, wp.min(a, b), wp.max(a, b), collision_filter)
-    return False
+    return are_bodies_listed(a, b, collision_filter)
 
 
 @wp.func
@@ -81,7 +87,7 @@ def is_near(v: int, c: wp.vec3i, rings: CollisionFilter) -> bool:
 
 @wp.func
 def is_excluded(a: wp.vec3i, b: wp.vec3i, collision_filter: CollisionFilter) -> bool:
-    """Whether the mesh excludes a pair of primitives that share no vertex, by its worlds, bodies or vertices."""
+    """Whether the mesh excludes a pair of primitives that share no vertex, for another reason than a list of pairs."""
     if collision_filter.by_world != 0:
         if collision_filter.vertex_world[a[0]] != collision_filter.vertex_world[b[0]]:
             return True
@@ -91,8 +97,9 @@ def is_excluded(a: wp.vec3i, b: wp.vec3i, collision_filter: CollisionFilter) -> 
         if body_a == body_b:
             if collision_filter.self_collision[body_a] == 0:
                 return True
-        elif are_bodies_excluded(body_a, body_b, collision_filter):
-            return True
+        elif collision_filter.by_pair != 0:
+            if collision_filter.body_pairs[body_a, body_b] == wp.uint8(0):
+                return True
     if collision_filter.by_ring != 0:
         return (
             is_near(a[0], b, collision_filter)

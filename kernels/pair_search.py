@@ -18,7 +18,7 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i
-from .collision_filter import CollisionFilter, is_excluded, is_listed
+from .collision_filter import CollisionFilter, are_bodies_listed, is_excluded, is_listed
 from .cull import is_free
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
@@ -76,11 +76,18 @@ def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
 
 
 @wp.func
-def is_left_out(
-    query: BoxTree, target: BoxTree, tree_pair: TreePair, collision_filter: CollisionFilter, q: int, p: int
+def is_pair_listed(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    collision_filter: CollisionFilter,
+    q: int,
+    p: int,
+    a: wp.vec3i,  # vertices of the query
+    b: wp.vec3i,
 ) -> bool:
-    """Whether the collision filter excludes a pair of boxes, given by their places."""
-    if is_excluded(box_corners(query, q), box_corners(target, p), collision_filter):
+    """Whether the mesh lists a pair of boxes, given by their places, or the pair of their bodies."""
+    if are_bodies_listed(collision_filter.vertex_body[a[0]], collision_filter.vertex_body[b[0]], collision_filter):
         return True
     if collision_filter.by_listed_pair != 0:
         i = query.primitive[q]
@@ -97,13 +104,35 @@ CULL = "cull"  # it reports the pairs that the cull leaves open
 
 
 @once
-def make_pair_search(end: str) -> SimpleNamespace:
-    """The search that ends at a given stage."""
+def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
+    """The search that ends at a given stage; with or without lists of excluded pairs.
+
+    Only a kernel of its own for meshes with lists leaves that of the others as it is: a lookup that is never made still
+    costs a search for candidates an eighth of its time.
+    """
     with_cull = end != BOXES
-    module = wp.get_module(f"ccd_warp.pair_search.{end}")
+    module = wp.get_module(f"ccd_warp.pair_search.{end}{'.lists' if with_lists else ''}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if with_cull else overlap_mask
+
+    @wp.func
+    def is_left_out(
+        query: BoxTree,
+        target: BoxTree,
+        tree_pair: TreePair,
+        collision_filter: CollisionFilter,
+        q: int,
+        p: int,
+        a: wp.vec3i,  # vertices of the query
+    ) -> bool:
+        """Whether the mesh excludes a pair of boxes, given by their places."""
+        b = box_corners(target, p)
+        if is_excluded(a, b, collision_filter):
+            return True
+        if wp.static(with_lists):
+            return is_pair_listed(query, target, tree_pair, collision_filter, q, p, a, b)
+        return False
 
     @wp.func
     def keep(
@@ -129,11 +158,12 @@ def make_pair_search(end: str) -> SimpleNamespace:
             return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
         mask = overlapping & lanes_before(target.num_boxes - block * WIDTH)
         if collision_filter.applies != 0:
+            a = box_corners(query, q)
             left = wp.uint32(mask)
             while left != _NONE:
                 lane = lowest_bit(left)
                 left = left & (left - wp.uint32(1))
-                if is_left_out(query, target, tree_pair, collision_filter, q, block * WIDTH + lane):
+                if is_left_out(query, target, tree_pair, collision_filter, q, block * WIDTH + lane, a):
                     mask = mask & ~(wp.uint32(1) << wp.uint32(lane))
         if (mask & tied) != _NONE:
             mask = mask & ~separated_mask(
@@ -186,11 +216,11 @@ def make_pair_search(end: str) -> SimpleNamespace:
         """Filter and cull a pair whose quantized boxes overlap, keep it if it stays open; returns 1 for a candidate."""
         if p >= target.num_boxes or q >= query.num_boxes:
             return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
-        if collision_filter.applies != 0:
-            if is_left_out(query, target, tree_pair, collision_filter, q, p):
-                return 0
         a = box_corners(query, q)
         b = box_corners(target, p)
+        if collision_filter.applies != 0:
+            if is_left_out(query, target, tree_pair, collision_filter, q, p, a):
+                return 0
         i = query.primitive[q]
         j = target.primitive[p]
         if is_turned(tree_pair, i, j):

@@ -38,7 +38,8 @@ def warp_modules():
         for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
             modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
     for end in (BOXES, CULL):
-        modules[f"pair_search {end}"] = make_pair_search(end).search_pairs.module
+        for with_lists in (False, True):
+            modules[f"pair_search {end} {with_lists}"] = make_pair_search(end, with_lists).search_pairs.module
     return {name: module for name, module in modules.items() if module.kernels}
 
 

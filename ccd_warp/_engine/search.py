@@ -136,7 +136,7 @@ class PairSearch:
         self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
-        self._kernel = make_pair_search(kernels.BOXES).search_pairs
+        self._kernel = make_pair_search(kernels.BOXES, topology.has_lists).search_pairs
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads

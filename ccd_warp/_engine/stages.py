@@ -157,7 +157,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            make_pair_search(CULL).search_pairs,
+            make_pair_search(CULL, self.topology.has_lists).search_pairs,
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), 0, items.start, items.step, marks_overflow=marks_overflow),

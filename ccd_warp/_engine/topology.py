@@ -180,10 +180,7 @@ class Topology:
         none = wp.empty(0, dtype=wp.int32, device=self.device)
         collision_filter.vertex_body = self.vertex_body
         collision_filter.by_pair = int(mesh.body_pairs is not None)
-        collision_filter.by_listed_body = int("bodies" in mesh.exclude_pairs)
-        collision_filter.by_body = int(
-            not mesh.self_collision.all() or collision_filter.by_pair or collision_filter.by_listed_body
-        )
+        collision_filter.by_body = int(not mesh.self_collision.all() or collision_filter.by_pair)
         collision_filter.self_collision = self._array(mesh.self_collision.astype(np.int32))
         pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
         collision_filter.body_pairs = self._array(pairs, wp.uint8)
@@ -198,14 +195,17 @@ class Topology:
         listed = [mesh.exclude_pairs.get(name, np.zeros((0, 2))).astype(np.int64) for name in _LISTED]
         collision_filter.listed_begin = self._array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
         collision_filter.listed = self._array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
+        collision_filter.by_listed_body = int(len(listed[-1]) > 0)
         collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
         collision_filter.applies = int(
-            collision_filter.by_body
-            or collision_filter.by_world
-            or collision_filter.by_ring
-            or collision_filter.by_listed_pair
+            collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
         return collision_filter
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether excluded pairs of bodies or of primitives are listed; those of vertices are part of the rings."""
+        return any(name in self.mesh.exclude_pairs for name in _LISTED)
 
     def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
         """Indices of the primitives and vertices of their blocks, in an order made for the undeformed mesh.
