@@ -327,8 +327,8 @@ class CollisionMesh:
                 either side. ``"vertex_face"``, ``"edge_edge"``, ``"point_segment"``, ``"point_point"``: the pair of
                 primitives alone, with the indices of ``contacts.primitives`` and of :class:`ccd_warp.Candidates`, which
                 are those of ``vertices``, ``edges`` and ``faces``. Where both are of one kind, their order means
-                nothing. Pairs that are not tested anyway may be among them, and so may duplicates. The first call on such
-                a mesh compiles a search of its own.
+                nothing. Pairs that are not tested anyway may be among them, and so may duplicates. The first call on
+                such a mesh compiles a search of its own.
 
         Returns:
             A mesh with the same bodies and primitives, which excludes these pairs besides those of this mesh.
