@@ -30,7 +30,7 @@ Goal = Literal["contacts", "bound", "candidates"]
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
-_MOST_COPIED = 1 << 12
+_MOST_COPIED = 1 << 15
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
