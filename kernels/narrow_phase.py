@@ -312,9 +312,11 @@ def make_narrow_phase(real) -> SimpleNamespace:
 
     @wp.func
     def cap_of_round(options: Options, is_second: int, num_open: wp.int64) -> int:
-        """Iterations of each pair: in the second round, its share of the work that is left to the open pairs."""
+        """Iterations of each pair: in the second round its share of the work left to the open pairs, 0 without any."""
         if is_second != 0:
-            return share_of_work(options, wp.max(num_open, wp.int64(1)))
+            if num_open == wp.int64(0):
+                return 0
+            return share_of_work(options, num_open)
         return wp.min(options.first_iterations, options.max_iterations)
 
     @wp.func
@@ -351,6 +353,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """
         count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
         cap = cap_of_round(options, is_second, counts[kind, OPEN])
+        if cap == 0:
+            return
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
         while following < count:
             k = following
@@ -424,6 +428,8 @@ def make_narrow_phase(real) -> SimpleNamespace:
         """
         count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
         cap = cap_of_round(options, is_second, counts[kind, OPEN])
+        if cap == 0:
+            return
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
         while following < count:
             k = following

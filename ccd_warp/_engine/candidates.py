@@ -140,13 +140,12 @@ def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
             target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
 
 
-def _as_one_block(tree_pair: TreePair | None, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+def _as_one_block(tree_pair: TreePair, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
     """Put pairs of a query block that were found query by query into the order in which the whole block finds them.
 
     This order is by target block, then by query, then by target: a traversal visits the targets in the order of the
     tree.
     """
-    assert tree_pair
     sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (tree_pair.query, tree_pair.target)]
     places = [np.full(1 + max(map(np.max, sets)), -1, dtype=np.int32) for _ in sets]
     for place, primitives in zip(places, sets, strict=True):

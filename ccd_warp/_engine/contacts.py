@@ -212,7 +212,7 @@ class ContactStore:
 
     def _play(self, section: str, record: Callable[[Slot], None]) -> None:
         """Run a section of the recording for few contacts, recorded at its first use."""
-        if self._recording is None:
+        if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
             self._recording = Recording(self._execution, {"found": None})
         self._recording.bind("found", self._list)
         if section not in self._recording:

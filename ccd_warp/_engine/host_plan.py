@@ -107,8 +107,8 @@ class HostPlan:
         self.tree_pairs = tree_pairs_of(topology, self.kinds, moves_alone(mesh), self._boxes.trees)
         self.trees = trees_of(self.tree_pairs)
         self._num_aabbs = 1 if goal == "candidates" else 2
-        self._kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
-        self._capacities = dict.fromkeys(self._kinds, 0)
+        self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
+        self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._search_values: tuple[float, ...] | None = None
@@ -123,8 +123,8 @@ class HostPlan:
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
         names += ["search options", "options", "contacts"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
-        keys = {kind: Slot(f"{kind.name} keys") for kind in self._kinds}
-        open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._kinds}
+        keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
+        open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
         slots = [*trees.values(), *keys.values(), *open_toi.values()]
         self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
         self._stages = Stages(
@@ -248,9 +248,10 @@ class HostPlan:
             for tree_pair, meets in zip(self.tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self._clear_counts()
-            self.play(f"pairs {stride}", lambda stages, recording: self._record_search(stages, recording, stride))
+            section = "pairs" if stride == 1 else "pairs of a sample"
+            self.play(section, lambda stages, recording: self._record_search(stages, recording, stride))
             found = self._num_found()
-            if all(found[kind] <= self._capacities[kind] for kind in self._kinds):
+            if all(found[kind] <= self._capacities[kind] for kind in self._searched_kinds):
                 yield self._batch(found, is_only=True)
                 return
             if sum(found.values()) > largest:
@@ -279,11 +280,10 @@ class HostPlan:
         total_found: Counter[PairKind] = Counter()
         self._share_capacity(largest)
         stages = self._stages.with_values(self._recording.values)
+        done = 0
         while pending:
             part = pending.popleft()
-            self.execution.progress.begin(
-                "pairs", total, total - part.num_queries - sum(p.num_queries for p in pending)
-            )
+            self.execution.progress.begin("pairs", total, done)
             self._clear_counts()
             stages.search(self.execution, part.tree_pair, part.items, level=part.level)
             self.num_searches[part.tree_pair.kind] += 1
@@ -292,6 +292,7 @@ class HostPlan:
             if count > largest:
                 pending.extendleft(reversed(part.split(_pieces(count, largest))))
                 continue
+            done += part.num_queries
             total_found[part.tree_pair.kind] += count
             batch = self._batch(found, is_only=False)
             if count > 0:
@@ -304,7 +305,7 @@ class HostPlan:
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
-        for kind in self._kinds:
+        for kind in self._searched_kinds:
             self.num_candidates[kind] += int(self.counts()[kind, CANDIDATES])
         return Batch(found, is_only)
 
@@ -314,12 +315,12 @@ class HostPlan:
 
     def _num_found(self) -> dict[PairKind, int]:
         counts = self.counts()
-        return {kind: int(counts[kind, FOUND]) for kind in self._kinds}
+        return {kind: int(counts[kind, FOUND]) for kind in self._searched_kinds}
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
         counts = self.counts()
-        return {kind: int(counts[kind, OPEN]) for kind in self._kinds if counts[kind, OPEN]}
+        return {kind: int(counts[kind, OPEN]) for kind in self._searched_kinds if counts[kind, OPEN]}
 
     def _clear_counts(self) -> None:
         if self._counts_view is None:
@@ -331,7 +332,7 @@ class HostPlan:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""
         wanted = self._capacities
         if not all(wanted.values()):
-            wanted = dict.fromkeys(self._kinds, 0)
+            wanted = dict.fromkeys(self._searched_kinds, 0)
             for tree_pair in self.tree_pairs:
                 wanted[tree_pair.kind] += tree_pair.query.primitives.count // stride
             wanted = {kind: max(count, _LEAST_CAPACITY) for kind, count in wanted.items()}
@@ -356,7 +357,7 @@ class HostPlan:
         """Let every kind use all the memory, one at a time."""
         keys = self._buffers.get("keys", largest, wp.int64)
         toi = self._buffers.get("keys toi", largest, wp.float64) if self._keeps_toi else None
-        for kind in self._kinds:
+        for kind in self._searched_kinds:
             self._set_keys(kind, keys, toi)
         self._keys_base = None
 

@@ -75,7 +75,7 @@ class Found:
         keys: The array that the search has filled.
         begin: The first key.
         count: Number of keys.
-        tree_pair: The trees that were searched; None where the keys come from several parts.
+        tree_pair: The trees that were searched.
         place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
         is_cut: Whether a block of queries was split, so that keys are ordered query by query.
     """
@@ -84,9 +84,9 @@ class Found:
     keys: wp.array
     begin: int
     count: int
-    tree_pair: TreePair | None = None
-    place: tuple[int, int, int] = (0, 0, 0)
-    is_cut: bool = False
+    tree_pair: TreePair
+    place: tuple[int, int, int]
+    is_cut: bool
 
     def host_keys(self) -> NDArray[np.int64]:
         """The keys; on the CPU a view, which the next batch overwrites."""

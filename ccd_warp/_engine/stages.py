@@ -25,7 +25,6 @@ _MOST_SOLVERS = 1 << 17
 # in the cache, and more than which are worth waking a thread.
 _SOLVERS_PER_THREAD = 8
 _CHUNK = 128
-_ALL_PARTS = 1 << 30
 # Pairs above which a solver may take long: some 0.4 s if all reach the limit of the first round.
 _LONG_PART = 1 << 11
 
@@ -146,7 +145,7 @@ class Stages:
             items: The items to search; all by default.
             level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as on CUDA.
             marks_overflow: Whether a pair for which there is no capacity gets toi 0.
-            is_needed: As for :meth:`Execution.launch`.
+            is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
         """
         query, target = tree_pair.query, tree_pair.target
         level = (0 if launcher.is_cuda else 1) if level is None else level
@@ -172,7 +171,7 @@ class Stages:
             outputs=[self.counts, self.keys[tree_pair.kind], self.minima],
             grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,
-            num_needed=None if is_needed is None else lambda: _ALL_PARTS * is_needed(),
+            num_needed=None if is_needed is None else lambda: count if is_needed() else 0,  # no more parts than items
             is_long=lambda: is_long,
         )
 
@@ -205,11 +204,14 @@ class Stages:
         """Launch a kernel for the pairs of each kind that the search has found; only the device knows their number."""
         is_strided = launcher.is_cuda or is_second  # the open pairs may be neighbours, so solvers take turns
         chunk = 1 if is_strided else _CHUNK
-        solvers = _MOST_SOLVERS if launcher.is_cuda else _SOLVERS_PER_THREAD * launcher.num_threads
         counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
         with launcher.at_once():
             for kind in self.kinds:
                 found = None if counts is None else counts[kind]
+                solvers = _SOLVERS_PER_THREAD * launcher.num_threads
+                if launcher.is_cuda:
+                    keys = self.keys[kind]
+                    solvers = _MOST_SOLVERS if isinstance(keys, Slot) else min(_MOST_SOLVERS, len(keys))
                 corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
                 launcher.launch(
                     kernel,
@@ -231,5 +233,5 @@ class Stages:
                     grain=1,
                     parts_per_thread=_SOLVERS_PER_THREAD,
                     num_needed=lambda f=found: 0 if is_second and not f[OPEN] else -(-int(f[FOUND]) // chunk),  # type: ignore[misc]
-                    is_long=lambda f=found: bool(f[OPEN] or f[FOUND] > _LONG_PART * solvers),  # type: ignore[misc]
+                    is_long=lambda f=found, n=solvers: bool(f[OPEN] or f[FOUND] > _LONG_PART * n),  # type: ignore[misc]
                 )

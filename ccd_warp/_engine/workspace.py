@@ -66,11 +66,11 @@ class Workspace:
         self._is_all_active = bodies is None
         return self._active
 
-    def packed(self, options: Options, length_scale: float, max_iterations: int | None = None) -> Any:
+    def packed(self, options: Options, length_scale: float) -> Any:
         """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""
-        key = (options, length_scale, max_iterations)
+        key = (options, length_scale)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            self._packed[key] = options.for_kernel(length_scale, max_iterations, self.flag.array)
+            self._packed[key] = options.for_kernel(length_scale, stop=self.flag.array)
         return self._packed[key]

@@ -189,7 +189,7 @@ class Recording:
         """Record launches as a section."""
         self._groups = []
         yield
-        self._sections[name] = self._groups
+        self._sections[name], self._groups = self._groups, []
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
