@@ -140,6 +140,51 @@ def long_step(num_faces: int) -> Scene:
     )
 
 
+def waves(rng: np.random.Generator, at: np.ndarray, wavelength: float) -> np.ndarray:
+    """A smooth random vector field at points, shape [n, d]: 32 plane waves, of root mean square 1 along each axis."""
+    direction = rng.standard_normal((32, at.shape[1]))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    phase = at @ direction.T * (2 * np.pi / wavelength / rng.uniform(0.7, 1.4, 32)) + rng.uniform(0, 2 * np.pi, 32)
+    return np.sin(phase) @ rng.standard_normal((32, 3)) / 4
+
+
+def folded(along: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths along a strip folded to and fro into layers of length 1, a gap apart, as the coordinates (x, z)."""
+    layer, along = np.divmod(along, 1.0 + np.pi * gap / 2)
+    turn = np.maximum(along - 1.0, 0.0) / (gap / 2)  # angle in the half circle that joins two layers
+    x = np.minimum(along, 1.0) + gap / 2 * np.sin(turn)
+    return np.where(layer % 2 == 0, x, 1.0 - x), layer * gap + gap / 2 * (1.0 - np.cos(turn))
+
+
+def crumpled_cloth(num_faces: int) -> Scene:
+    """A folded and wrinkled sheet, 24 layers one edge length apart, whose layers slide and press against each other.
+
+    Each part of the cloth moves by a random displacement that varies smoothly along it, of one and a half edge lengths
+    along the layers and one across them in the root mean square, so that layers slide by several edge lengths in any
+    direction and some pass through their neighbours. The wrinkles stay where they are, and the cloth slides along them.
+    """
+    layers = 24
+    edge = (2 * layers / num_faces) ** 0.5
+    length = layers + (layers - 1) * np.pi * edge / 2
+    rows, columns = round(length / edge), round(1 / edge)
+    sheet, faces = grid(rows, columns, length, 1.0)
+    material = sheet[:, :2] + [length / 2, 0.5]
+    x, z = folded(material[:, 0], edge)
+    start = np.stack([x, material[:, 1], z], axis=1)
+    end = start + edge * np.array([1.5, 1.5, 1.0]) * waves(np.random.default_rng(0), material, 0.6)
+    wrinkled = [at + 0.03 * waves(np.random.default_rng(1), at, 0.7) for at in (start, end)]
+    return Scene(f"crumpled cloth, {len(faces):,}", *wrinkled, faces)
+
+
+def bodies_through_each_other(num_bodies: int, faces_each: int) -> Scene:
+    """Bodies that turn and fly in random directions, by about their diameter, through whatever is in their way."""
+    ball, faces = sphere(faces_each, 0.5)
+    turned = falling_copies(ball, faces, num_bodies, spacing=1.1, angle=0.5, stretch=0.1)
+    moves = 0.5 * np.random.default_rng(1).standard_normal((num_bodies, 3))
+    parts = [(start, end + move, faces) for (start, end, faces), move in zip(turned, moves, strict=True)]
+    return joined(f"{num_bodies:,} bodies through each other, {num_bodies * len(faces):,}", parts)
+
+
 def two_small_spheres(subdivisions: int) -> Scene:
     """Two icospheres, of 40 faces in all and four times as many for each subdivision, fly into each other."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5)
@@ -196,6 +241,8 @@ def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[],
         lambda: ground_under_cloth(100_000),
         lambda: long_step(20_000),
         lambda: long_step(50_000),  # thirteen million candidates
+        lambda: crumpled_cloth(50_000),  # the narrow phase is most of the step
+        lambda: bodies_through_each_other(300, 100),  # likewise
         lambda: cloth_over_sphere(1_000_000),
     ]
     names = (
@@ -206,6 +253,8 @@ def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[],
         "giant face 100k",
         "long step",
         "long step 50k",
+        "crumpled cloth 50k",
+        "bodies through each other",
         "cloth 1M",
     )
     made = list(zip(names, scenes, strict=True))

@@ -20,6 +20,7 @@ from ccd_warp._cli.command import main
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
+import ipctk
 from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report, scenes, separation, small_scenes
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
@@ -514,6 +515,35 @@ def test_a_part_that_is_measured_apart_replaces_itself_alone(settings, tmp_path,
     lines = report.document(raw).splitlines()
     assert sum("Measured apart with `--quick`" in line and "--only pairs --merge" in line for line in lines) == 1
     assert any(line.startswith("| point-point |") for line in lines)
+
+
+# ---- Scenes with large motion ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["crumpled cloth 50k", "bodies through each other"])
+def test_the_narrow_phase_has_most_to_do_where_the_motion_is_large(name):
+    scene = dict(scenes.all_scenes(None, quick=False))[name]()
+    counts = ccd.mesh_ccd(scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1).counts
+    survivors, contacts = sum(counts.num_after_cull.values()), sum(counts.num_contacts.values())
+    assert survivors >= 200_000
+    assert 0.03 * survivors <= contacts <= 0.25 * survivors
+    assert counts.num_contacts_at_start == counts.num_contacts_at_limit == 0
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: scenes.crumpled_cloth(4_000), lambda: scenes.bodies_through_each_other(40, 100)],
+    ids=["crumpled cloth", "bodies through each other"],
+)
+def test_scenes_with_large_motion_start_free_and_move_by_several_edge_lengths(make):
+    scene = make()
+    mesh = scene.mesh(ccd)
+    toolkit = ipctk.CollisionMesh(scene.vertices_t0, np.asarray(mesh.edges, dtype=np.int32), scene.faces)
+    assert not ipctk.has_intersections(toolkit, scene.vertices_t0)
+    edges = np.linalg.norm(np.diff(scene.vertices_t0[mesh.edges], axis=1), axis=-1)
+    moves = np.linalg.norm(scene.vertices_t1 - scene.vertices_t0, axis=1)
+    assert np.quantile(moves, 0.9) > 2.5 * np.median(edges)
+    assert np.array_equal(scene.vertices_t1, make().vertices_t1)  # the seed is fixed
 
 
 # ---- Steps on the device ---------------------------------------------------------------------------------------------
