@@ -15,12 +15,12 @@ from ccd_warp._input.foreign import is_device_array
 from ccd_warp._input.interop import as_warp
 from ccd_warp._input.option_types import PairOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
+from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, borrowed_batch
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels.contacts import lift
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 
 @dataclass(frozen=True)
@@ -330,12 +330,14 @@ def _launch(
     is_long = not is_first or count > _LONG_PART * options.threads
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
+    narrow_phase = narrow_phase_on(device, options.real)
+    kernel, chunk = narrow_phase.points_toi, narrow_phase.chunk
     Execution(device, options.threads, stop).launch(
-        make_narrow_phase(options.real).points_toi,
-        count,
-        inputs=[int(kind), points_t0, points_t1, packed],
+        kernel,
+        -(-count // chunk),
+        inputs=[chunk, count, int(kind), points_t0, points_t1, packed],
         outputs=out.as_list(),
-        grain=_WORTH_A_THREAD if is_first else 1,
+        grain=max(1, _WORTH_A_THREAD // chunk) if is_first else 1,
         is_long=lambda: is_long,
     )
     return out

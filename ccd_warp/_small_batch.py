@@ -13,14 +13,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import load
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 CAPACITY = 256  # pairs, some 240 bytes each; beyond it solving takes longer than launching
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
 _OUTPUTS = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
-_OPTIONS = 4  # position of the options among the kernel's parameters
+_COUNT = 2
+_OPTIONS = 6  # position of the options among the kernel's parameters
 
 _idle: dict[tuple[PairKind, Any], list["SmallBatch"]] = {}
 
@@ -29,14 +30,15 @@ class SmallBatch:
     """Up to `CAPACITY` pairs of one kind, solved in one precision."""
 
     def __init__(self, kind: PairKind, real: Any, device: Any, num_points: int, packed: Any) -> None:
-        kernel = make_narrow_phase(real).points_toi
+        narrow_phase = narrow_phase_on(device, real)
+        kernel, self._chunk = narrow_phase.points_toi, narrow_phase.chunk
         load(kernel, device)
         inputs: list[wp.array] = [wp.zeros((CAPACITY, num_points), dtype=wp.vec3d, device=device) for _ in range(2)]
         outputs: list[wp.array] = [wp.zeros(CAPACITY, dtype=dtype, device=device) for dtype in _OUTPUTS]
         self._command = wp.launch(
             kernel,
             dim=1,
-            inputs=[0, int(kind), *inputs, packed],
+            inputs=[0, self._chunk, 1, int(kind), *inputs, packed],
             outputs=outputs,
             device=device,
             record_cmd=True,
@@ -59,7 +61,8 @@ class SmallBatch:
             self._command.set_param_at_index(_OPTIONS, packed)
             self._packed = packed
         if count != self._count:
-            self._command.set_dim(count)
+            self._command.set_param_at_index(_COUNT, count)
+            self._command.set_dim(-(-count // self._chunk))
             self._count = count
         self._points_t0[:count] = points_t0
         self._points_t1[:count] = points_t1

@@ -2,16 +2,16 @@
 
 from enum import IntEnum, IntFlag
 
-from ccd_warp.kernels import minima, patch, status
+from ccd_warp.kernels import minima, pair_kind, status
 
 
 class PairKind(IntEnum):
     """Kind of a primitive pair."""
 
-    VERTEX_FACE = int(patch.VERTEX_FACE)
-    EDGE_EDGE = int(patch.EDGE_EDGE)
-    POINT_SEGMENT = int(patch.POINT_SEGMENT)
-    POINT_POINT = int(patch.POINT_POINT)
+    VERTEX_FACE = int(pair_kind.VERTEX_FACE)
+    EDGE_EDGE = int(pair_kind.EDGE_EDGE)
+    POINT_SEGMENT = int(pair_kind.POINT_SEGMENT)
+    POINT_POINT = int(pair_kind.POINT_POINT)
 
 
 class CCDStatus(IntEnum):

@@ -20,6 +20,7 @@ from .facets import make_facets
 from .inclusion import make_inclusion
 from .once import once
 from .patch import make_patch
+from .sub_patch import make_sub_patch
 from .volume import make_volume
 
 # Outcomes of `advance`.
@@ -29,6 +30,10 @@ SLOW = wp.constant(2)  # a gap beyond tolerance, but single directions clip litt
 LIMIT = wp.constant(3)  # iteration limit
 _UNDECIDED = wp.constant(-1)
 
+# Clips in a row, far fewer of which are needed.
+_VOLUME_STEPS = wp.constant(16)
+_FACET_STEPS = wp.constant(12)
+
 # An advance stalls at a clip that gains nothing, or after this many small steps since the last stall.
 _PATIENCE = wp.constant(3)
 
@@ -37,18 +42,50 @@ _PATIENCE = wp.constant(3)
 def make_advance(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
-    types = make_patch(real)
-    Patch = types.Patch
-    Problem = types.Problem
+    Corners = make_patch(real, 1).Corners
+    corners_at = make_patch(real, 1).corners_at
+    Patch = make_sub_patch(real).Patch
+    Problem = make_sub_patch(real).Problem
     closest_on_patch = make_closest_point(real).closest_on_patch
-    Corners = types.Corners
     point_in_box = make_contact_test(real).point_in_box
-    clip = make_inclusion(real).clip
-    advance_volume = make_volume(real).advance_volume
-    facets = make_facets(real)
-    corners_at = facets.corners_at
-    widest_facet = facets.widest_facet
-    advance_facets = facets.advance_facets
+    clip = make_inclusion(real, 1).clip
+    clip_volume = make_volume(real, 1).clip_volume
+    Facet = make_facets(real, 1).Facet
+    widest_facet = make_facets(real, 1).widest_facet
+    clip_facet = make_facets(real, 1).clip_facet
+    num_sides = make_facets(real, 1).num_sides
+
+    @wp.func
+    def advance_volume(problem: Problem, t_start: real, t_max: real) -> real:
+        """Time up to which the volume keeps its sign from ``t_start`` on: at least that; 2 if beyond ``t_max``."""
+        t = t_start
+        x = t_max
+        for _ in range(_VOLUME_STEPS):
+            s, next_x, free = clip_volume(problem.volume, problem.separation, problem.has_separation, t, x, t_max)
+            if free:
+                return real(2.0)
+            if not s > t:
+                return t
+            t = s
+            x = next_x
+        return t
+
+    @wp.func
+    def advance_facets(
+        patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
+    ) -> real:
+        """Clip with the widest facet, and with every facet if ``thorough`` or if the widest one gains nothing.
+
+        It may gain nothing because its side vanishes.
+        """
+        separation = problem.separation
+        error = problem.error
+        t = clip_facet(patch.t0, patch.t1, separation, error, facet.number, t_start, t_max, _FACET_STEPS)
+        if (thorough or t <= t_start) and facet.slack > real(0.0):
+            for number in range(3 + 3 * num_sides(patch.is_face)):
+                s = clip_facet(patch.t0, patch.t1, separation, error, real(number), t_start, t_max, _FACET_STEPS)
+                t = wp.max(t, s)
+        return t
 
     @wp.func
     def is_within(d: vec3, size: vec3) -> bool:
@@ -104,7 +141,7 @@ def make_advance(real) -> SimpleNamespace:
         if here.outcome != CONTACT:
             return here
         here.outcome = _UNDECIDED
-        later = find_contact(corners_at(patch, here.t), patch, size, here)
+        later = find_contact(corners_at(patch.t0, patch.t1, here.t), patch, size, here)
         if later.outcome == CONTACT:
             return later
         here.outcome = CONTACT
@@ -126,7 +163,7 @@ def make_advance(real) -> SimpleNamespace:
         gap = real(1.0e30)
         margin = problem.error + problem.separation
         # a separation of the size of the rounding error is one more margin; a larger one needs the facets of its box
-        use_facets = problem.is_flat or not is_within(problem.separation, real(256.0) * problem.error)
+        use_facets = problem.volume.is_flat or not is_within(problem.separation, real(256.0) * problem.error)
         while reached.outcome == _UNDECIDED:
             if reached.iterations >= max_iterations:
                 reached.outcome = LIMIT
@@ -140,12 +177,12 @@ def make_advance(real) -> SimpleNamespace:
                 reached.outcome = FREE
                 break
 
-            c = corners_at(patch, t)
+            c = corners_at(patch.t0, patch.t1, t)
             at_floor = bool(False)
             new_gap = real(0.0)
             s = t
             if use_facets:
-                facet = widest_facet(c, patch.is_face, problem)
+                facet = widest_facet(c, problem.separation, problem.error, patch.is_face)
                 s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
                 at_floor = facet.floor_excess <= real(0.0)
                 new_gap = facet.slack * facet.slack
@@ -155,7 +192,7 @@ def make_advance(real) -> SimpleNamespace:
                 reached.wc = wc
                 reached.from_w11 = from_w11
                 if not use_facets:
-                    s = clip(d, margin, t, patch)
+                    s = clip(d, margin, t, patch.t0, patch.t1, patch.is_triangle)
                     at_floor = is_within(d, floor + problem.separation)
                     new_gap = wp.dot(d, d)
             if s > t_max:
@@ -179,7 +216,9 @@ def make_advance(real) -> SimpleNamespace:
                 use_facets = True  # they may make progress where the direction of the closest pair does not
                 slow = 0
         if reached.outcome == LIMIT or reached.outcome == SLOW:
-            reached.point = point_of(corners_at(patch, reached.t), reached.wb, reached.wc, reached.from_w11)
+            reached.point = point_of(
+                corners_at(patch.t0, patch.t1, reached.t), reached.wb, reached.wc, reached.from_w11
+            )
         return reached
 
-    return SimpleNamespace(Reached=Reached, advance=advance, point_of=point_of)
+    return SimpleNamespace(Reached=Reached, advance=advance, advance_volume=advance_volume, point_of=point_of)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .once import once
-from .patch import POINT_SEGMENT, VERTEX_FACE
+from .pair_kind import POINT_SEGMENT, VERTEX_FACE
 
 # Largest number of patches or boxes on the stack at the same time.
 STACK_DEPTH = 64

@@ -17,7 +17,6 @@ from types import SimpleNamespace
 import warp as wp
 
 from .answer import STACK_DEPTH, make_answer
-from .facets import make_facets
 from .interrupts import is_stopped
 from .once import once
 from .patch import make_patch
@@ -28,6 +27,7 @@ from .status import (
     STATUS_NO_COLLISION,
     STATUS_RESOLUTION_LIMIT,
 )
+from .sub_patch import make_sub_patch
 
 
 @once
@@ -35,12 +35,12 @@ def make_bisection(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     vec3 = wp.types.vector(length=3, dtype=real)
     box_stack = wp.types.vector(length=6 * STACK_DEPTH, dtype=real)
-    types = make_patch(real)
+    types = make_sub_patch(real)
     Patch = types.Patch
     Problem = types.Problem
-    Corners = types.Corners
+    Corners = make_patch(real, 1).Corners
     sub_corners = types.sub_corners
-    corners_at = make_facets(real).corners_at
+    corners_at = make_patch(real, 1).corners_at
     Answer = make_answer(real).Answer
     parameters = make_answer(real).parameters
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
@@ -104,8 +104,8 @@ def make_bisection(real) -> SimpleNamespace:
             patch = Patch()
             patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
             patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
-            a = corners_at(patch, t0)
-            b = corners_at(patch, t1)
+            a = corners_at(patch.t0, patch.t1, t0)
+            b = corners_at(patch.t0, patch.t1, t1)
             lower = low(a, b)
             upper = high(a, b)
             is_free = bool(False)

@@ -7,11 +7,10 @@ Boxes that overlap there are compared again in float64, as closed boxes: boxes t
 
 import warp as wp
 
-from .box_tree import WIDTH, vec8i
+from .box_tree import WIDTH, vec8i, vec8u
 from .collision_filter import CollisionFilter, are_bodies_excluded
 from .interrupts import is_stopped
 from .lanes import lowest_bit, overlap_mask
-from .pair_search import vec8u
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -50,6 +50,7 @@ _LARGEST_CLASS = wp.constant(2**CLASS_BITS - 1)
 _INFINITY = wp.constant(wp.float32(wp.inf))
 
 vec8i = wp.types.vector(length=8, dtype=wp.int32)
+vec8u = wp.types.vector(length=8, dtype=wp.uint32)
 vec3ul = wp.types.vector(length=3, dtype=wp.uint64)
 
 

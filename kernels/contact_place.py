@@ -11,7 +11,7 @@ import warp as wp
 from .contacts import ContactList, contact_key, position
 from .in_space import make_in_space
 from .once import once
-from .patch import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -23,7 +23,7 @@ def make_contact_test(real) -> SimpleNamespace:
     vec3 = wp.types.vector(length=3, dtype=real)
     vertex = wp.types.vector(length=5, dtype=real)  # position, and its weights of w01 and w10
     polygon = wp.types.matrix(shape=(_MAX_VERTICES, 5), dtype=real)
-    Corners = make_patch(real).Corners
+    Corners = make_patch(real, 1).Corners
 
     @wp.func
     def clip_polygon(p: polygon, n: int, axis: int, sign: real, bound: real):

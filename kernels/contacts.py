@@ -4,7 +4,7 @@ import warp as wp
 
 from .atomics import atomic_min_int32
 from .minima import Minima
-from .patch import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -8,13 +8,21 @@ product of three lengths comes near overflow, or is so small that the absolute t
 
 A pair in one plane has no volume. For it there is a second test, along the directions in that plane across each side:
 no other directions are needed to separate two convex figures in a plane. Its bound is that of `rounding`, step 11.
+
+Several candidates are culled at once, one in each lane (`simd`). The second test runs if the first leaves a lane open.
+A comparison with NaN is false, and only comparisons prove anything, so a pair with a number that is not finite stays
+open.
 """
+
+from types import SimpleNamespace
 
 import warp as wp
 
-from .patch import VERTEX_FACE
-from .points import Corners
+from .once import once
+from .pair_kind import VERTEX_FACE
+from .patch import make_patch
 from .rounding import SIDES, UNIT_ROUNDOFF, VOLUME
+from .simd import make_simd
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
 _SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
@@ -24,105 +32,128 @@ _SIDES = wp.constant(wp.float64(SIDES * UNIT_ROUNDOFF[wp.float64]))
 _SIDES_UNDERFLOW = wp.constant(wp.float64(2.0**-1060))
 _THIRD = wp.constant(wp.float64(1.0 / 3.0))
 _ONE = wp.constant(wp.float64(1.0))
+_ZERO = wp.constant(wp.float64(0.0))
+_NONE = wp.constant(wp.uint32(0))
 
 
-@wp.func
-def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> bool:
-    """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
-    n0 = wp.cross(c0.q, c0.r)
-    n1 = wp.cross(c1.q, c1.r)
-    nm = wp.cross(c0.q, c1.r) + wp.cross(c1.q, c0.r)  # twice the middle coefficient of Q×R
-    b0 = wp.dot(c0.w00, n0)
-    b1 = _THIRD * (wp.dot(c1.w00, n0) + wp.dot(c0.w00, nm))
-    b2 = _THIRD * (wp.dot(c0.w00, n1) + wp.dot(c1.w00, nm))
-    b3 = wp.dot(c1.w00, n1)
-    p = wp.abs(c0.w00) + wp.abs(c1.w00)
-    q = wp.abs(c0.q) + wp.abs(c1.q)
-    r = wp.abs(c0.r) + wp.abs(c1.r)
-    n = wp.vec3d(q[1] * r[2] + q[2] * r[1], q[2] * r[0] + q[0] * r[2], q[0] * r[1] + q[1] * r[0])
-    size = wp.dot(p, n)
-    # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding from above
-    bound = _BOUND * size + separation * (n[0] + n[1] + n[2]) * _SEPARATION_UP
-    # an underflow in Q×R is multiplied by P and by the separation
-    bound += _GUARD * (_ONE + p[0] + p[1] + p[2] + separation)
-    if not (size < _LARGEST and bound < _LARGEST):
-        return False
-    if t_end < _ONE:
-        # the blossom on [0, t_end]
-        s = _ONE - t_end
-        t0 = s * b0 + t_end * b1
-        t1 = s * b1 + t_end * b2
-        t2 = s * b2 + t_end * b3
-        b1 = t0
-        b2 = s * t0 + t_end * t1
-        b3 = s * b2 + t_end * (s * t1 + t_end * t2)
-    if b0 > bound:
-        return b1 > bound and b2 > bound and b3 > bound
-    return b0 < -bound and b1 < -bound and b2 < -bound and b3 < -bound
+@once
+def make_cull(width: int) -> SimpleNamespace:
+    """The tests for a number of lanes."""
+    simd = make_simd(wp.float64, width)
+    Lanes = simd.Lanes
+    Mask = simd.Mask
+    Vec3 = simd.Vec3
+    vec = simd.vec
+    spread = simd.spread
+    minus = simd.minus
+    magnitude = simd.magnitude
+    greatest = simd.greatest
+    is_less = simd.is_less
+    both = simd.both
+    either = simd.either
+    select = simd.select
+    dot = simd.dot
+    cross = simd.cross
+    bits_of = simd.bits_of
+    Corners = make_patch(wp.float64, width).Corners
 
+    @simd.func
+    def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> Mask:
+        """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
+        n0 = cross(c0.q, c0.r)
+        n1 = cross(c1.q, c1.r)
+        nm = cross(c0.q, c1.r) + cross(c1.q, c0.r)  # twice the middle coefficient of Q×R
+        b0 = dot(c0.w00, n0)
+        b1 = _THIRD * (dot(c1.w00, n0) + dot(c0.w00, nm))
+        b2 = _THIRD * (dot(c0.w00, n1) + dot(c1.w00, nm))
+        b3 = dot(c1.w00, n1)
+        p = magnitude(c0.w00) + magnitude(c1.w00)
+        q = magnitude(c0.q) + magnitude(c1.q)
+        r = magnitude(c0.r) + magnitude(c1.r)
+        n = vec(q.y * r.z + q.z * r.y, q.z * r.x + q.x * r.z, q.x * r.y + q.y * r.x)
+        size = dot(p, n)
+        # an underflow in Q×R is multiplied by P and by the separation
+        bound = _BOUND * size + _GUARD * (spread(_ONE + separation) + p.x + p.y + p.z)
+        if separation > _ZERO:
+            # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
+            bound = bound + (separation * _SEPARATION_UP) * (n.x + n.y + n.z)
+        if t_end < _ONE:
+            # the blossom on [0, t_end]
+            s = _ONE - t_end
+            t0 = s * b0 + t_end * b1
+            t1 = s * b1 + t_end * b2
+            t2 = s * b2 + t_end * b3
+            b1 = t0
+            b2 = s * t0 + t_end * t1
+            b3 = s * b2 + t_end * (s * t1 + t_end * t2)
+        is_negative = is_less(b0, spread(_ZERO))
+        b1 = select(is_negative, minus(b1), b1)
+        b2 = select(is_negative, minus(b2), b2)
+        b3 = select(is_negative, minus(b3), b3)
+        beyond = both(is_less(bound, magnitude(b0)), is_less(bound, b1))
+        beyond = both(beyond, both(is_less(bound, b2), is_less(bound, b3)))
+        limit = spread(_LARGEST)
+        return both(beyond, both(is_less(size, limit), is_less(bound, limit)))
 
-@wp.func
-def later(a: wp.float64, b: wp.float64, t_end: wp.float64) -> wp.float64:
-    """A linear function at ``t_end`` from its values at 0 and 1."""
-    if t_end < _ONE:
-        return (_ONE - t_end) * a + t_end * b
-    return b
+    @simd.func
+    def later(a: Lanes, b: Lanes, t_end: wp.float64) -> Lanes:
+        """A linear function at ``t_end`` from its values at 0 and 1."""
+        if t_end < _ONE:
+            b = (_ONE - t_end) * a + t_end * b
+        return b
 
+    @simd.func
+    def is_free_along(
+        d: Vec3, is_triangle: bool, c0: Corners, c1: Corners, size: Vec3, separation: wp.float64, t_end: wp.float64
+    ) -> Mask:
+        """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
+        length = magnitude(d)
+        bound = _SIDES * dot(length, size) + spread(_SIDES_UNDERFLOW)
+        if separation > _ZERO:
+            bound = bound + (separation * _SEPARATION_UP) * (length.x + length.y + length.z)
+        a = dot(d, c0.w00)
+        # turned to the side of the first corner
+        d = select(is_less(a, spread(_ZERO)), minus(d), d)
+        a = magnitude(a)
+        beyond = both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w00), t_end)))
+        a = dot(d, c0.w01)
+        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w01), t_end))))
+        a = dot(d, c0.w10)
+        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w10), t_end))))
+        if not is_triangle:
+            a = dot(d, c0.w11)
+            beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w11), t_end))))
+        return both(beyond, is_less(bound, spread(_LARGEST)))
 
-@wp.func
-def is_free_along(
-    d: wp.vec3d, is_triangle: bool, c0: Corners, c1: Corners, size: wp.vec3d, separation: wp.float64, t_end: wp.float64
-) -> bool:
-    """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
-    a00 = wp.dot(d, c0.w00)
-    a01 = wp.dot(d, c0.w01)
-    a10 = wp.dot(d, c0.w10)
-    a11 = a10
-    b00 = later(a00, wp.dot(d, c1.w00), t_end)
-    b01 = later(a01, wp.dot(d, c1.w01), t_end)
-    b10 = later(a10, wp.dot(d, c1.w10), t_end)
-    b11 = b10
-    if not is_triangle:
-        a11 = wp.dot(d, c0.w11)
-        b11 = later(a11, wp.dot(d, c1.w11), t_end)
-    length = wp.abs(d)
-    bound = _SIDES * wp.dot(length, size) + separation * (length[0] + length[1] + length[2]) * _SEPARATION_UP
-    bound += _SIDES_UNDERFLOW
-    if not bound < _LARGEST:
-        return False
-    if a00 > bound:
-        return (
-            a01 > bound and a10 > bound and a11 > bound and b00 > bound and b01 > bound and b10 > bound and b11 > bound
-        )
-    bound = -bound
-    if a00 < bound:
-        return (
-            a01 < bound and a10 < bound and a11 < bound and b00 < bound and b01 < bound and b10 < bound and b11 < bound
-        )
-    return False
+    @simd.func
+    def is_free_by_sides(kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> Mask:
+        """Whether a direction across a side, in the plane of both at the start, separates the pair on [0, t_end]."""
+        n = cross(c0.q, c0.r)
+        size = greatest(magnitude(c0.w00), magnitude(c1.w00))
+        size = greatest(size, greatest(magnitude(c0.w01), magnitude(c1.w01)))
+        size = greatest(size, greatest(magnitude(c0.w10), magnitude(c1.w10)))
+        is_triangle = kind == VERTEX_FACE
+        if not is_triangle:
+            size = greatest(size, greatest(magnitude(c0.w11), magnitude(c1.w11)))
+        free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, t_end)
+        free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, t_end))
+        if is_triangle:
+            free = either(free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, t_end))
+        return free
 
+    @wp.func
+    def free_lanes(
+        kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64, needed: wp.uint32
+    ) -> wp.uint32:
+        """Bits of the lanes for which a test proves that there is no contact on [0, t_end]; others are not needed."""
+        free = bits_of(is_free_by_volume(c0, c1, separation, t_end))
+        if (needed & ~free) != _NONE:
+            free = free | bits_of(is_free_by_sides(kind, c0, c1, separation, t_end))
+        return free
 
-@wp.func
-def is_free_by_sides(kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> bool:
-    """Whether a direction across a side, in the plane of both sides at the start, separates the pair on [0, t_end]."""
-    n = wp.cross(c0.q, c0.r)
-    size = wp.max(wp.abs(c0.w00), wp.abs(c1.w00))
-    size = wp.max(size, wp.max(wp.abs(c0.w01), wp.abs(c1.w01)))
-    size = wp.max(size, wp.max(wp.abs(c0.w10), wp.abs(c1.w10)))
-    size = wp.max(size, wp.max(wp.abs(c0.w11), wp.abs(c1.w11)))
-    is_triangle = kind == VERTEX_FACE
-    if is_free_along(wp.cross(n, c0.q), is_triangle, c0, c1, size, separation, t_end):
-        return True
-    if is_free_along(wp.cross(n, c0.r), is_triangle, c0, c1, size, separation, t_end):
-        return True
-    if is_triangle:
-        return is_free_along(wp.cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, t_end)
-    return False
-
-
-@wp.func
-def is_free(kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> bool:
-    """Whether one of the tests proves that there is no contact on [0, t_end]."""
-    if is_free_by_volume(c0, c1, separation, t_end):
-        return True
-    return is_free_by_sides(kind, c0, c1, separation, t_end)
+    return SimpleNamespace(
+        is_free_by_volume=is_free_by_volume,
+        is_free_by_sides=is_free_by_sides,
+        free_lanes=free_lanes,
+        bits_of=bits_of,
+    )

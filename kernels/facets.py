@@ -6,6 +6,9 @@ separates, so at every time before a contact one of them does. The axes are cons
 with the axes are linear in t, and the normal is quadratic in t (it is treated by `volume`). Clipping with a moving
 facet, rather than with its normal at one time, converges quadratically however fast the pair rotates, even if the pair
 lies in one plane, where the volume vanishes.
+
+A facet has a number: 0, 1, 2 for the axes; 3, 4, 5 for the first side crossed with each axis, and so on. Each lane has
+its own widest facet, and its direction at any time is chosen by the number.
 """
 
 from types import SimpleNamespace
@@ -15,18 +18,44 @@ import warp as wp
 from .once import once
 from .patch import make_patch
 from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
+from .simd import make_simd
 
 
 @once
-def make_facets(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    types = make_patch(real)
-    Patch = types.Patch
-    Corners = types.Corners
-    Problem = types.Problem
+def make_facets(real, width: int) -> SimpleNamespace:
+    """Functions for one floating-point type and a number of lanes."""
+    simd = make_simd(real, width)
+    Lanes = simd.Lanes
+    Mask = simd.Mask
+    Vec3 = simd.Vec3
+    vec = simd.vec
+    spread = simd.spread
+    minus = simd.minus
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    is_less = simd.is_less
+    is_at_most = simd.is_at_most
+    both = simd.both
+    either = simd.either
+    opposite = simd.opposite
+    select = simd.select
+    dot = simd.dot
+    cross = simd.cross
+    mask_of = simd.mask_of
+    bits_of = simd.bits_of
+    Corners = make_patch(real, width).Corners
+    corners_at = make_patch(real, width).corners_at
+
     unit = UNIT_ROUNDOFF[real]
+    zero = wp.constant(real(0.0))
     half = wp.constant(real(0.5))
+    one = wp.constant(real(1.0))
+    two = wp.constant(real(2.0))
+    three = wp.constant(real(3.0))
+    four = wp.constant(real(4.0))
+    six = wp.constant(real(6.0))
+    nine = wp.constant(real(9.0))
     one_percent = wp.constant(real(0.01))
     moving = wp.constant(real(MOVING))
     floor_errors = wp.constant(real(8.0))
@@ -35,187 +64,213 @@ def make_facets(real) -> SimpleNamespace:
     fraction_down = wp.constant(real(1.0 - CROSSING * unit))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
     underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
+    far_behind = wp.constant(real(-1.0e30))
 
     @wp.struct
     class Facet:
         """The facet with the largest slack at one time."""
 
-        side: int  # -1: an axis; 0, 1, 2: a side crossed with an axis
-        axis: int
-        slack: real  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
-        floor_excess: real  # largest slack beyond separation and rounding
+        number: Lanes
+        slack: Lanes  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
+        floor_excess: Lanes  # largest slack beyond separation and rounding
 
     @wp.func
-    def corners_at(patch: Patch, t: real) -> Corners:
-        """Corners at one time (rounding, step 8)."""
-        c = Corners()
-        s = real(1.0) - t
-        c.w00 = s * patch.t0.w00 + t * patch.t1.w00
-        c.w01 = s * patch.t0.w01 + t * patch.t1.w01
-        c.w10 = s * patch.t0.w10 + t * patch.t1.w10
-        c.w11 = s * patch.t0.w11 + t * patch.t1.w11
-        return c
+    def axis_of(axis: int) -> Vec3:
+        """A unit vector in every lane."""
+        x = spread(wp.where(axis == 0, one, zero))
+        y = spread(wp.where(axis == 1, one, zero))
+        return vec(x, y, spread(wp.where(axis == 2, one, zero)))
 
-    @wp.func
-    def side_of(c: Corners, side: int) -> vec3:
+    @simd.func
+    def side_of(c: Corners, side: int) -> Vec3:
         """Sides of distinct directions: along v, along u at v = 0, along u at v = 1."""
-        if side == 0:
-            return c.w01 - c.w00
+        s = c.w01 - c.w00
         if side == 1:
-            return c.w10 - c.w00
-        return c.w11 - c.w01
+            s = c.w10 - c.w00
+        if side == 2:
+            s = c.w11 - c.w01
+        return s
+
+    @simd.func
+    def is_first_side(number: Lanes) -> Mask:
+        """Whether a facet is of the first side, or an axis."""
+        return is_less(number, spread(six))
+
+    @simd.func
+    def is_third_side(number: Lanes) -> Mask:
+        """Whether a facet is of the third side."""
+        return is_at_most(spread(nine), number)
+
+    @simd.func
+    def is_axis(number: Lanes) -> Mask:
+        """Whether a facet is an axis."""
+        return is_less(number, spread(three))
+
+    @simd.func
+    def chosen_side(number: Lanes, c: Corners) -> Vec3:
+        """The side of each lane's facet."""
+        of_others = select(is_third_side(number), side_of(c, 2), side_of(c, 1))
+        return select(is_first_side(number), side_of(c, 0), of_others)
+
+    @simd.func
+    def direction(number: Lanes, c: Corners) -> Vec3:
+        """Normal of each lane's facet, which is constant or linear in time."""
+        nothing = spread(zero)
+        s = chosen_side(number, c)
+        of_others = select(is_third_side(number), spread(nine), spread(six))
+        of_sides = select(is_first_side(number), spread(three), of_others)
+        axis = number - select(is_axis(number), nothing, of_sides)
+        is_x = is_less(axis, spread(one))
+        is_z = is_at_most(spread(two), axis)
+        x = select(is_x, nothing, select(is_z, s.y, minus(s.z)))
+        y = select(is_x, s.z, select(is_z, minus(s.x), nothing))
+        z = select(is_x, minus(s.y), select(is_z, nothing, s.x))
+        e_x = select(is_x, spread(one), nothing)
+        e_z = select(is_z, spread(one), nothing)
+        return select(is_axis(number), vec(e_x, spread(one) - e_x - e_z, e_z), vec(x, y, z))
 
     @wp.func
-    def direction(c: Corners, side: int, axis: int) -> vec3:
-        """Normal of a facet whose direction is constant or linear in time."""
-        e = vec3()
-        e[axis] = real(1.0)
-        if side >= 0:
-            e = wp.cross(side_of(c, side), e)
-        return e
+    def beyond(d: Vec3, c: Corners) -> Lanes:
+        """Distance along d by which the patch is beyond the origin, on either side."""
+        p = dot(d, c.w00)
+        q = dot(d, c.w01)
+        r = dot(d, c.w10)
+        s = dot(d, c.w11)
+        low = least(least(p, q), least(r, s))
+        return greatest(low, minus(greatest(greatest(p, q), greatest(r, s))))
 
-    @wp.func
-    def consider(facet: Facet, side: int, axis: int, d: vec3, c: Corners, problem: Problem) -> Facet:
-        """Keep the facet with the larger slack, and the largest excess."""
-        p = wp.dot(d, c.w00)
-        q = wp.dot(d, c.w01)
-        r = wp.dot(d, c.w10)
-        s = wp.dot(d, c.w11)
-        gap = wp.max(wp.min(wp.min(p, q), wp.min(r, s)), -wp.max(wp.max(p, q), wp.max(r, s)))
-        m = wp.abs(d)
-        size = m[0] + m[1] + m[2]
-        if size > tiny_direction:
-            gap = gap - wp.dot(m, problem.separation)
-            facet.floor_excess = wp.max(facet.floor_excess, gap - floor_errors * wp.dot(m, problem.error))
+    @simd.func
+    def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3) -> Facet:
+        """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
+        m = magnitude(d)
+        size = m.x + m.y + m.z
+        counts = is_less(spread(tiny_direction), size)
+        gap = beyond(d, c) - dot(m, separation)
+        excess = gap - spread(floor_errors) * dot(m, error)
+        facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
+        if number >= 0:
             # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
             slack = gap / size
-            if slack > facet.slack + one_percent * wp.abs(facet.slack):
-                facet.slack = slack
-                facet.side = side
-                facet.axis = axis
+            is_wider = both(counts, is_less(facet.slack + spread(one_percent) * magnitude(facet.slack), slack))
+            facet.slack = select(is_wider, slack, facet.slack)
+            facet.number = select(is_wider, spread(real(number)), facet.number)
         return facet
 
     @wp.func
-    def widest_facet(c: Corners, is_face: bool, problem: Problem) -> Facet:
+    def num_sides(is_face: bool) -> int:
+        """Sides of distinct directions: opposite sides of a parallelogram are parallel."""
+        return wp.where(is_face, 3, 2)
+
+    @wp.func
+    def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool) -> Facet:
         """The facet that separates best at one time."""
         facet = Facet()
-        facet.slack = -real(1.0e30)
-        facet.floor_excess = -real(1.0e30)
-        for side in range(-1, 3):
-            for axis in range(3):
-                if side < 2 or is_face:  # opposite sides of a parallelogram are parallel
-                    facet = consider(facet, side, axis, direction(c, side, axis), c, problem)
-        n = wp.cross(side_of(c, 0), side_of(c, 1))
-        kept = facet
-        facet = consider(facet, 3, 0, n, c, problem)
-        # the normal is used for the excess only: clipping along it is left to the volume
-        kept.floor_excess = facet.floor_excess
-        return kept
-
-    @wp.func
-    def separation_share(c: Corners, d: vec3, problem: Problem) -> real:
-        """Lower bound of the gap along one direction, as a share of the separation along it."""
-        low = wp.min(wp.min(wp.dot(d, c.w00), wp.dot(d, c.w01)), wp.min(wp.dot(d, c.w10), wp.dot(d, c.w11)))
-        high = wp.max(wp.max(wp.dot(d, c.w00), wp.dot(d, c.w01)), wp.max(wp.dot(d, c.w10), wp.dot(d, c.w11)))
-        m = wp.abs(d)
-        along = wp.dot(m, problem.separation)
-        share = real(0.0)
-        if wp.max(m) > tiny_direction and along > real(0.0):
-            share = (wp.max(low, -high) - wp.dot(m, problem.error) * round_up) / along
-        return share
-
-    @wp.func
-    def start_gap_share(c: Corners, is_face: bool, problem: Problem) -> real:
-        """Tight lower bound of the gap (L∞) at one time, as a share of the separation, from all directions."""
-        share = separation_share(c, wp.cross(side_of(c, 0), side_of(c, 1)), problem)
+        facet.number = spread(zero)
+        facet.slack = spread(far_behind)
+        facet.floor_excess = spread(far_behind)
         for axis in range(3):
-            for side in range(-1, 3):
-                if side < 2 or is_face:
-                    share = wp.max(share, separation_share(c, direction(c, side, axis), problem))
+            facet = consider(facet, axis, axis_of(axis), c, separation, error)
+        for side in range(num_sides(is_face)):
+            s = side_of(c, side)
+            for axis in range(3):
+                facet = consider(facet, 3 * side + 3 + axis, cross(s, axis_of(axis)), c, separation, error)
+        # the normal is used for the excess only: clipping along it is left to the volume
+        return consider(facet, -1, cross(side_of(c, 0), side_of(c, 1)), c, separation, error)
+
+    @simd.func
+    def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
+        """Lower bound of the gap along one direction, as a share of the separation along it."""
+        m = magnitude(d)
+        along = dot(m, separation)
+        counts = both(is_less(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z))), is_less(spread(zero), along))
+        share = (beyond(d, c) - dot(m, error) * spread(round_up)) / along
+        return select(counts, share, spread(zero))
+
+    @wp.func
+    def start_gap_share(c: Corners, is_face: bool, separation: Vec3, error: Vec3) -> Lanes:
+        """Tight lower bound of the gap (L∞) at one time, as a share of the separation, from all directions."""
+        share = separation_share(c, cross(side_of(c, 0), side_of(c, 1)), separation, error)
+        for axis in range(3):
+            share = greatest(share, separation_share(c, axis_of(axis), separation, error))
+        for side in range(num_sides(is_face)):
+            s = side_of(c, side)
+            for axis in range(3):
+                share = greatest(share, separation_share(c, cross(s, axis_of(axis)), separation, error))
         return share
 
-    @wp.func
-    def first_zero(h0: real, h1: real, h2: real, first: real) -> real:
-        """First zero of the hull of three control points at 0, 1, 2, at most ``first``; 0 if h0 is not positive."""
-        if not h0 > real(0.0):
-            return real(0.0)
-        if h1 <= real(0.0):
-            first = wp.min(first, h0 / (h0 - h1))
-        if h2 <= real(0.0):
-            first = wp.min(first, real(2.0) * (h0 / (h0 - h2)))
-            if h1 > real(0.0):
-                first = wp.min(first, real(1.0) + h1 / (h1 - h2))
-        return first
+    @simd.func
+    def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
+        """Fraction of an interval at which the steepest line from the first of three control points to another is zero.
 
-    @wp.func
-    def corner_zero(d_t: vec3, d_x: vec3, o_t: real, o_x: real, sign: real, w_t: vec3, w_x: vec3, first: real) -> real:
-        """The `first_zero` of one corner: of its projection on a moving direction, less the offsets."""
-        h0 = sign * wp.dot(d_t, w_t) - o_t
-        h1 = half * (sign * (wp.dot(d_t, w_x) + wp.dot(d_x, w_t))) - half * (o_t + o_x)
-        h2 = sign * wp.dot(d_x, w_x) - o_x
-        return first_zero(h0, h1, h2, first)
-
-    @wp.func
-    def clip_facet(patch: Patch, problem: Problem, side: int, axis: int, t_start: real, t_max: real) -> real:
-        """Time up to which a moving facet separates (rounding, step 10): at least ``t_start``; 2 if beyond t_max."""
-        margin = problem.separation + moving * problem.error
-        t = t_start
-        x = t_max
-        c_t = corners_at(patch, t)
-        d_t = direction(c_t, side, axis)
-        sign = real(1.0)
-        if wp.dot(d_t, c_t.w00) < real(0.0):
-            sign = real(-1.0)
-        for _ in range(12):
-            if wp.max(wp.abs(d_t)) < tiny_direction:
-                return t
-            c_x = corners_at(patch, x)
-            d_x = direction(c_x, side, axis)
-            o_t = wp.dot(wp.abs(d_t), margin) * round_up + underflow
-            o_x = wp.dot(wp.abs(d_x), margin) * round_up + underflow
-            first = real(3.0)
-            first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w00, c_x.w00, first)
-            first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w01, c_x.w01, first)
-            first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w10, c_x.w10, first)
-            first = corner_zero(d_t, d_x, o_t, o_x, sign, c_t.w11, c_x.w11, first)
-            if first >= real(3.0):
-                if x >= t_max:
-                    return real(2.0)
-                step = x - t
-                t = x
-                x = wp.min(t_max, t + real(4.0) * step)
-            else:
-                s = (t + (x - t) * (half * first) * fraction_down) * round_down
-                if not s > t:
-                    return t
-                x = wp.min(t_max, s + real(2.0) * (s - t))
-                t = s
-            c_t = corners_at(patch, t)
-            d_t = direction(c_t, side, axis)
-        return t
-
-    @wp.func
-    def advance_facets(
-        patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
-    ) -> real:
-        """Clip with the widest facet, and with every facet if ``thorough`` or if the widest one gains nothing.
-
-        It may gain nothing because its side vanishes.
+        2 if none of them falls to zero, -1 if the first is not above it.
         """
-        t = clip_facet(patch, problem, facet.side, facet.axis, t_start, t_max)
-        if (thorough or t <= t_start) and facet.slack > real(0.0):
-            for axis in range(3):
-                for side in range(-1, 3):
-                    if side < 2 or patch.is_face:
-                        t = wp.max(t, clip_facet(patch, problem, side, axis, t_start, t_max))
-        return t
+        is_clear = is_less(spread(zero), least(h1, h2))
+        fraction = h0 / greatest(spread(two) * (h0 - h1), h0 - h2)
+        return select(is_less(spread(zero), h0), select(is_clear, spread(two), fraction), minus(spread(one)))
+
+    @simd.func
+    def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
+        """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
+        h0 = sign * dot(d_t, w_t) - o_t
+        h1 = spread(half) * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - spread(half) * (o_t + o_x)
+        return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
+
+    @simd.func
+    def clip_facet(
+        t0: Corners, t1: Corners, separation: Vec3, error: Vec3, number: Lanes, t_start: Lanes, end: Lanes, steps: int
+    ) -> Lanes:
+        """Time up to which a moving facet separates (rounding, step 10): at least t_start; 2 if beyond ``end``.
+
+        t0 and t1 are the corners at both ends of the step.
+        """
+        margin = separation + spread(moving) * error
+        t = t_start
+        x = end
+        c_t = corners_at(t0, t1, t)
+        d_t = direction(number, c_t)
+        sign = select(is_less(dot(d_t, c_t.w00), spread(zero)), minus(spread(one)), spread(one))
+        free = mask_of(wp.uint32(0))
+        running = opposite(free)
+        for _ in range(steps):
+            c_x = corners_at(t0, t1, x)
+            d_x = direction(number, c_x)
+            m_t = magnitude(d_t)
+            o_t = dot(m_t, margin) * spread(round_up) + spread(underflow)
+            o_x = dot(magnitude(d_x), margin) * spread(round_up) + spread(underflow)
+            fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
+            can_prove = is_at_most(spread(tiny_direction), greatest(m_t.x, greatest(m_t.y, m_t.z)))
+            running = both(running, both(can_prove, is_less(spread(zero), fraction)))
+            is_clear = is_less(spread(one), fraction)
+            free = either(free, both(running, both(is_clear, is_at_most(end, x))))
+            s = (t + (x - t) * (fraction * spread(fraction_down))) * spread(round_down)
+            s = select(is_clear, x, s)
+            running = both(running, is_less(t, s))
+            s = select(running, s, t)
+            step = s - t
+            x = select(running, least(end, s + select(is_clear, spread(four) * step, step + step)), x)
+            t = s
+            running = both(running, opposite(free))
+            if bits_of(running) == wp.uint32(0):
+                break
+            c_t = corners_at(t0, t1, t)
+            d_t = direction(number, c_t)
+        return select(free, spread(two), t)
 
     return SimpleNamespace(
-        corners_at=corners_at,
+        Facet=Facet,
+        axis_of=axis_of,
+        side_of=side_of,
+        num_sides=num_sides,
+        is_first_side=is_first_side,
+        is_third_side=is_third_side,
+        is_axis=is_axis,
+        chosen_side=chosen_side,
         direction=direction,
         start_gap_share=start_gap_share,
         widest_facet=widest_facet,
-        first_zero=first_zero,
+        fall=fall,
         clip_facet=clip_facet,
-        advance_facets=advance_facets,
     )

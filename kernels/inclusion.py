@@ -13,50 +13,68 @@ import warp as wp
 from .once import once
 from .patch import make_patch
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
+from .simd import make_simd
 
 
 @once
-def make_inclusion(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    Patch = make_patch(real).Patch
-    u = UNIT_ROUNDOFF[real]
-    round_up = wp.constant(real(1.0 + RELATIVE * u))
-    round_down = wp.constant(real(1.0 - RELATIVE * u))
+def make_inclusion(real, width: int) -> SimpleNamespace:
+    """Functions for one floating-point type and a number of lanes."""
+    simd = make_simd(real, width)
+    Lanes = simd.Lanes
+    Vec3 = simd.Vec3
+    spread = simd.spread
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    is_less = simd.is_less
+    is_at_most = simd.is_at_most
+    both = simd.both
+    either = simd.either
+    opposite = simd.opposite
+    select = simd.select
+    dot = simd.dot
+    Corners = make_patch(real, width).Corners
+    minus_one = wp.constant(real(-1.0))
+    two = wp.constant(real(2.0))
+    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+    round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
 
-    @wp.func
-    def offset(d: vec3, margin: vec3) -> real:
+    @simd.func
+    def offset(d: Vec3, margin: Vec3) -> Lanes:
         """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); the margin is E + separation."""
-        return (wp.abs(d[0]) * margin[0] + wp.abs(d[1]) * margin[1] + wp.abs(d[2]) * margin[2]) * round_up
+        return dot(magnitude(d), margin) * spread(round_up)
 
-    @wp.func
-    def clip_corner(a: real, b: real, off: real, t: real, end: real) -> real:
-        """Time up to which one corner stays beyond ``off``, at most ``end``; -1 if it is not beyond it at ``t``.
+    @simd.func
+    def clip_corner(a: Lanes, b: Lanes, off: Lanes, t: Lanes) -> Lanes:
+        """Time up to which one corner stays beyond ``off``, 2 if until the end; -1 if it is not beyond it at ``t``.
 
-        a and b are d·W at t = 0 and t = 1 (rounding, step 7).
+        a and b are d·W at t = 0 and t = 1 (rounding, step 7). The quotient of those that leave is also that of those
+        that enter.
         """
-        if b > off:
-            if a > off:
-                return end
-            if (off - a) / (b - a) * round_up < t:
-                return end
-            return real(-1.0)
-        if a > off:
-            return wp.min(end, (a - off) / (a - b) * round_down)
-        return real(-1.0)
+        is_beyond_t0 = is_less(off, a)
+        is_beyond_t1 = is_less(off, b)
+        crossing = (a - off) / (a - b)
+        has_entered = is_less(crossing * spread(round_up), t)
+        stays = both(is_beyond_t1, either(is_beyond_t0, has_entered))
+        leaves = both(is_beyond_t0, opposite(is_beyond_t1))
+        s = select(leaves, least(spread(two), crossing * spread(round_down)), spread(minus_one))
+        return select(stays, spread(two), s)
 
-    @wp.func
-    def clip(d: vec3, margin: vec3, t: real, patch: Patch) -> real:
-        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end."""
-        if wp.max(wp.abs(d)) < tiny_direction:
-            return t
+    @simd.func
+    def clip(d: Vec3, margin: Vec3, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
+        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end.
+
+        t0 and t1 are the corners at both ends of the step.
+        """
         off = offset(d, margin)
-        s = clip_corner(wp.dot(d, patch.t0.w00), wp.dot(d, patch.t1.w00), off, t, real(2.0))
-        s = clip_corner(wp.dot(d, patch.t0.w01), wp.dot(d, patch.t1.w01), off, t, s)
-        s = clip_corner(wp.dot(d, patch.t0.w10), wp.dot(d, patch.t1.w10), off, t, s)
-        if not patch.is_triangle:
-            s = clip_corner(wp.dot(d, patch.t0.w11), wp.dot(d, patch.t1.w11), off, t, s)
-        return wp.max(s, t)
+        s = clip_corner(dot(d, t0.w00), dot(d, t1.w00), off, t)
+        s = least(s, clip_corner(dot(d, t0.w01), dot(d, t1.w01), off, t))
+        s = least(s, clip_corner(dot(d, t0.w10), dot(d, t1.w10), off, t))
+        if not is_triangle:
+            s = least(s, clip_corner(dot(d, t0.w11), dot(d, t1.w11), off, t))
+        m = magnitude(d)
+        can_prove = is_at_most(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z)))
+        return select(both(can_prove, is_less(t, s)), s, t)
 
     return SimpleNamespace(clip=clip, clip_corner=clip_corner, offset=offset)

@@ -310,6 +310,20 @@ def lowest_bit(mask: wp.uint32) -> int:
     ...
 
 
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    return __popc(mask);
+#else
+    return __builtin_popcount(mask);
+#endif
+"""
+)
+def number_of_bits(mask: wp.uint32) -> int:
+    """Number of bits that are set."""
+    ...
+
+
 @wp.func_native(chosen(UNITED_VERTEX_AABBS))
 def united_vertex_aabbs(vertex_aabbs: wp.array[wp.float32], v0: int, v1: int, v2: int) -> vec8f:
     """The union of three vertex AABBs."""

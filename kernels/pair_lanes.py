@@ -167,3 +167,48 @@ def append_keys(
     CPU a row of the counts belongs to one thread, so its count needs no atomic operation there.
     """
     ...
+
+
+@wp.func_native(
+    """
+    const int i = query_primitive.data[query];
+    const int* targets = target_primitive.data + 16LL * block;
+    const int* q = query_corners.data + (long long)(query / 16) * 48 + query % 16;
+    const int* t = target_corners.data + 48LL * block;
+    const int q0 = q[0], q1 = q[16], q2 = q[32];
+    for (; mask != 0; mask &= mask - 1, ++count) {
+        const int lane = __builtin_ctz(mask);
+        const int j = targets[lane], t0 = t[lane], t1 = t[lane + 16], t2 = t[lane + 32];
+        const bool turned = order == 2 ? j < i : order == 1;
+        const int b0 = turned ? q0 : t0, b1 = turned ? q1 : t1, b2 = turned ? q2 : t2;
+        int* c = collected.data + count;
+        c[0] = turned ? t0 : q0;
+        c[capacity] = of_first == 2 ? (turned ? t1 : q1) : b0;
+        c[2 * capacity] = of_first == 2 ? b0 : b1;
+        c[3 * capacity] = of_first == 2 ? b1 : b2;
+        c[4 * capacity] = turned ? j : i;
+        c[5 * capacity] = turned ? i : j;
+    }
+    return count;
+"""
+)
+def collect_pairs(
+    query_primitive: wp.array[wp.int32],
+    query_corners: wp.array[wp.int32],
+    query: int,
+    target_primitive: wp.array[wp.int32],
+    target_corners: wp.array[wp.int32],
+    block: int,
+    mask: wp.uint32,
+    order: int,
+    of_first: int,
+    count: int,
+    capacity: int,
+    collected: wp.array[wp.int32],
+) -> int:
+    """Add the pairs of a query and the boxes of a block in a mask to ``count`` others; returns their number.
+
+    Each fills a place of six rows of ``capacity`` numbers: four vertices, of which one or two, ``of_first``, belong to
+    the first primitive, and the two primitives. The order is that of `append_keys`. Only the CPU collects pairs.
+    """
+    ...

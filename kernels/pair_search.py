@@ -6,10 +6,11 @@ blocks and lanes after its own, so that each pair is found once.
 
 A pair whose boxes overlap, and which the collision filter does not exclude, is a **candidate**. In a search with the
 cull, boxes count as overlapping unless an axis separates the quantized endpoint AABBs in the same order at both ends of
-the step. Each candidate that the cull does not discard is written as a key (first << 32) | second. An item counts every
-pair that it finds and writes as many as the capacity allows. A count beyond the capacity tells the caller to search the
-items again, with more capacity or in smaller parts, so no pair is lost. Where no caller checks the count, the toi of a
-pair beyond the capacity is lowered to 0.
+the step. An item collects its candidates until there is one for each lane, and culls them together; what is left at its
+end fills some of the lanes. Each candidate that the cull does not discard is written as a key (first << 32) | second.
+An item counts every pair that it finds and writes as many as the capacity allows. A count beyond the capacity tells the
+caller to search the items again, with more capacity or in smaller parts, so no pair is lost. Where no caller checks the
+count, the toi of a pair beyond the capacity is lowered to 0.
 """
 
 from types import SimpleNamespace
@@ -17,20 +18,16 @@ from types import SimpleNamespace
 import warp as wp
 
 from .atomics import claim
-from .box_tree import WIDTH, BoxTree, box_corners, vec8i
+from .box_tree import WIDTH, BoxTree, box_corners, vec8i, vec8u
+from .collected import make_collected
 from .collision_filter import CollisionFilter, are_bodies_listed, is_excluded, is_listed
-from .cull import is_free
+from .cull import make_cull
 from .interrupts import is_stopped
-from .lanes import lowest_bit, moving_overlap_mask, overlap_mask, shared_vertex_mask
-from .minima import CANDIDATES, FOUND, Minima, mark_overflow
+from .lanes import lowest_bit, moving_overlap_mask, number_of_bits, overlap_mask, shared_vertex_mask
+from .minima import CANDIDATES, FOUND, Minima
 from .once import once
-from .pair_key import pair_key
 from .pair_lanes import append_keys, separated_mask
-from .patch import EDGE_EDGE, VERTEX_FACE
-from .points import corners, points_of
-from .search_types import SearchOptions, SearchRange, TreePair
-
-vec8u = wp.types.vector(length=8, dtype=wp.uint32)
+from .search_types import BOXES, SearchOptions, SearchRange, TreePair, is_turned
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
@@ -70,12 +67,6 @@ def without_preceding(mask: wp.uint32, within: int, query_block: int, level: int
 
 
 @wp.func
-def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
-    """Whether the target is the first primitive of a pair."""
-    return tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and target < query)
-
-
-@wp.func
 def is_pair_listed(
     query: BoxTree,
     target: BoxTree,
@@ -98,23 +89,23 @@ def is_pair_listed(
     return False
 
 
-# The stage at which a search ends.
-BOXES = "boxes"  # it reports every pair whose boxes overlap
-CULL = "cull"  # it reports the pairs that the cull leaves open
-
-
 @once
-def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
-    """The search that ends at a given stage; with or without lists of excluded pairs.
+def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
+    """The search that ends at a given stage; with or without lists of excluded pairs, and with a width of the cull.
 
+    The width is that of lanes of float64, and 1 for a search without the cull; it changes the order of the pairs alone.
     Only a kernel of its own for meshes with lists leaves that of the others as it is: a lookup that is never made still
     costs a search for candidates an eighth of its time.
     """
     with_cull = end != BOXES
-    module = wp.get_module(f"ccd_warp.pair_search.{end}{'.lists' if with_lists else ''}")
+    module = wp.get_module(f"ccd_warp.pair_search.{end}{'.lists' if with_lists else ''}.{width}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if with_cull else overlap_mask
+    collected_candidates = make_collected(width, make_cull(width).free_lanes)
+    collect = collected_candidates.collect
+    cull_rest = collected_candidates.cull_rest
+    num_collected = collected_candidates.size
 
     @wp.func
     def is_left_out(
@@ -135,27 +126,18 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
         return False
 
     @wp.func
-    def keep(
+    def partners_of(
         query: BoxTree,
         target: BoxTree,
         tree_pair: TreePair,
-        options: SearchOptions,
         collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        query_block: int,
-        query_lane: int,
+        q: int,
         block: int,
-        overlapping: wp.uint32,  # boxes that overlap the query's in quantized coordinates
-        tied: wp.uint32,  # boxes for which the exact float64 test decides
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-    ) -> int:
-        """Filter the boxes of a block that overlap a query's, and keep all that remain; returns their number."""
-        q = query_block * WIDTH + query_lane
+        overlapping: wp.uint32,
+    ) -> wp.uint32:
+        """Those of the boxes of a block that exist and that the mesh does not exclude as partners of a query."""
         if q >= query.num_boxes:
-            return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
+            return _NONE  # an empty place overlaps only a box that is infinite in quantized coordinates
         mask = overlapping & lanes_before(target.num_boxes - block * WIDTH)
         if collision_filter.applies != 0:
             a = box_corners(query, q)
@@ -165,6 +147,28 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
                 left = left & (left - wp.uint32(1))
                 if is_left_out(query, target, tree_pair, collision_filter, q, block * WIDTH + lane, a):
                     mask = mask & ~(wp.uint32(1) << wp.uint32(lane))
+        return mask
+
+    @wp.func
+    def keep(
+        query: BoxTree,
+        target: BoxTree,
+        tree_pair: TreePair,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        query_block: int,
+        query_lane: int,
+        block: int,
+        partners: wp.uint32,
+        tied: wp.uint32,  # boxes for which the exact float64 test decides
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+    ) -> int:
+        """Keep the partners of a query in a block whose boxes overlap its own in float64; returns their number."""
+        q = query_block * WIDTH + query_lane
+        mask = wp.uint32(partners)
         if (mask & tied) != _NONE:
             mask = mask & ~separated_mask(
                 vertices_t0,
@@ -198,92 +202,6 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
         )
 
     @wp.func
-    def visit(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        q: int,
-        p: int,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ) -> int:
-        """Filter and cull a pair whose quantized boxes overlap, keep it if it stays open; returns 1 for a candidate."""
-        if p >= target.num_boxes or q >= query.num_boxes:
-            return 0  # an empty place overlaps only a box that is infinite in quantized coordinates
-        a = box_corners(query, q)
-        b = box_corners(target, p)
-        if collision_filter.applies != 0:
-            if is_left_out(query, target, tree_pair, collision_filter, q, p, a):
-                return 0
-        i = query.primitive[q]
-        j = target.primitive[p]
-        if is_turned(tree_pair, i, j):
-            c = a
-            a = b
-            b = c
-            k = i
-            i = j
-            j = k
-        if tree_pair.kind == EDGE_EDGE or tree_pair.kind == VERTEX_FACE:  # other pairs have no volume
-            c0 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t0))
-            c1 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t1))
-            if is_free(tree_pair.kind, c0, c1, options.separation, options.t_end):
-                return 1
-        n = claim(counts, part.row, FOUND, 1)
-        if n < wp.int64(keys.shape[0]):
-            keys[n] = pair_key(i, j)
-        elif part.marks_overflow != 0:
-            mark_overflow(minima, a, b)
-        return 1
-
-    @wp.func
-    def visit_block(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        query_block: int,
-        query_lane: int,
-        block: int,
-        overlapping: wp.uint32,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ) -> int:
-        """Apply `visit` to the boxes of a block that overlap a query's; returns the number of candidates."""
-        num_candidates = int(0)
-        left = wp.uint32(overlapping)
-        while left != _NONE:
-            lane = lowest_bit(left)
-            left = left & (left - wp.uint32(1))
-            num_candidates += visit(
-                query,
-                target,
-                tree_pair,
-                options,
-                collision_filter,
-                vertices_t0,
-                vertices_t1,
-                query_block * WIDTH + query_lane,
-                block * WIDTH + lane,
-                part,
-                counts,
-                keys,
-                minima,
-            )
-        return num_candidates
-
-    @wp.func
     def search_leaf(
         query: BoxTree,
         target: BoxTree,
@@ -299,6 +217,7 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
         minima: Minima,
+        collected: wp.array[wp.int32],
     ) -> int:
         """Search a leaf block of the targets for partners of several queries; returns the number of candidates."""
         num_candidates = int(0)
@@ -321,31 +240,33 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
                     tree_pair.num_query_corners,
                 )
             if mask != _NONE:
+                q = query_block * WIDTH + query_lane
+                mask = partners_of(query, target, tree_pair, collision_filter, q, block, mask)
                 if wp.static(with_cull):
-                    num_candidates += visit_block(
-                        query,
-                        target,
-                        tree_pair,
-                        options,
-                        collision_filter,
-                        vertices_t0,
-                        vertices_t1,
-                        query_block,
-                        query_lane,
-                        block,
-                        mask,
-                        part,
-                        counts,
-                        keys,
-                        minima,
-                    )
+                    if mask != _NONE:
+                        num_candidates += number_of_bits(mask)
+                        collect(
+                            query,
+                            target,
+                            tree_pair,
+                            options,
+                            vertices_t0,
+                            vertices_t1,
+                            q,
+                            block,
+                            mask,
+                            part,
+                            counts,
+                            keys,
+                            minima,
+                            collected,
+                        )
                 else:
                     num_candidates += keep(
                         query,
                         target,
                         tree_pair,
                         options,
-                        collision_filter,
                         vertices_t0,
                         vertices_t1,
                         query_block,
@@ -386,6 +307,7 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
         if item_level == 0:
             query_block = item / WIDTH
         num_candidates = int(0)
+        collected = wp.zeros(shape=num_collected, dtype=wp.int32)
         pending = vec8u()
         node = vec8i()
         top = target.num_levels - 1
@@ -432,7 +354,10 @@ def make_pair_search(end: str, with_lists: bool) -> SimpleNamespace:
                         counts,
                         keys,
                         minima,
+                        collected,
                     )
+        if wp.static(with_cull):
+            cull_rest(tree_pair, options, vertices_t0, vertices_t1, part, counts, keys, minima, collected)
         if num_candidates > 0:
             claim(counts, part.row, CANDIDATES, num_candidates)
 

@@ -19,71 +19,53 @@ from types import SimpleNamespace
 import warp as wp
 
 from .once import once
-
-# Pair kinds; ccd_warp.PairKind mirrors these.
-VERTEX_FACE = wp.constant(0)
-EDGE_EDGE = wp.constant(1)
-POINT_SEGMENT = wp.constant(2)
-POINT_POINT = wp.constant(3)
+from .simd import make_simd
 
 
 @once
-def make_patch(real) -> SimpleNamespace:
-    """Structs and functions for one floating-point type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    vec4 = wp.types.vector(length=4, dtype=real)
+def make_patch(real, width: int) -> SimpleNamespace:
+    """Structs and functions for one floating-point type and a number of lanes."""
+    simd = make_simd(real, width)
+    Lanes = simd.Lanes
+    Mask = simd.Mask
+    Vec3 = simd.Vec3
+    spread = simd.spread
+    one = wp.constant(real(1.0))
 
     @wp.struct
     class Corners:
         """Four corners and two sides of a patch at one time."""
 
-        w00: vec3
-        w01: vec3
-        w10: vec3
-        w11: vec3
-        q: vec3
-        r: vec3
+        w00: Vec3
+        w01: Vec3
+        w10: Vec3
+        w11: Vec3
+        q: Vec3
+        r: Vec3
 
     @wp.struct
-    class Patch:
-        """A patch over the whole step; its sides are set only where the volume needs them (the root patch)."""
+    class Volume:
+        """The volume f = P·(Q×R) of a patch, a cubic in t."""
 
-        t0: Corners
-        t1: Corners
-        is_face: bool  # its sides along u intersect
-        is_triangle: bool  # they intersect at u = 1, so w11 = w10
-        narrowing: real  # length of the side u = 1 over that of the parallel side u = 0
+        b0: Lanes  # its Bernstein coefficients on [0, 1]
+        b1: Lanes
+        b2: Lanes
+        b3: Lanes
+        bound: Lanes  # magnitude below which it proves nothing
+        is_flat: Mask  # it proves nothing at any time
+        normal_t0: Vec3  # Bernstein coefficients of Q×R, where there is a separation
+        normal_mid: Vec3
+        normal_t1: Vec3
 
-    @wp.struct
-    class Problem:
-        """The quantities that are constant while a pair is subdivided; lengths in normalised units, per axis."""
+    @simd.func
+    def corners_at(t0: Corners, t1: Corners, t: Lanes) -> Corners:
+        """Corners at one time, without the sides (rounding, step 8)."""
+        c = Corners()
+        s = spread(one) - t
+        c.w00 = s * t0.w00 + t * t1.w00
+        c.w01 = s * t0.w01 + t * t1.w01
+        c.w10 = s * t0.w10 + t * t1.w10
+        c.w11 = s * t0.w11 + t * t1.w11
+        return c
 
-        volume: vec4  # Bernstein coefficients of P·(Q×R)
-        volume_bound: real  # magnitude below which the volume proves nothing
-        normal_t0: vec3  # Bernstein coefficients of Q×R
-        normal_mid: vec3
-        normal_t1: vec3
-        has_separation: bool
-        is_flat: bool  # the volume proves nothing at any time
-        error: vec3  # rounding bound E of a projection
-        separation: vec3  # half sides of the separation box
-        delta: vec3  # largest gap that counts as contact
-
-    @wp.func
-    def sub_corner(c: Corners, u: real, v: real) -> vec3:
-        """Point (u, v) of the patch (rounding, step 3)."""
-        x = (real(1.0) - v) * c.w00 + v * c.w01
-        y = (real(1.0) - v) * c.w10 + v * c.w11
-        return (real(1.0) - u) * x + u * y
-
-    @wp.func
-    def sub_corners(c: Corners, u0: real, u1: real, v0: real, v1: real) -> Corners:
-        """Corners of the sub-patch [u0, u1] × [v0, v1]."""
-        s = Corners()
-        s.w00 = sub_corner(c, u0, v0)
-        s.w01 = sub_corner(c, u0, v1)
-        s.w10 = sub_corner(c, u1, v0)
-        s.w11 = sub_corner(c, u1, v1)
-        return s
-
-    return SimpleNamespace(Corners=Corners, Patch=Patch, Problem=Problem, sub_corners=sub_corners)
+    return SimpleNamespace(Corners=Corners, Volume=Volume, corners_at=corners_at)

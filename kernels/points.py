@@ -1,40 +1,105 @@
-"""The points of a pair, and the corners of its patch: differences in float64, from which the solver starts."""
+"""The points of pairs, and the corners of their patches: differences in float64, from which the narrow phase starts."""
+
+from types import SimpleNamespace
 
 import warp as wp
 
-from .patch import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, make_patch
+from .once import once
+from .pair_kind import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE
+from .patch import make_patch
+from .simd import make_simd
 
+
+@once
+def make_points(width: int) -> SimpleNamespace:
+    """Struct and functions for a number of lanes of float64."""
+    simd = make_simd(wp.float64, width)
+    Lanes = simd.Lanes
+    Vec3 = simd.Vec3
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    scaled_by = simd.scaled
+    Corners = make_patch(wp.float64, width).Corners
+
+    @wp.struct
+    class Points:
+        """The four points of a pair at one time."""
+
+        p0: Vec3
+        p1: Vec3
+        p2: Vec3
+        p3: Vec3
+
+    @simd.func
+    def corners(kind: int, p: Points) -> Corners:
+        """Corners and sides of the patch: one rounded difference each (rounding, step 1)."""
+        c = Corners()
+        if kind == VERTEX_FACE:
+            c.w00 = p.p0 - p.p1
+            c.w01 = p.p0 - p.p2
+            c.w10 = p.p0 - p.p3
+            c.w11 = c.w10
+            c.q = p.p1 - p.p2
+            c.r = p.p1 - p.p3
+        elif kind == EDGE_EDGE:
+            c.w00 = p.p0 - p.p2
+            c.w01 = p.p0 - p.p3
+            c.w10 = p.p1 - p.p2
+            c.w11 = p.p1 - p.p3
+            c.q = p.p2 - p.p3
+            c.r = p.p1 - p.p0
+        else:
+            c.w00 = p.p0 - p.p1
+            c.w01 = c.w00
+            if kind == POINT_SEGMENT:
+                c.w01 = p.p0 - p.p2
+                c.q = p.p1 - p.p2
+            c.w10 = c.w00
+            c.w11 = c.w01
+        return c
+
+    @simd.func
+    def largest(c: Corners) -> Vec3:
+        """Largest |corner| per axis."""
+        along_u0 = greatest(magnitude(c.w00), magnitude(c.w01))
+        return greatest(along_u0, greatest(magnitude(c.w10), magnitude(c.w11)))
+
+    @simd.func
+    def total(c: Corners) -> Vec3:
+        """Sum of the magnitudes: unlike a maximum it propagates NaN."""
+        of_corners = magnitude(c.w00) + magnitude(c.w01) + magnitude(c.w10) + magnitude(c.w11)
+        return of_corners + magnitude(c.q) + magnitude(c.r)
+
+    @simd.func
+    def longest_side(a: Points, b: Points) -> Lanes:
+        """Longest side of the box around the points at both ends of the step."""
+        low_a = least(least(a.p0, a.p1), least(a.p2, a.p3))
+        low_b = least(least(b.p0, b.p1), least(b.p2, b.p3))
+        high_a = greatest(greatest(a.p0, a.p1), greatest(a.p2, a.p3))
+        high_b = greatest(greatest(b.p0, b.p1), greatest(b.p2, b.p3))
+        side = greatest(high_a, high_b) - least(low_a, low_b)
+        return greatest(greatest(side.x, side.y), side.z)
+
+    @wp.func
+    def scaled(p: Points, s: Vec3) -> Points:
+        """Points with each axis multiplied by a factor."""
+        r = Points()
+        r.p0 = scaled_by(p.p0, s)
+        r.p1 = scaled_by(p.p1, s)
+        r.p2 = scaled_by(p.p2, s)
+        r.p3 = scaled_by(p.p3, s)
+        return r
+
+    return SimpleNamespace(
+        Points=Points, corners=corners, largest=largest, total=total, longest_side=longest_side, scaled=scaled
+    )
+
+
+# of a single pair
 vec3d = wp.vec3d
-Corners = make_patch(wp.float64).Corners
-
-
-@wp.struct
-class Points:
-    """The four points of a pair at one time."""
-
-    p0: vec3d
-    p1: vec3d
-    p2: vec3d
-    p3: vec3d
-
-
-@wp.func
-def scaled(p: Points, s: vec3d) -> Points:
-    """Points with each axis multiplied by a factor."""
-    r = Points()
-    r.p0 = wp.cw_mul(p.p0, s)
-    r.p1 = wp.cw_mul(p.p1, s)
-    r.p2 = wp.cw_mul(p.p2, s)
-    r.p3 = wp.cw_mul(p.p3, s)
-    return r
-
-
-@wp.func
-def longest_side(a: Points, b: Points) -> wp.float64:
-    """Longest side of the box around the points at both ends of the step."""
-    low = wp.min(wp.min(wp.min(a.p0, a.p1), wp.min(a.p2, a.p3)), wp.min(wp.min(b.p0, b.p1), wp.min(b.p2, b.p3)))
-    high = wp.max(wp.max(wp.max(a.p0, a.p1), wp.max(a.p2, a.p3)), wp.max(wp.max(b.p0, b.p1), wp.max(b.p2, b.p3)))
-    return wp.max(high - low)
+Points = make_points(1).Points
+corners = make_points(1).corners
 
 
 @wp.func
@@ -84,44 +149,3 @@ def row_points(x: wp.array2d[vec3d], i: int) -> Points:
     p.p2 = x[i, wp.min(2, x.shape[1] - 1)]
     p.p3 = x[i, wp.min(3, x.shape[1] - 1)]
     return p
-
-
-@wp.func
-def corners(kind: int, p: Points) -> Corners:
-    """Corners and sides of the patch: one rounded difference each (rounding, step 1)."""
-    c = Corners()
-    if kind == VERTEX_FACE:
-        c.w00 = p.p0 - p.p1
-        c.w01 = p.p0 - p.p2
-        c.w10 = p.p0 - p.p3
-        c.w11 = c.w10
-        c.q = p.p1 - p.p2
-        c.r = p.p1 - p.p3
-    elif kind == EDGE_EDGE:
-        c.w00 = p.p0 - p.p2
-        c.w01 = p.p0 - p.p3
-        c.w10 = p.p1 - p.p2
-        c.w11 = p.p1 - p.p3
-        c.q = p.p2 - p.p3
-        c.r = p.p1 - p.p0
-    else:
-        c.w00 = p.p0 - p.p1
-        c.w01 = c.w00
-        if kind == POINT_SEGMENT:
-            c.w01 = p.p0 - p.p2
-            c.q = p.p1 - p.p2
-        c.w10 = c.w00
-        c.w11 = c.w01
-    return c
-
-
-@wp.func
-def magnitude(c: Corners) -> vec3d:
-    """Largest |corner| per axis."""
-    return wp.max(wp.max(wp.abs(c.w00), wp.abs(c.w01)), wp.max(wp.abs(c.w10), wp.abs(c.w11)))
-
-
-@wp.func
-def total(c: Corners) -> vec3d:
-    """Sum of the magnitudes: unlike a maximum it propagates NaN."""
-    return wp.abs(c.w00) + wp.abs(c.w01) + wp.abs(c.w10) + wp.abs(c.w11) + wp.abs(c.q) + wp.abs(c.r)

@@ -39,16 +39,19 @@ below are in the normalised units of step 2.
    (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
    a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
    Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
-   of errors, and the roundings of T. A crossing of the hull is a quotient of two control points (4u, their own
-   rounding included), its place between them (2u), and its share of the interval (5u, 1/3 and the interval rounded):
-   that fraction times (1 - 12u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
+   of errors, and the roundings of T. A clip ends where the steepest line from the first control point, c_0, to another
+   falls to zero: at the fraction c_0 / max_j (c_0 - c_j)·3/j of the interval, which is no later than the first crossing
+   of the hull. Each control point is rounded once after the bounds above, when they are subtracted. Where c_j decides
+   and is positive, it is at most 2/3 c_0, so the difference loses 5u by that, and 2u by itself and its factor; c_0 and
+   the quotient 2u; the interval, its share and the factor below 3u: that fraction times (1 - 12u), and the sum with t
+   times (1 - 8u), is a lower bound. With a separation the Bernstein
    coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products.
 10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (which again
    approximate nothing). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of step
    8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k per unit of direction, at most MOVING = 2 times the E_k of
    step 4, for the root as for a sub-patch. A direction may vanish at x, so the offsets get TINY·TINY_DIRECTION, the
    absolute term of step 5. |d_k| is convex in t, so the offsets of both ends interpolate to an upper bound of the
-   offset between them. Crossings are treated as in step 9.
+   offset between them. A clip ends as in step 9, at h_0 / max_j (h_0 - h_j)·2/j.
 11. **Sides in the cull.** A corner is a rounded difference of input points (1u), a projection adds three roundings,
    the interpolation to an end before 1 three more (step 8, without its sub-patch), and the bound itself four: SIDES =
    16 times the sum of |d_k|·(largest corner on the axis). Underflow of a product is below 2^-1074 per term; the test

@@ -2,6 +2,10 @@
 
 import warp as wp
 
+# The stage at which a search ends.
+BOXES = "boxes"  # it reports every pair whose boxes overlap
+CULL = "cull"  # it reports the pairs that the cull leaves open
+
 
 @wp.struct
 class TreePair:
@@ -36,3 +40,9 @@ class SearchRange:
     first_key: int  # of a search without the cull, which writes to a part of the keys
     capacity: int  # of that part, in keys
     marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
+
+
+@wp.func
+def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
+    """Whether the target is the first primitive of a pair."""
+    return tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and target < query)

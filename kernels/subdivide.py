@@ -8,7 +8,6 @@ from .advance import CONTACT, LIMIT, SLOW, make_advance
 from .answer import STACK_DEPTH, make_answer
 from .interrupts import is_stopped
 from .once import once
-from .patch import make_patch
 from .rounding import MAX_SPLITS
 from .status import (
     STATUS_COLLISION,
@@ -16,13 +15,14 @@ from .status import (
     STATUS_NO_COLLISION,
     STATUS_RESOLUTION_LIMIT,
 )
+from .sub_patch import make_sub_patch
 
 
 @once
 def make_subdivide(real) -> SimpleNamespace:
     """Functions for one floating-point type."""
     box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
-    types = make_patch(real)
+    types = make_sub_patch(real)
     Patch = types.Patch
     Problem = types.Problem
     sub_corners = types.sub_corners

@@ -2,10 +2,12 @@
 
 A contact makes P, Q, R linearly dependent, so f = 0 is necessary for a contact anywhere on the patch. With a separation
 box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary. f is a cubic in t. The convex
-hull of its Bernstein coefficients bounds it on any interval, and the first crossing of the hull is a clip of time that
-converges quadratically to a simple root, from below. No root is ever *computed* here: the univariate method decides by
-the roots and misses collisions, whereas this one only skips times at which f is certainly not zero. Where f vanishes
-identically (motion in one plane) it skips nothing, and the directions of `inclusion` make the progress.
+hull of its Bernstein coefficients bounds it on any interval, and a clip ends before the hull falls to zero: where the
+steepest line from the first coefficient to another does. That is the first crossing of the hull itself wherever the
+other coefficient is beyond zero, no later elsewhere, and takes one division. It converges quadratically to a simple
+root, from below. No root is ever *computed* here: the univariate method decides by the roots and misses collisions,
+whereas this one only skips times at which f is certainly not zero. Where f vanishes identically (motion in one plane)
+it skips nothing, and the directions of `inclusion` make the progress.
 """
 
 from types import SimpleNamespace
@@ -15,139 +17,162 @@ import warp as wp
 from .once import once
 from .patch import make_patch
 from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
+from .simd import make_simd
 
 
 @once
-def make_volume(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    vec4 = wp.types.vector(length=4, dtype=real)
-    types = make_patch(real)
-    Problem = types.Problem
-    Corners = types.Corners
+def make_volume(real, width: int) -> SimpleNamespace:
+    """Functions for one floating-point type and a number of lanes."""
+    simd = make_simd(real, width)
+    Lanes = simd.Lanes
+    Vec3 = simd.Vec3
+    vec = simd.vec
+    spread = simd.spread
+    minus = simd.minus
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    is_less = simd.is_less
+    is_at_most = simd.is_at_most
+    both = simd.both
+    select = simd.select
+    dot = simd.dot
+    cross = simd.cross
+    Corners = make_patch(real, width).Corners
+    Volume = make_patch(real, width).Volume
     unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
-    third = wp.constant(real(1.0 / 3.0))
+    zero = wp.constant(real(0.0))
     half = wp.constant(real(0.5))
+    third = wp.constant(real(1.0 / 3.0))
+    one = wp.constant(real(1.0))
+    one_and_half = wp.constant(real(1.5))
+    three = wp.constant(real(3.0))
+    four = wp.constant(real(4.0))
     round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
     fraction_down = wp.constant(real(1.0 - CROSSING * UNIT_ROUNDOFF[real]))
 
-    @wp.func
-    def with_volume(problem: Problem, c0: Corners, c1: Corners) -> Problem:
-        """Set the Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing."""
-        n0 = wp.cross(c0.q, c0.r)
-        n1 = wp.cross(c1.q, c1.r)
-        nm = half * (wp.cross(c0.q, c1.r) + wp.cross(c1.q, c0.r))
-        m0 = wp.dot(c0.w00, nm)
-        m1 = wp.dot(c1.w00, nm)
-        b1 = third * (wp.dot(c1.w00, n0) + m0 + m0)
-        b2 = third * (wp.dot(c0.w00, n1) + m1 + m1)
-        problem.volume = vec4(wp.dot(c0.w00, n0), b1, b2, wp.dot(c1.w00, n1))
-        q = wp.max(wp.abs(c0.q), wp.abs(c1.q))
-        r = wp.max(wp.abs(c0.r), wp.abs(c1.r))
+    @wp.struct
+    class Hull:
+        """Four control points of a cubic on an interval."""
+
+        c0: Lanes
+        c1: Lanes
+        c2: Lanes
+        c3: Lanes
+
+    @simd.func
+    def volume_of(t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) -> Volume:
+        """The Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing."""
+        r = Volume()
+        n0 = cross(t0.q, t0.r)
+        n1 = cross(t1.q, t1.r)
+        nm = spread(half) * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
+        m0 = dot(t0.w00, nm)
+        m1 = dot(t1.w00, nm)
+        r.b0 = dot(t0.w00, n0)
+        r.b1 = spread(third) * (dot(t1.w00, n0) + m0 + m0)
+        r.b2 = spread(third) * (dot(t0.w00, n1) + m1 + m1)
+        r.b3 = dot(t1.w00, n1)
+        p = greatest(magnitude(t0.w00), magnitude(t1.w00))
+        q = greatest(magnitude(t0.q), magnitude(t1.q))
+        s = greatest(magnitude(t0.r), magnitude(t1.r))
         # the sums of the magnitudes of the products of Q×R, and of the determinant
-        n = vec3(q[1] * r[2] + q[2] * r[1], q[2] * r[0] + q[0] * r[2], q[0] * r[1] + q[1] * r[0])
-        p = wp.max(wp.abs(c0.w00), wp.abs(c1.w00))
-        problem.volume_bound = unit_bound * wp.dot(p, n) + tiny
-        if problem.has_separation:
-            problem.volume_bound += unit_bound * wp.dot(problem.separation, n)
-            problem.normal_t0 = n0
-            problem.normal_mid = nm
-            problem.normal_t1 = n1
-        largest = wp.max(wp.abs(problem.volume))
-        problem.is_flat = largest <= problem.volume_bound
-        return problem
+        n = vec(q.y * s.z + q.z * s.y, q.z * s.x + q.x * s.z, q.x * s.y + q.y * s.x)
+        r.bound = spread(unit_bound) * dot(p, n) + spread(tiny)
+        if has_separation:
+            r.bound = r.bound + spread(unit_bound) * dot(separation, n)
+            r.normal_t0 = n0
+            r.normal_mid = nm
+            r.normal_t1 = n1
+        largest = greatest(greatest(magnitude(r.b0), magnitude(r.b1)), greatest(magnitude(r.b2), magnitude(r.b3)))
+        r.is_flat = is_at_most(largest, r.bound)
+        return r
 
-    @wp.func
-    def separation_offset(problem: Problem, t: real, x: real) -> vec4:
-        """Bernstein coefficients, on [t, x], of a cubic above Σ separation_k·|n_k|."""
-        ct = real(1.0) - t
-        cx = real(1.0) - x
-        t0 = ct * problem.normal_t0 + t * problem.normal_mid
-        t1 = ct * problem.normal_mid + t * problem.normal_t1
-        x0 = cx * problem.normal_t0 + x * problem.normal_mid
-        x1 = cx * problem.normal_mid + x * problem.normal_t1
-        a = wp.dot(problem.separation, wp.abs(ct * t0 + t * t1))
-        b = wp.dot(problem.separation, wp.abs(cx * t0 + x * t1))
-        c = wp.dot(problem.separation, wp.abs(cx * x0 + x * x1))
-        return vec4(a, third * (a + b + b), third * (b + b + c), c) * round_up
-
-    @wp.func
-    def crossing(i: real, a: real, j: real, b: real, first: real) -> real:
-        """Minimum of ``first`` and the place, if any, where the segment between two control points falls to zero."""
-        if a > real(0.0) and b <= real(0.0):
-            return wp.min(first, (i + (j - i) * (a / (a - b))))
-        return first
-
-    @wp.func
-    def hull_crossing(b: vec4) -> real:
-        """First zero of the convex hull of four control points at 0, 1, 2, 3, b[0] > 0; 4 if there is none."""
-        first = real(4.0)
-        if b[1] <= real(0.0) or b[2] <= real(0.0) or b[3] <= real(0.0):
-            first = crossing(real(0.0), b[0], real(1.0), b[1], first)
-            first = crossing(real(0.0), b[0], real(2.0), b[2], first)
-            first = crossing(real(0.0), b[0], real(3.0), b[3], first)
-            first = crossing(real(1.0), b[1], real(2.0), b[2], first)
-            first = crossing(real(1.0), b[1], real(3.0), b[3], first)
-            first = crossing(real(2.0), b[2], real(3.0), b[3], first)
-        return first
-
-    @wp.func
-    def restrict(b: vec4, t: real, x: real) -> vec4:
-        """Bernstein coefficients on [t, x]: the blossom of b."""
-        ct = real(1.0) - t
-        cx = real(1.0) - x
-        t0 = ct * b[0] + t * b[1]
-        t1 = ct * b[1] + t * b[2]
-        t2 = ct * b[2] + t * b[3]
-        x0 = cx * b[0] + x * b[1]
-        x1 = cx * b[1] + x * b[2]
-        x2 = cx * b[2] + x * b[3]
+    @simd.func
+    def restrict(f: Volume, t: Lanes, x: Lanes) -> Hull:
+        """Bernstein coefficients on [t, x]: the blossom of those on [0, 1]."""
+        ct = spread(one) - t
+        cx = spread(one) - x
+        t0 = ct * f.b0 + t * f.b1
+        t1 = ct * f.b1 + t * f.b2
+        t2 = ct * f.b2 + t * f.b3
+        x0 = cx * f.b0 + x * f.b1
+        x1 = cx * f.b1 + x * f.b2
+        x2 = cx * f.b2 + x * f.b3
         tt0 = ct * t0 + t * t1
         tt1 = ct * t1 + t * t2
         tx0 = cx * t0 + x * t1
         tx1 = cx * t1 + x * t2
         xx0 = cx * x0 + x * x1
         xx1 = cx * x1 + x * x2
-        return vec4(ct * tt0 + t * tt1, cx * tt0 + x * tt1, cx * tx0 + x * tx1, cx * xx0 + x * xx1)
+        r = Hull()
+        r.c0 = ct * tt0 + t * tt1
+        r.c1 = cx * tt0 + x * tt1
+        r.c2 = cx * tx0 + x * tx1
+        r.c3 = cx * xx0 + x * xx1
+        return r
 
-    @wp.func
-    def advance_volume(problem: Problem, t_start: real, t_max: real) -> real:
-        """Time up to which f keeps its sign from ``t_start`` on: at least ``t_start``; 2 if beyond ``t_max``."""
-        t = t_start
-        x = t_max
-        for _ in range(16):  # one clip in each; far fewer are needed
-            c = restrict(problem.volume, t, x)
-            if c[0] < real(0.0):
-                c = -c
-            bound = problem.volume_bound
-            c = c - vec4(bound, bound, bound, bound)
-            if problem.has_separation:
-                c = c - separation_offset(problem, t, x)
-            if not c[0] > real(0.0):
-                return t
-            first = hull_crossing(c)
-            if first >= real(4.0):
-                if x >= t_max:
-                    return real(2.0)
-                step = x - t
-                t = x
-                x = wp.min(t_max, t + real(4.0) * step)
-            else:
-                # the fraction of [t, x] is rounded down, so it never reaches the crossing
-                s = (t + (x - t) * (first * third) * fraction_down) * round_down
-                if not s > t:
-                    return t
-                newton = real(2.0) * (s - t)
-                t = s
-                x = wp.min(t_max, t + newton)
-        return t
+    @simd.func
+    def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
+        """Bernstein coefficients, on [t, x], of a cubic above Σ separation_k·|n_k|."""
+        ct = spread(one) - t
+        cx = spread(one) - x
+        t0 = ct * f.normal_t0 + t * f.normal_mid
+        t1 = ct * f.normal_mid + t * f.normal_t1
+        x0 = cx * f.normal_t0 + x * f.normal_mid
+        x1 = cx * f.normal_mid + x * f.normal_t1
+        a = dot(separation, magnitude(ct * t0 + t * t1))
+        b = dot(separation, magnitude(cx * t0 + x * t1))
+        c = dot(separation, magnitude(cx * x0 + x * x1))
+        r = Hull()
+        r.c0 = spread(round_up) * a
+        r.c1 = spread(round_up) * (spread(third) * (a + b + b))
+        r.c2 = spread(round_up) * (spread(third) * (b + b + c))
+        r.c3 = spread(round_up) * c
+        return r
+
+    @simd.func
+    def fall(h: Hull) -> Lanes:
+        """Fraction of the interval, c0 > 0 and another not, at which the steepest line from c0 to another is zero."""
+        slope = greatest(spread(three) * (h.c0 - h.c1), greatest(spread(one_and_half) * (h.c0 - h.c2), h.c0 - h.c3))
+        return h.c0 / slope
+
+    @simd.func
+    def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: Lanes, end: Lanes):
+        """One clip: with f on [t, x], the time up to which it keeps its sign, and the x of the next clip.
+
+        The third result says which lanes are free until ``end``. A lane that gains nothing gets ``end`` for its next x.
+        """
+        h = restrict(f, t, x)
+        is_negative = is_less(h.c0, spread(zero))
+        h.c0 = select(is_negative, minus(h.c0), h.c0) - f.bound
+        h.c1 = select(is_negative, minus(h.c1), h.c1) - f.bound
+        h.c2 = select(is_negative, minus(h.c2), h.c2) - f.bound
+        h.c3 = select(is_negative, minus(h.c3), h.c3) - f.bound
+        if has_separation:
+            offset = separation_offset(f, separation, t, x)
+            h.c0 = h.c0 - offset.c0
+            h.c1 = h.c1 - offset.c1
+            h.c2 = h.c2 - offset.c2
+            h.c3 = h.c3 - offset.c3
+        is_proof = is_less(spread(zero), h.c0)
+        is_clear = both(is_proof, is_less(spread(zero), least(h.c1, least(h.c2, h.c3))))
+        # the fraction of [t, x] is rounded down, so it never reaches the crossing
+        s = (t + (x - t) * (fall(h) * spread(fraction_down))) * spread(round_down)
+        s = select(is_clear, x, s)
+        has_gained = both(is_proof, is_less(t, s))
+        s = select(has_gained, s, t)
+        step = s - t
+        ahead = least(end, s + select(is_clear, spread(four) * step, step + step))
+        return s, select(has_gained, ahead, end), both(is_clear, is_at_most(end, x))
 
     return SimpleNamespace(
-        with_volume=with_volume,
-        advance_volume=advance_volume,
+        Hull=Hull,
+        volume_of=volume_of,
         restrict=restrict,
         separation_offset=separation_offset,
-        hull_crossing=hull_crossing,
+        fall=fall,
+        clip_volume=clip_volume,
     )

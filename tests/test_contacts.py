@@ -30,7 +30,8 @@ def test_the_first_contact_says_what_touches_what_and_where(step):
     assert first.kind == ccd.PairKind.VERTEX_FACE and first.status == ccd.CCDStatus.COLLISION and first.world == 0
     vertex, face = first.primitives
     assert first.vertices == (vertex, *mesh.faces[face].tolist())
-    assert repr(first).startswith("Contact(vertex-face of ball and cloth at (") and repr(first).endswith("9999976)")
+    assert repr(first).startswith("Contact(vertex-face of ball and cloth at (")
+    assert repr(first).endswith(f"toi={result.toi!r})")
 
 
 def test_points_lie_on_both_primitives_at_toi(step):

@@ -18,7 +18,8 @@ import warp as wp
 from ccd_warp.kernels.contact_place import make_contact_points
 from ccd_warp.kernels.device_step import make_input
 from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.pair_search import BOXES, CULL, make_pair_search
+from ccd_warp.kernels.pair_search import make_pair_search
+from ccd_warp.kernels.search_types import BOXES, CULL
 
 # Explicit, so that a kernel module that is added without a place here fails the test below.
 PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
@@ -36,10 +37,10 @@ def warp_modules():
             modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
             modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
         for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
-            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real), kernel).module
+            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real, 1), kernel).module
     for end in (BOXES, CULL):
         for with_lists in (False, True):
-            modules[f"pair_search {end} {with_lists}"] = make_pair_search(end, with_lists).search_pairs.module
+            modules[f"pair_search {end} {with_lists}"] = make_pair_search(end, with_lists, 1).search_pairs.module
     return {name: module for name, module in modules.items() if module.kernels}
 
 

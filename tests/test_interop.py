@@ -81,7 +81,7 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
     launch = ccd._pair_ccd.Execution.launch
 
     def watched(execution, kernel, count, inputs, *arguments, **options):
-        seen.append(inputs[1:3])
+        seen.append(inputs[3:5])
         launch(execution, kernel, count, inputs, *arguments, **options)
 
     monkeypatch.setattr(ccd._pair_ccd.Execution, "launch", watched)

@@ -271,3 +271,54 @@ def test_keys_of_a_query_and_a_block(order, capacity):
     assert np.array_equal(keys.numpy(), expected)
     assert out.numpy().tolist() == [4, 4]
     assert counts.numpy()[1, 2] == counts.numpy().sum() == 8  # what there was no capacity for counts, too
+
+
+@pytest.mark.parametrize("of_first", [1, 2])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_pairs_of_a_query_and_a_block_are_collected(order, of_first):
+    capacity, query, block = 20, 21, 2
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(
+        primitives: wp.array2d[wp.int32],
+        corners: wp.array2d[wp.int32],
+        order: int,
+        of_first: int,
+        collected: wp.array[wp.int32],
+        out: wp.array[wp.int32],
+    ):
+        out[0] = pair_lanes.collect_pairs(
+            primitives[0],
+            corners[0],
+            query,
+            primitives[1],
+            corners[1],
+            block,
+            wp.uint32(0x8421),
+            order,
+            of_first,
+            3,
+            capacity,
+            collected,
+        )
+
+    rng = np.random.default_rng(6)
+    primitives = rng.permutation(96).astype(np.int32).reshape(2, 48)
+    primitives[0, query] = 48
+    corners = rng.integers(0, 1000, (2, 3, 3, WIDTH), dtype=np.int32)  # trees, blocks, vertices, lanes
+    collected, out = (wp.full(n, -1, dtype=wp.int32, device="cpu") for n in (6 * capacity, 1))
+    arrays = [wp.array(a, dtype=wp.int32, device="cpu") for a in (primitives, corners.reshape(2, -1))]
+    wp.launch(run, dim=1, inputs=[*arrays, order, of_first], outputs=[collected, out], device="cpu")
+    expected = np.full((6, capacity), -1)
+    turned = []
+    for n, lane in enumerate((0, 5, 10, 15)):
+        pair = [
+            (primitives[0, query], corners[0, query // WIDTH, :, query % WIDTH]),
+            (primitives[1, block * WIDTH + lane], corners[1, block, :, lane]),
+        ]
+        turned.append(order == 1 or (order == 2 and pair[1][0] < pair[0][0]))
+        (first, a), (second, b) = pair[::-1] if turned[-1] else pair
+        expected[:, 3 + n] = [*a[:of_first], *b[: 4 - of_first], first, second]
+    assert np.array_equal(collected.numpy().reshape(6, capacity), expected)
+    assert out.numpy()[0] == 7
+    assert len(set(turned)) == (2 if order == 2 else 1)

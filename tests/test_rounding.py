@@ -17,16 +17,18 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
+from ccd_warp.kernels.advance import make_advance
 from ccd_warp.kernels.boxes import end_box
-from ccd_warp.kernels.cull import is_free_by_sides, is_free_by_volume
 from ccd_warp.kernels.facets import make_facets
 from ccd_warp.kernels.inclusion import make_inclusion
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 from ccd_warp.kernels.patch import make_patch
-from ccd_warp.kernels.points import corners, row_points
+from ccd_warp.kernels.points import row_points
 from ccd_warp.kernels.query import make_query
 from ccd_warp.kernels.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
+from ccd_warp.kernels.solver import make_solver
+from ccd_warp.kernels.sub_patch import make_sub_patch
 from ccd_warp.kernels.volume import make_volume
+from cull_probe import WIDTHS, culled
 
 REALS = {"float64": wp.float64, "float32": wp.float32}
 FLOATS = {"float64": np.float64, "float32": np.float32}
@@ -70,31 +72,35 @@ def make_probe(real):
     """Kernels that write the intermediate quantities of the solver, and the clips that it is built of."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    types = make_patch(real)
-    Patch = types.Patch
+    corners_at = make_patch(real, 1).corners_at
     Options = make_query(real).Options
-    normalise = make_narrow_phase(real).normalise
-    sub_corners = types.sub_corners
-    inclusion = make_inclusion(real)
+    normalise = make_solver(real).normalise
+    sub_corners = make_sub_patch(real).sub_corners
+    # the functions for one lane; `test_lane_width` compares those for several with them
+    inclusion = make_inclusion(real, 1)
     clip = inclusion.clip
     clip_corner = inclusion.clip_corner
     offset = inclusion.offset
-    volume = make_volume(real)
-    advance_volume = volume.advance_volume
+    volume = make_volume(real, 1)
+    advance_volume = make_advance(real).advance_volume
+    Hull = volume.Hull
     restrict = volume.restrict
     separation_offset = volume.separation_offset
-    hull_crossing = volume.hull_crossing
-    facets = make_facets(real)
-    corners_at = facets.corners_at
+    hull_fall = volume.fall
+    facets = make_facets(real, 1)
     direction = facets.direction
-    first_zero = facets.first_zero
+    fall = facets.fall
     clip_facet = facets.clip_facet
-    third = wp.constant(real(1.0 / 3.0))
     half = wp.constant(real(0.5))
+    num_clips = wp.constant(12)
 
     module = wp.get_module(f"test_rounding.{real.__name__}")
     # the options of the solver's own module
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+
+    @wp.func
+    def points_of(h: Hull) -> vec4:
+        return vec4(h.c0, h.c1, h.c2, h.c3)
 
     @wp.func
     def put(out: wp.array2d[wp.float64], i: int, k: int, a: vec3) -> int:
@@ -111,7 +117,8 @@ def make_probe(real):
 
     @wp.func
     def put1(out: wp.array2d[wp.float64], i: int, k: int, a: real) -> int:
-        out[i, k] = wp.float64(a)
+        # where nothing falls, the place at which it falls is no number
+        out[i, k] = wp.where(wp.isfinite(a), wp.float64(a), wp.float64(0.0))
         return k + 1
 
     @wp.func
@@ -152,33 +159,37 @@ def make_probe(real):
         k = put(out, i, k, n.patch.t1.w10)
         k = put(out, i, k, n.patch.t0.w11)
         k = put(out, i, k, n.patch.t1.w11)
-        sub = Patch()
-        sub.t0 = sub_corners(n.patch.t0, u, u, v, v)
-        sub.t1 = sub_corners(n.patch.t1, u, u, v, v)
-        k = put(out, i, k, sub.t0.w00)
-        k = put(out, i, k, sub.t1.w00)
-        k = put(out, i, k, corners_at(sub, t).w00)
-        c_t = corners_at(n.patch, t)
-        c_x = corners_at(n.patch, x)
+        sub_t0 = sub_corners(n.patch.t0, u, u, v, v)
+        sub_t1 = sub_corners(n.patch.t1, u, u, v, v)
+        k = put(out, i, k, sub_t0.w00)
+        k = put(out, i, k, sub_t1.w00)
+        k = put(out, i, k, corners_at(sub_t0, sub_t1, t).w00)
+        c_t = corners_at(n.patch.t0, n.patch.t1, t)
+        c_x = corners_at(n.patch.t0, n.patch.t1, x)
         k = put(out, i, k, c_t.w00)
         k = put1(out, i, k, wp.dot(d, n.patch.t0.w00))
-        k = put1(out, i, k, wp.dot(d, sub.t0.w00))
+        k = put1(out, i, k, wp.dot(d, sub_t0.w00))
         k = put1(out, i, k, offset(d, margin))
-        k = put1(out, i, k, clip_corner(h[0], h[1], h[2], real(0.0), real(2.0)))
-        k = put4(out, i, k, n.problem.volume)
-        k = put4(out, i, k, restrict(n.problem.volume, t, x))
-        k = put1(out, i, k, n.problem.volume_bound)
-        k = put(out, i, k, n.problem.normal_t0)
-        k = put(out, i, k, n.problem.normal_mid)
-        k = put(out, i, k, n.problem.normal_t1)
+        k = put1(out, i, k, clip_corner(h[0], h[1], h[2], real(0.0)))
+        f = n.problem.volume
+        k = put4(out, i, k, vec4(f.b0, f.b1, f.b2, f.b3))
+        k = put4(out, i, k, points_of(restrict(f, t, x)))
+        k = put1(out, i, k, f.bound)
+        k = put(out, i, k, f.normal_t0)
+        k = put(out, i, k, f.normal_mid)
+        k = put(out, i, k, f.normal_t1)
         k = put(out, i, k, n.problem.separation)
-        k = put4(out, i, k, separation_offset(n.problem, t, x))
-        k = put1(out, i, k, hull_crossing(h) * third)
-        k = put1(out, i, k, half * first_zero(h[0], h[1], h[2], real(3.0)))
-        side = facet[i, 0]
-        axis = facet[i, 1]
-        d_t = direction(c_t, side, axis)
-        d_x = direction(c_x, side, axis)
+        k = put4(out, i, k, points_of(separation_offset(f, n.problem.separation, t, x)))
+        hull = Hull()
+        hull.c0 = h[0]
+        hull.c1 = h[1]
+        hull.c2 = h[2]
+        hull.c3 = h[3]
+        k = put1(out, i, k, hull_fall(hull))
+        k = put1(out, i, k, fall(h[0], h[1], h[2]))
+        number = real(3 * facet[i, 0] + 3 + facet[i, 1])
+        d_t = direction(number, c_t)
+        d_x = direction(number, c_x)
         k = put(out, i, k, d_t)
         k = put(out, i, k, d_x)
         k = put1(out, i, k, wp.dot(d_t, c_t.w00))
@@ -203,12 +214,15 @@ def make_probe(real):
         n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
         d = vector_of(numbers, i, 0)
         t = real(numbers[i, 3])
-        clipped[i] = wp.float64(clip(d, n.problem.error + n.problem.separation, t, n.patch))
+        margin = n.problem.error + n.problem.separation
+        clipped[i] = wp.float64(clip(d, margin, t, n.patch.t0, n.patch.t1, n.patch.is_triangle))
         by_volume[i] = wp.float64(advance_volume(n.problem, real(0.0), real(1.0)))
-        for axis in range(3):
-            for side in range(-1, 3):
-                s = clip_facet(n.patch, n.problem, side, axis, real(0.0), real(1.0))
-                by_facet[i, 4 * axis + side + 1] = wp.float64(s)
+        separation = n.problem.separation
+        for k in range(12):
+            s = clip_facet(
+                n.patch.t0, n.patch.t1, separation, n.problem.error, real(k), real(0.0), real(1.0), num_clips
+            )
+            by_facet[i, k] = wp.float64(s)
         unit[i] = n.unit
 
     return Options, probe, clips
@@ -666,54 +680,23 @@ def test_volume_and_facets_clip_no_contact(separation, scale, kind, real):
     assert min(advanced.values()) > 40
 
 
-@cache
-def make_cull_probe():
-    module = wp.get_module("test_rounding.cull")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
-
-    @wp.kernel(module=module)
-    def cull_probe(
-        # in
-        kind: int,
-        vertices_t0: wp.array2d[wp.vec3d],
-        vertices_t1: wp.array2d[wp.vec3d],
-        separation: wp.float64,
-        t_end: wp.float64,
-        by_sides: int,
-        # out
-        is_free: wp.array[wp.bool],
-    ):
-        i = wp.tid()
-        c0 = corners(kind, row_points(vertices_t0, i))
-        c1 = corners(kind, row_points(vertices_t1, i))
-        if by_sides == 1:
-            is_free[i] = is_free_by_sides(kind, c0, c1, separation, t_end)
-        else:
-            is_free[i] = is_free_by_volume(c0, c1, separation, t_end)
-
-    return cull_probe
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("t_end", [1.0, 0.3])
 @pytest.mark.parametrize(
     ("separation", "scale"), [(0.0, "as_drawn"), (2.0**-10, "as_drawn"), (0.0, "small"), (0.0, "mixed")]
 )
-@pytest.mark.parametrize("by_sides", [0, 1])
-def test_cull_drops_no_contact(by_sides, separation, scale, t_end, kind):
+@pytest.mark.parametrize("test", ["volume", "sides"])
+def test_cull_drops_no_contact(test, separation, scale, t_end, kind):
     rng = np.random.default_rng(44)
-    culled = 0
+    num_dropped = 0
     for family in ("random", "one_plane", "parallel_edges", *_CLIP_FAMILIES):
         points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 100, rng)]
-        is_free = wp.zeros(100, dtype=wp.bool, device="cpu")
-        x = [wp.array(p, dtype=wp.vec3d, device="cpu") for p in points]
-        inputs = [KINDS[kind], *x, separation, t_end, by_sides]
-        wp.launch(make_cull_probe(), dim=100, inputs=inputs, outputs=[is_free], device="cpu")
-        dropped = is_free.numpy()
+        dropped, *wider = (culled(kind, *points, w, separation=separation, t_end=t_end, test=test) for w in WIDTHS)
+        assert all(np.array_equal(dropped, each) for each in wider)
         exact = exact_tois(kind, *(p[dropped] for p in points), separation, t_end)
         assert not any(truth.hit for truth in exact)
-        culled += dropped.sum()
-    assert culled > 10 or scale != "as_drawn"
+        num_dropped += dropped.sum()
+    assert num_dropped > 10 or scale != "as_drawn"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -728,10 +711,8 @@ def test_sides_leave_a_point_on_a_side_open(kind):
     side = [p0, p0 + 5 * g]
     points = [on_side, *side, far] if kind == "vertex-face" else [on_side, far, *side]
     x = np.stack(points, axis=1).astype(np.float64)
-    is_free = wp.ones(n, dtype=wp.bool, device="cpu")
-    frames = [wp.array(x, dtype=wp.vec3d, device="cpu"), wp.array(x, dtype=wp.vec3d, device="cpu")]
-    wp.launch(make_cull_probe(), dim=n, inputs=[KINDS[kind], *frames, 0.0, 1.0, 1], outputs=[is_free], device="cpu")
-    assert not is_free.numpy().any()
+    for width in WIDTHS:
+        assert not culled(kind, x, x, width, test="sides").any()
 
 
 @cache

@@ -18,12 +18,12 @@ from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
+from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step
 from ccd_warp.kernels.minima import NUM_COUNTS
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -176,7 +176,7 @@ class DeviceStep:
             topology,
             tree_pairs,
             _NUM_AABBS,
-            make_narrow_phase(options.real),
+            narrow_phase_on(topology.device, options.real),
             self._counts,
             vertices_t0=self._start,
             vertices_t1=self._end,

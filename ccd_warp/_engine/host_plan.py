@@ -15,10 +15,10 @@ from ccd_warp._engine.scene import moves_alone, possible_kinds
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
+from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
@@ -131,7 +131,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            SimpleNamespace() if goal == "candidates" else make_narrow_phase(options.real),
+            SimpleNamespace() if goal == "candidates" else narrow_phase_on(topology.device, options.real),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,

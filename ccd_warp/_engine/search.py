@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, TreePair, search_range
+from ccd_warp._runtime.lanes import pair_search_on
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import pair_search as kernels
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, Minima
-from ccd_warp.kernels.pair_search import make_pair_search
+from ccd_warp.kernels.search_types import BOXES, SearchRange
 
 _CANDIDATES = int(CANDIDATES)
 _FOUND = int(FOUND)
@@ -136,7 +136,7 @@ class PairSearch:
         self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
-        self._kernel = make_pair_search(kernels.BOXES, topology.has_lists).search_pairs
+        self._kernel = pair_search_on(topology.device, BOXES, topology.has_lists)
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
@@ -191,7 +191,7 @@ class PairSearch:
             dim=1,
             inputs=[
                 0,
-                kernels.SearchRange(),
+                SearchRange(),
                 tree_pair.query.arrays,
                 tree_pair.target.arrays,
                 tree_pair.packed,

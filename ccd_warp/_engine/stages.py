@@ -9,11 +9,12 @@ import warp as wp
 
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, Tree, TreePair, fill_trees, search_range
+from ccd_warp._runtime.lanes import pair_search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
-from ccd_warp.kernels.pair_search import CULL, make_pair_search
+from ccd_warp.kernels.search_types import CULL
 
 Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
@@ -156,7 +157,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            make_pair_search(CULL, self.topology.has_lists).search_pairs,
+            pair_search_on(self.topology.device, CULL, self.topology.has_lists),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), 0, items.start, items.step, marks_overflow=marks_overflow),

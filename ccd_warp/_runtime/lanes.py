@@ -1,0 +1,83 @@
+"""How many numbers of float64 a device works on at once: the width of the lanes for which kernels are built.
+
+The width decides which version of a kernel is compiled, and with it the speed; the answers have equal bits for every
+width. It is found without compiling anything: from what NumPy knows of the processor, or else from Linux.
+"""
+
+import importlib
+import os
+import re
+from collections.abc import Collection
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+_CPU_INFO = Path("/proc/cpuinfo")
+# Names of the features in NumPy, which has renamed its groups, and flags of Linux.
+_WIDTHS = {8: ("AVX512F", "X86_V4", "avx512f"), 4: ("AVX2", "X86_V3", "avx2")}
+
+
+def lanes_of(device: Any) -> int:
+    """Lanes of float64: 8 with AVX-512, 4 with AVX2, 1 with any other processor and on CUDA.
+
+    Args:
+        device: Warp device.
+    """
+    return 1 if device.is_cuda else cpu_lanes()
+
+
+def narrow_phase_on(device: Any, real: Any) -> SimpleNamespace:
+    """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
+
+    Args:
+        device: Warp device.
+        real: Floating-point type of the iteration, a Warp dtype.
+    """
+    from ccd_warp.kernels.narrow_phase import make_narrow_phase  # not before a step needs it
+
+    width = lanes_of(device)
+    return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width)
+
+
+def pair_search_on(device: Any, end: str, with_lists: bool) -> Any:
+    """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one."""
+    from ccd_warp.kernels.pair_search import make_pair_search
+    from ccd_warp.kernels.search_types import CULL
+
+    return make_pair_search(end, with_lists, lanes_of(device) if end == CULL else 1).search_pairs
+
+
+@cache
+def cpu_lanes() -> int:
+    """The lanes of this processor, or as many as the environment variable ``CCD_WARP_LANES`` says.
+
+    Raises:
+        ValueError: If the variable is none of 1, 4 and 8.
+    """
+    asked = os.environ.get("CCD_WARP_LANES", "")
+    if asked and asked not in ("1", "4", "8"):
+        raise ValueError(f"the environment variable CCD_WARP_LANES must be 1, 4 or 8; found {asked!r}")
+    return int(asked) if asked else lanes_with(cpu_features())
+
+
+def lanes_with(features: Collection[str]) -> int:
+    """The lanes of a processor with the given features, in the names of NumPy or of Linux."""
+    return next((width for width, names in _WIDTHS.items() if any(name in features for name in names)), 1)
+
+
+def cpu_features() -> set[str]:
+    """The features of this processor, in the names of NumPy or of Linux; none where neither tells."""
+    for name in ("numpy._core._multiarray_umath", "numpy.core._multiarray_umath"):  # NumPy 2, and 1
+        try:
+            found = importlib.import_module(name).__cpu_features__
+        except (ImportError, AttributeError):
+            continue
+        return {feature for feature, is_there in found.items() if is_there}
+    try:
+        flags = re.search(r"^flags\s*:(.*)$", _CPU_INFO.read_text(errors="replace"), re.MULTILINE)
+    except OSError:
+        return set()
+    return set(flags[1].split()) if flags else set()

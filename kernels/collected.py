@@ -1,0 +1,229 @@
+"""The candidates that an item of a search collects until there is one for each lane of the cull.
+
+In lanes, an item has an array of `size` numbers: four rows of vertices, those of the points of a pair, two rows of
+primitives, and the number of candidates collected. With a width of 1 each candidate is culled as it is found, and all
+stays in registers. The pairs that the cull leaves open are the same; their order depends on the width.
+"""
+
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from .atomics import claim
+from .box_tree import WIDTH, BoxTree, box_corners
+from .lane_points import make_lane_points
+from .lanes import lowest_bit, number_of_bits
+from .minima import FOUND, Minima, mark_overflow
+from .once import once
+from .pair_key import pair_key
+from .pair_kind import EDGE_EDGE, VERTEX_FACE
+from .pair_lanes import collect_pairs
+from .points import corners, make_points, points_of
+from .search_types import SearchOptions, SearchRange, TreePair, is_turned
+
+_NONE = wp.constant(wp.uint32(0))
+
+
+@wp.func
+def has_volume(kind: int) -> bool:
+    """Whether the cull has a test for a pair kind; the patches of other kinds have no volume."""
+    return kind == EDGE_EDGE or kind == VERTEX_FACE
+
+
+@wp.func
+def write_pair(
+    first: int,
+    second: int,
+    a: wp.vec3i,  # vertices of the first primitive
+    b: wp.vec3i,
+    n: wp.int64,
+    part: SearchRange,
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Write the key of pair n; beyond the capacity lower its toi where no caller checks the count."""
+    if n < wp.int64(keys.shape[0]):
+        keys[n] = pair_key(first, second)
+    elif part.marks_overflow != 0:
+        mark_overflow(minima, a, b)
+
+
+@once
+def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
+    """The functions for a number of lanes, given that of `cull`, and the ``size`` of the array of an item."""
+    # fewer than fill the lanes, and the partners of one more query in one block
+    capacity = wp.constant(width - 1 + WIDTH)
+    lanes = wp.constant(width)
+    number_at = wp.constant(6 * (width - 1 + WIDTH))
+
+    if width > 1:
+        corners_of_lanes = make_points(width).corners
+        points_at = make_lane_points(width).points_at
+
+        @wp.func
+        def cull(
+            kind: int,
+            options: SearchOptions,
+            vertices_t0: wp.array[wp.vec3d],
+            vertices_t1: wp.array[wp.vec3d],
+            collected: wp.array[wp.int32],
+            begin: int,
+            count: int,
+            part: SearchRange,
+            counts: wp.array2d[wp.int64],
+            keys: wp.array[wp.int64],
+            minima: Minima,
+        ):
+            """Cull ``count`` candidates from ``begin`` on, at most one a lane, and write those that stay open.
+
+            Lanes without a candidate hold one from before, or vertex 0; their results are ignored.
+            """
+            left = (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
+            if has_volume(kind):
+                c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
+                c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
+                left = left & ~free_lanes(kind, c0, c1, options.separation, options.t_end, left)
+            if left != _NONE:
+                n = claim(counts, part.row, FOUND, number_of_bits(left))
+                while left != _NONE:
+                    k = begin + lowest_bit(left)
+                    left = left & (left - wp.uint32(1))
+                    v0 = collected[k]
+                    v1 = collected[k + capacity]
+                    v2 = collected[k + 2 * capacity]
+                    v3 = collected[k + 3 * capacity]
+                    a = wp.vec3i(v0, v0, v0)
+                    b = wp.vec3i(v1, v2, v3)
+                    if kind == EDGE_EDGE:
+                        a = wp.vec3i(v0, v1, v1)
+                        b = wp.vec3i(v2, v3, v3)
+                    write_pair(collected[k + 4 * capacity], collected[k + 5 * capacity], a, b, n, part, keys, minima)
+                    n += wp.int64(1)
+
+        @wp.func
+        def collect(
+            query: BoxTree,
+            target: BoxTree,
+            tree_pair: TreePair,
+            options: SearchOptions,
+            vertices_t0: wp.array[wp.vec3d],
+            vertices_t1: wp.array[wp.vec3d],
+            q: int,
+            block: int,
+            mask: wp.uint32,
+            part: SearchRange,
+            counts: wp.array2d[wp.int64],
+            keys: wp.array[wp.int64],
+            minima: Minima,
+            collected: wp.array[wp.int32],
+        ):
+            """Collect the candidates of a query and the boxes of a block in a mask; cull while they fill the lanes."""
+            order = wp.where(tree_pair.symmetric != 0, 2, tree_pair.swapped)
+            count = collect_pairs(
+                query.primitive,
+                query.corners,
+                q,
+                target.primitive,
+                target.corners,
+                block,
+                mask,
+                order,
+                wp.where(tree_pair.kind == EDGE_EDGE, 2, 1),
+                collected[number_at],
+                capacity,
+                collected,
+            )
+            while count >= lanes:
+                count -= lanes
+                cull(
+                    tree_pair.kind,
+                    options,
+                    vertices_t0,
+                    vertices_t1,
+                    collected,
+                    count,
+                    lanes,
+                    part,
+                    counts,
+                    keys,
+                    minima,
+                )
+            collected[number_at] = count
+
+        @wp.func
+        def cull_rest(
+            tree_pair: TreePair,
+            options: SearchOptions,
+            vertices_t0: wp.array[wp.vec3d],
+            vertices_t1: wp.array[wp.vec3d],
+            part: SearchRange,
+            counts: wp.array2d[wp.int64],
+            keys: wp.array[wp.int64],
+            minima: Minima,
+            collected: wp.array[wp.int32],
+        ):
+            """Cull what is left of the candidates at the end of an item."""
+            count = collected[number_at]
+            if count > 0:
+                cull(tree_pair.kind, options, vertices_t0, vertices_t1, collected, 0, count, part, counts, keys, minima)
+
+    else:
+
+        @wp.func
+        def collect(
+            query: BoxTree,
+            target: BoxTree,
+            tree_pair: TreePair,
+            options: SearchOptions,
+            vertices_t0: wp.array[wp.vec3d],
+            vertices_t1: wp.array[wp.vec3d],
+            q: int,
+            block: int,
+            mask: wp.uint32,
+            part: SearchRange,
+            counts: wp.array2d[wp.int64],
+            keys: wp.array[wp.int64],
+            minima: Minima,
+            collected: wp.array[wp.int32],
+        ):
+            """Cull the candidates of a query and the boxes of a block in a mask, and write those that stay open."""
+            left = wp.uint32(mask)
+            while left != _NONE:
+                place = block * WIDTH + lowest_bit(left)
+                left = left & (left - wp.uint32(1))
+                a = box_corners(query, q)
+                b = box_corners(target, place)
+                i = query.primitive[q]
+                j = target.primitive[place]
+                if is_turned(tree_pair, i, j):
+                    c = a
+                    a = b
+                    b = c
+                    k = i
+                    i = j
+                    j = k
+                is_free = wp.uint32(0)
+                if has_volume(tree_pair.kind):
+                    c0 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t0))
+                    c1 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t1))
+                    is_free = free_lanes(tree_pair.kind, c0, c1, options.separation, options.t_end, wp.uint32(1))
+                if is_free == _NONE:
+                    write_pair(i, j, a, b, claim(counts, part.row, FOUND, 1), part, keys, minima)
+
+        @wp.func
+        def cull_rest(
+            tree_pair: TreePair,
+            options: SearchOptions,
+            vertices_t0: wp.array[wp.vec3d],
+            vertices_t1: wp.array[wp.vec3d],
+            part: SearchRange,
+            counts: wp.array2d[wp.int64],
+            keys: wp.array[wp.int64],
+            minima: Minima,
+            collected: wp.array[wp.int32],
+        ):
+            """Nothing is left, since each candidate is culled as it is found."""
+
+    size = 6 * (width - 1 + WIDTH) + 1 if width > 1 else 1
+    return SimpleNamespace(size=wp.constant(size), collect=collect, cull_rest=cull_rest)

@@ -1,0 +1,180 @@
+"""The lanes of the narrow phase: what the rounds of `lane_advance` settle for several pairs at once.
+
+`first_rounds` takes pairs as they come: two rounds, which are all that most pairs need. What they leave open is packed
+into full vectors again, and `later_rounds` takes it from there, with the facets of `lane_facets` for pairs that have a
+minimum separation or lie in one plane.
+"""
+
+from types import SimpleNamespace
+
+import warp as wp
+
+from .facets import make_facets
+from .lane_advance import make_lane_advance
+from .lane_pair import make_lane_pair
+from .once import once
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .points import make_points
+from .query import CLIPPING, make_query
+from .rounding import RELATIVE, UNIT_ROUNDOFF
+from .simd import make_simd
+from .volume import make_volume
+
+# Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
+FIRST_ROUNDS = wp.constant(2)
+_LATER_ROUNDS = wp.constant(8)
+_NONE = wp.constant(wp.uint32(0))
+
+
+@once
+def make_lane_solver(real, width: int) -> SimpleNamespace:
+    """Struct and functions for lanes of one floating-point type."""
+    simd = make_simd(real, width)
+    simd64 = make_simd(wp.float64, width)
+    Lanes64 = simd64.Lanes
+    Lanes = simd.Lanes
+    Options = make_query(real).Options
+    pairs = make_lane_pair(real, width)
+    Points = make_points(width).Points
+    LanePair = pairs.LanePair
+    normalise = pairs.normalise
+    widened = pairs.widened
+    narrowed = pairs.narrowed
+    volume_of = make_volume(real, width).volume_of
+    start_gap_share = make_facets(real, width).start_gap_share
+    bits_of = simd.bits_of
+    mask_of = simd.mask_of
+    is_less64 = simd64.is_less
+    bits64 = simd64.bits_of
+    spread = simd.spread
+    spread64 = simd64.spread
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    greatest64 = simd64.greatest
+    three = wp.constant(real(3.0))
+    round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+    all_lanes = wp.constant(wp.uint32((1 << width) - 1))
+
+    @wp.struct
+    class LaneAnswer:
+        """What is known of the pair in each lane: free, or in contact at t, or free on [0, t)."""
+
+        free: wp.uint32  # bits of the lanes
+        contact: wp.uint32
+        t: Lanes64
+        u: Lanes64  # parameters of a contact, as reported
+        v: Lanes64
+        gap: Lanes64
+        iterations: Lanes64
+
+    @simd.func
+    def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
+        """Upper bound of a coordinate of a point beyond the separation."""
+        return magnitude(size) + spread(three) * error - spread(round_down) * separation
+
+    @simd.rare
+    def with_start_gap(n: LanePair, is_face: bool, fraction: real) -> LanePair:
+        """Reduce the separation to a fraction of the gap at the start, where that is smaller."""
+        share = spread(fraction) * start_gap_share(n.t0, is_face, n.separation, n.error)
+        share = least(greatest(share, spread(real(0.0))) * spread(round_down), spread(real(1.0)))
+        n.separation = share * n.separation
+        return n
+
+    def make_solve(with_facets: bool):
+        advance = make_lane_advance(real, width, with_facets)
+        LaneReached = advance.LaneReached
+        advance_round = advance.advance_round
+        start = advance.start
+
+        @simd64.func
+        def gap_of(n: LanePair, reached: LaneReached) -> Lanes64:
+            """Upper bound of the gap (L∞) beyond the separation at the point of a contact, as a length."""
+            x = widened(beyond(reached.point.x, n.error.x, n.separation.x)) * n.unit.x
+            y = widened(beyond(reached.point.y, n.error.y, n.separation.y)) * n.unit.y
+            z = widened(beyond(reached.point.z, n.error.z, n.separation.z)) * n.unit.z
+            return greatest64(greatest64(x, y), greatest64(z, spread64(wp.float64(0.0))))
+
+        @wp.func
+        def solve(
+            kind: int,
+            points_t0: Points,
+            points_t1: Points,
+            options: Options,
+            lanes: wp.uint32,
+            t_start: Lanes64,
+            num_rounds: int,
+            bound: wp.float64,
+        ) -> LaneAnswer:
+            """Advance the pairs of the given lanes by some rounds, or until they are free up to a bound."""
+            answer = LaneAnswer()
+            n = normalise(kind, points_t0, points_t1, options)
+            open = n.is_valid & lanes
+            if wp.static(with_facets):
+                if options.minimum_separation > wp.float64(0.0) and options.start_gap_fraction > wp.float64(0.0):
+                    n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
+            has_separation = bool(False)
+            if wp.static(with_facets):
+                has_separation = options.minimum_separation > wp.float64(0.0)
+            volume = volume_of(n.t0, n.t1, n.separation, has_separation)
+            reached = start(narrowed(t_start), open)
+            rounds = int(0)
+            while open != _NONE and rounds < num_rounds:
+                reached = advance_round(kind, n, volume, has_separation, options.t_end, reached)
+                answer.free = answer.free | bits_of(reached.free)
+                answer.contact = answer.contact | bits_of(reached.contact)
+                # what is free up to the bound needs no better answer
+                open = bits_of(reached.open) & bits64(is_less64(widened(reached.t), spread64(bound)))
+                reached.open = mask_of(open)
+                rounds += 1
+            if answer.contact != _NONE:
+                answer.gap = gap_of(n, reached)
+                answer.u = widened(reached.v)
+                answer.v = widened(reached.u)
+                if kind == EDGE_EDGE or kind == POINT_POINT:
+                    answer.u = widened(reached.u)
+                    answer.v = widened(reached.v)
+            answer.t = widened(reached.t)
+            answer.iterations = widened(reached.iterations)
+            return answer
+
+        return solve
+
+    solve_plain = make_solve(with_facets=False)
+    solve_full = make_solve(with_facets=True)
+
+    @wp.func
+    def first_rounds(
+        kind: int, points_t0: Points, points_t1: Points, options: Options, cap: int, bound: wp.float64
+    ) -> LaneAnswer:
+        """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound.
+
+        They have no minimum separation.
+        """
+        t = spread64(wp.float64(0.0))
+        return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
+
+    @simd64.rare
+    def later_rounds(
+        kind: int,
+        points_t0: Points,
+        points_t1: Points,
+        options: Options,
+        lanes: wp.uint32,
+        t_start: Lanes64,
+        used: Lanes64,
+        cap: int,
+        bound: wp.float64,
+    ) -> LaneAnswer:
+        """Advance the given lanes on from a time, after ``used`` iterations each."""
+        rounds = cap
+        if options.minimum_separation <= wp.float64(0.0):
+            rounds -= FIRST_ROUNDS
+        if options.method != CLIPPING:
+            rounds = 0
+        rounds = wp.min(rounds, _LATER_ROUNDS)
+        answer = solve_full(kind, points_t0, points_t1, options, lanes, t_start, rounds, bound)
+        answer.iterations = answer.iterations + used
+        return answer
+
+    return SimpleNamespace(LaneAnswer=LaneAnswer, first_rounds=first_rounds, later_rounds=later_rounds)

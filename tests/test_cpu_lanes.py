@@ -1,0 +1,66 @@
+"""The width of the lanes that a device is given, on processors of several kinds."""
+
+import importlib
+from types import SimpleNamespace
+
+import pytest
+
+from ccd_warp._runtime import lanes
+
+CPU, CUDA = (SimpleNamespace(is_cuda=is_cuda) for is_cuda in (False, True))
+
+
+@pytest.mark.parametrize(
+    ("features", "width"),
+    [
+        ({"AVX", "AVX2", "AVX512F"}, 8),
+        ({"X86_V2", "X86_V3", "X86_V4"}, 8),
+        ({"fpu", "avx", "avx2", "avx512f"}, 8),
+        ({"AVX", "AVX2"}, 4),
+        ({"fpu", "avx", "avx2"}, 4),
+        ({"fpu", "avx"}, 1),
+        ({"NEON", "ASIMD"}, 1),
+        (set(), 1),
+    ],
+)
+def test_width_by_processor(features, width, monkeypatch):
+    monkeypatch.setattr(lanes, "cpu_features", lambda: features)
+    lanes.cpu_lanes.cache_clear()
+    try:
+        assert lanes.lanes_of(CPU) == width
+        assert lanes.lanes_of(CUDA) == 1
+    finally:
+        lanes.cpu_lanes.cache_clear()
+
+
+def without_numpy(monkeypatch):
+    def refuse(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+
+
+@pytest.mark.parametrize(
+    ("text", "features"),
+    [
+        ("processor\t: 0\nflags\t\t: fpu avx avx2\nbugs\t: none\nflags\t\t: fpu\n", {"fpu", "avx", "avx2"}),
+        ("Features\t: fp asimd\n", set()),  # a processor of another family
+        (None, set()),  # not Linux
+    ],
+)
+def test_linux_tells_where_numpy_does_not(text, features, tmp_path, monkeypatch):
+    without_numpy(monkeypatch)
+    path = tmp_path / "cpuinfo"
+    if text is not None:
+        path.write_text(text)
+    monkeypatch.setattr(lanes, "_CPU_INFO", path)
+    assert lanes.cpu_features() == features
+
+
+def test_numpy_and_linux_give_one_width(monkeypatch):
+    by_numpy = lanes.lanes_with(lanes.cpu_features())
+    without_numpy(monkeypatch)
+    by_linux = lanes.cpu_features()
+    if not by_linux:
+        pytest.skip("no list of the processor's flags here")
+    assert by_numpy == lanes.lanes_with(by_linux)
