@@ -102,6 +102,32 @@ def test_the_bound_after_some_steps_is_that_of_the_library_stopped_there(answers
     assert [bounds[i][limit] for i in np.flatnonzero(is_cut)] == toi[is_cut].tolist()
 
 
+def test_a_pair_that_is_open_after_all_rounds_ends_as_in_the_library(page):
+    """The segment turns by half a turn about p, which hardly moves: the rounds are too few, and no half is needed."""
+    case = np.array(
+        [
+            [0.3331147663257309, 0.8313288750391993],
+            [0.5831523495726287, 0.9007403526920825],
+            [0.0716327615082264, 0.7584174533840269],
+            [0.3331147663241234, 0.8313288742555534],
+            [0.07113985207490622, 0.7585790241097565],
+            [0.5829006627560593, 0.9009780704549049],
+        ]
+    ).reshape(2, 1, 3, 2)
+    start, end = ({name: x for name, x in zip(NAMES, points[0], strict=True)} for points in case.tolist())
+    pair = json.dumps({"start": start, "end": end})
+    assert page.evaluate(f"runRounds(normalise({pair}, 1e-4), 10000).outcome") is None
+    shown = page.evaluate(f"clipPair({pair}, 1e-4)")
+    result = ccd.point_segment_ccd(case[0], case[1], tolerance=1e-4, device="cpu")
+    assert shown["status"] == ccd.CCDStatus(int(result.status[0])).name == "COLLISION"
+    assert (shown["toi"], shown["gap"]) == (result.toi[0], result.gap[0])
+    assert shown["iterations"] == result.iterations[0] > 10
+    for limit in range(1, shown["iterations"]):
+        cut = ccd.point_segment_ccd(case[0], case[1], tolerance=1e-4, max_iterations=limit, device="cpu")
+        assert cut.status[0] == ccd.CCDStatus.ITERATION_LIMIT
+        assert shown["bounds"][limit] == cut.toi[0]
+
+
 def test_no_toi_on_the_page_is_late_and_every_contact_is_within_the_tolerance(answers):
     cases, tolerances, pages = answers
     in_space = np.concatenate([cases, np.zeros((*cases.shape[:3], 1))], axis=3)

@@ -105,6 +105,31 @@ def test_the_clips_go_one_by_one_and_close_in_on_the_toi(page):
     assert page.evaluate("document.querySelectorAll('#pair .ring').length") == 1
 
 
+def test_each_clip_names_its_direction_and_its_line_separates_p_from_the_segment(page):
+    """The line is drawn at the time at which the clip begins, as is the pair."""
+    names = {"closest": "the direction of the closest point", "normal": "the turning normal of the segment"}
+    seen = set()
+    for number, name in enumerate(page.evaluate("state.clipping.clips.map((clip) => clip.name)"), start=1):
+        page.evaluate(f"setClip({number})")
+        assert names[name] in page.evaluate("byId('clip-text').textContent")
+        assert page.evaluate("document.querySelector('#clip-rows .current').lastChild.textContent") == name
+        line, now = page.evaluate(
+            f"""(() => {{
+                const clip = state.clipping.clips[{number - 1}];
+                const now = pairAt(state.pair, clip.from);
+                const line = document.createElementNS("http://www.w3.org/2000/svg", "g");
+                line.innerHTML = separatingLine(clip, now);
+                const end = (k) => ["x", "y"].map((axis) => Number(line.firstChild.getAttribute(axis + k)));
+                return [[end(1), end(2)], ["p", "a", "b"].map((point) => drawn(now[point]))];
+            }})()"""
+        )
+        (x1, y1), (x2, y2) = line
+        p, a, b = ((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1) for x, y in now)
+        assert a * b > 0.0 > p * a
+        seen.add(name)
+    assert seen == set(names)
+
+
 def test_a_smaller_tolerance_needs_more_boxes_and_hardly_more_clips(page):
     page.evaluate("byId('example').value = 'sliding'; byId('example').dispatchEvent(new Event('change'))")
     boxes, steps = [], []

@@ -9,7 +9,18 @@ from ccd_warp._version import __version__
 PAGE_SUFFIXES = (".html", ".htm")
 
 # In the order in which they need each other.
-_SCRIPTS = ("pair.js", "bisection.js", "clipping.js", "page.js", "bullet.js", "plots.js", "explorer.js", "controls.js")
+_SCRIPTS = (
+    "pair.js",
+    "bisection.js",
+    "facets.js",
+    "rounds.js",
+    "clipping.js",
+    "page.js",
+    "bullet.js",
+    "plots.js",
+    "explorer.js",
+    "controls.js",
+)
 
 _POINTS = {"p": "point p", "a": "end a of the segment", "b": "end b of the segment"}
 _ENDS = ("start", "end")

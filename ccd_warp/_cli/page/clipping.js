@@ -1,99 +1,18 @@
-// The default method for a point and a segment in the plane: kernels/advance.py, facets.py, subdivide.py,
+// The default method for a point and a segment in the plane: kernels/narrow_phase.py, advance.py, subdivide.py,
 // contact_test.py and closest_point.py.
 //
-// In one plane the volume vanishes, so the moving facets do all the work: the two axes, and the normal of the segment,
-// which turns with it. Each is a direction d; while d·W > 0 at both corners W, the pair is certainly free. Solved for t
-// this is a clip: time jumps to where the direction stops separating.
+// In one plane the volume vanishes, so the direction of the closest point and the moving facets do all the work. The
+// rounds of rounds.js settle most pairs; what they leave open is advanced here with the facets, and then halved.
 "use strict";
 
 const PATIENCE = 3; // small steps in a row until a stall
-
-/** A direction at the time of the corners: an axis, or the normal of the segment. */
-function directionOf(name, corners) {
-  if (name === "x") return [1.0, 0.0];
-  if (name === "y") return [0.0, 1.0];
-  const side = minus(corners.b, corners.a);
-  return [side[1], -side[0]];
-}
-
-/** The direction that separates best at one time, if any, its slack, and whether all gaps are down to rounding. */
-function widestFacet(corners, problem) {
-  const facet = { name: null, slack: 0.0, isAtFloor: true };
-  for (const name of ["x", "y", "normal"]) {
-    const d = directionOf(name, corners);
-    const along = [dot(d, corners.a), dot(d, corners.b)];
-    const gap = Math.max(Math.min(...along), -Math.max(...along));
-    const m = magnitudes(d);
-    const size = m[0] + m[1];
-    if (!(size > TINY_DIRECTION)) continue;
-    if (gap - 8.0 * dot(m, problem.error) > 0.0) facet.isAtFloor = false;
-    // of two with similar slack the first is kept: axes are constant, whereas the segment may vanish
-    if (gap / size > facet.slack + 0.01 * facet.slack) {
-      facet.slack = gap / size;
-      facet.name = name;
-    }
-  }
-  return facet;
-}
-
-/** First zero of the hull of three control points at 0, 1, 2, at most `first`; 0 if h0 is not positive. */
-function firstZero(h0, h1, h2, first) {
-  if (!(h0 > 0.0)) return 0.0;
-  if (h1 <= 0.0) first = Math.min(first, h0 / (h0 - h1));
-  if (h2 <= 0.0) {
-    first = Math.min(first, 2.0 * (h0 / (h0 - h2)));
-    if (h1 > 0.0) first = Math.min(first, 1.0 + h1 / (h1 - h2));
-  }
-  return first;
-}
-
-/** The times at which one direction, as it turns, is known to separate from `start` on; NEVER if up to `end`. */
-function clipFacet(patch, problem, name, start, end) {
-  const margin = map(problem.error, (e) => MOVING * e);
-  const offset = (d) => dot(magnitudes(d), margin) * ROUND_UP + TINY * TINY_DIRECTION;
-  const times = [];
-  let t = start;
-  let x = end;
-  let early = cornersAt(patch, t);
-  let dt = directionOf(name, early);
-  const sign = dot(dt, early.a) < 0.0 ? -1.0 : 1.0;
-  for (let round = 0; round < 12; round++) {
-    if (Math.max(...magnitudes(dt)) < TINY_DIRECTION) break;
-    const late = cornersAt(patch, x);
-    const dx = directionOf(name, late);
-    const ot = offset(dt);
-    const ox = offset(dx);
-    let first = 3.0;
-    for (const w of ["a", "b"]) {
-      const h0 = sign * dot(dt, early[w]) - ot;
-      const h1 = 0.5 * (sign * (dot(dt, late[w]) + dot(dx, early[w]))) - 0.5 * (ot + ox);
-      const h2 = sign * dot(dx, late[w]) - ox;
-      first = firstZero(h0, h1, h2, first);
-    }
-    if (first >= 3.0) {
-      times.push(x >= end ? NEVER : x);
-      if (x >= end) break;
-      const step = x - t;
-      t = x;
-      x = Math.min(end, t + 4.0 * step);
-    } else {
-      const s = (t + (x - t) * (0.5 * first) * FRACTION_DOWN) * ROUND_DOWN;
-      if (!(s > t)) break;
-      times.push(s);
-      x = Math.min(end, s + 2.0 * (s - t));
-      t = s;
-    }
-    early = cornersAt(patch, t);
-    dt = directionOf(name, early);
-  }
-  return times;
-}
+const FACET_STEPS = 12; // clips in a row with one facet
 
 /** Clip with the widest facet, and with every facet if `isThorough` or if the widest one gains nothing. */
 function advanceFacets(patch, problem, facet, start, end, isThorough, note) {
   let reached = start;
   const clip = (name) => {
-    for (const time of clipFacet(patch, problem, name, start, end)) {
+    for (const time of clipFacet(patch, problem, name, start, end, FACET_STEPS)) {
       if (time > reached) {
         note({ from: reached, to: time, name });
         reached = time;
@@ -186,12 +105,21 @@ function advance(patch, problem, start, end, maxSteps, note, noteStep) {
 function clipPair(pair, tolerance, maxSteps = MAX_ITERATIONS) {
   const whole = normalise(pair, tolerance);
   const parts = forParts(whole);
-  const clips = [];
-  const bounds = [0.0];
+  const { clips, bounds, ...rounds } = runRounds(whole, maxSteps);
   const contacts = []; // the number of clips and the toi of each contact found, ever earlier
-  const stack = [{ t: 0.0, u0: 0.0, u1: 1.0 }];
+  const stack = [];
   let answer = { status: NO_COLLISION, toi: NEVER, u: null, width: 0.0, point: null };
-  let iterations = 0;
+  let { iterations } = rounds;
+  if (rounds.outcome === null) {
+    stack.push({ t: rounds.t, u0: 0.0, u1: 1.0 });
+  } else {
+    if (rounds.outcome === "contact") {
+      const { t, weight, point } = rounds;
+      answer = { status: COLLISION, toi: t, u: weight, width: 0.0, point };
+      contacts.push({ clip: clips.length, toi: t, u: weight });
+    }
+    bounds[iterations] = Math.min(answer.toi, 1.0);
+  }
   let problem = whole;
   while (stack.length > 0) {
     const box = stack.pop();

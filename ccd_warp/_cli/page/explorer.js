@@ -26,7 +26,12 @@ const EXAMPLES = {
   },
 };
 const MAX_ROWS = 40; // of the table of clips
-const FACET_NAMES = { x: "the x axis", y: "the y axis", normal: "the turning normal of the segment" };
+const DIRECTION_NAMES = {
+  closest: "the direction of the closest point",
+  x: "the x axis",
+  y: "the y axis",
+  normal: "the turning normal of the segment",
+};
 
 const state = {
   pair: EXAMPLES.crossing,
@@ -122,7 +127,7 @@ function describeBox(result, step) {
 function describeClip(result, count) {
   if (count === 0) return "Nothing is proved yet.";
   const clip = result.clips[count - 1];
-  const from = `Clip ${count}: at t = ${shortTime(clip.from)} ${FACET_NAMES[clip.name]} separates p from `;
+  const from = `Clip ${count}: at t = ${shortTime(clip.from)} ${DIRECTION_NAMES[clip.name]} separates p from `;
   const part = clip.u0 === 0.0 && clip.u1 === 1.0 ? "the segment" : `its part u in ${interval(clip.u0, clip.u1)}`;
   return `${from}${part}, and does so ${clip.to > 1.0 ? "to the end of the step" : `until t = ${shortTime(clip.to)}`}.`;
 }
@@ -152,7 +157,7 @@ function lineOf(kind, v, w) {
 /** A line between p and a part of the segment, across the direction of a clip. */
 function separatingLine(clip, points) {
   const [low, high] = [mix(points.a, points.b, clip.u0), mix(points.a, points.b, clip.u1)];
-  const d = directionOf(clip.name, { a: low, b: high });
+  const d = clip.name === "closest" ? clip.direction : directionOf(clip.name, { a: low, b: high });
   const length = Math.hypot(...d);
   const ends = [dot(d, low), dot(d, high)];
   const from = dot(d, points.p);

@@ -1,7 +1,7 @@
 // A point p and a segment a-b in the plane, each point on a straight line from its place at t = 0 to that at t = 1.
 //
-// This file, bisection.js and clipping.js are the library's kernels for this one kind of pair, operation by operation:
-// kernels/points.py, narrow_phase.py (normalise), patch.py and facets.py (corners_at). The constants are derived in
+// This file, bisection.js, facets.js, rounds.js and clipping.js are the library's kernels for this one kind of pair,
+// operation by operation: here kernels/points.py, solver.py (normalise) and patch.py (corners_at). The constants are derived in
 // kernels/rounding.py. JavaScript's numbers are float64, so the roundings are the library's, too.
 //
 // pair = { start: { p, a, b }, end: { p, a, b } }, each point [x, y].
@@ -79,6 +79,7 @@ function normalise(pair, tolerance) {
     size,
     unit: map(scale, (s) => 1.0 / s),
     error,
+    tolerance: map(scale, (s) => deltaLength * s),
     delta: map(scale, (s, k) => deltaLength * s + 2.0 * error[k]),
   };
 }
