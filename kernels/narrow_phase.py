@@ -19,7 +19,7 @@ from .once import once
 from .pair_key import pair_of
 from .points import Points, is_stationary, points_of, relative_motion, row_points
 from .query import CLIPPING, make_query
-from .simd import make_simd
+from .simd import fingerprint, make_simd
 from .solver import make_solver
 from .status import (
     STATUS_COLLISION,
@@ -181,7 +181,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
 
     def own_module(name: str):
         """A Warp module for each kernel, so that a scene compiles only those that it launches."""
-        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}")
+        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}.{fingerprint()}")
         wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
         return module
 

@@ -28,6 +28,7 @@ from .minima import CANDIDATES, FOUND, Minima
 from .once import once
 from .pair_lanes import append_keys, separated_mask
 from .search_types import BOXES, SearchOptions, SearchRange, TreePair, is_turned
+from .simd import fingerprint
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
@@ -98,7 +99,8 @@ def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
     costs a search for candidates an eighth of its time.
     """
     with_cull = end != BOXES
-    module = wp.get_module(f"ccd_warp.pair_search.{end}{'.lists' if with_lists else ''}.{width}")
+    lists = ".lists" if with_lists else ""
+    module = wp.get_module(f"ccd_warp.pair_search.{end}{lists}.{width}.{fingerprint()}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if with_cull else overlap_mask

@@ -10,7 +10,10 @@ resolves the operators +, -, * and / to functions called ``add``, ``sub``, ``mul
 such names; ``make_simd(...).func`` is `wp.func` with these names in sight.
 """
 
+import inspect
+import sys
 import types
+import zlib
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -47,6 +50,15 @@ def header(dtype: Any, width: int) -> str:
     const auto of_lanes = [](const Lanes& x) {convert.format(lanes)};
     const auto of_mask = [](const Mask& x) {convert.format(mask)};
 """
+
+
+def fingerprint() -> str:
+    """Digits that change with this file, for the names of modules whose functions use the operators.
+
+    Warp compiles a module anew when a function changes that it finds by name in the source; it does not look for
+    operators there.
+    """
+    return f"{zlib.crc32(inspect.getsource(sys.modules[__name__]).encode()):08x}"
 
 
 @once

@@ -156,3 +156,18 @@ def test_a_tolerance_far_larger_than_the_pair_leaves_the_parameters_finite(lengt
     result = ccd.vertex_face_ccd(start, end, precision=precision, tolerance=0.01, length_scale=length_scale)
     assert result.hit.all() and np.isfinite(result.parameters).all() and np.isfinite(result.gap).all()
     assert (result.parameters >= 0).all() and result.parameters.sum() <= 1
+
+
+def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
+    """Warp does not look for operators in a function, so the names of the modules tell."""
+    from ccd_warp.kernels import narrow_phase, pair_search, search_types, simd
+
+    modules = [
+        narrow_phase.make_narrow_phase(wp.float64, 1).points_toi.module.name,
+        pair_search.make_pair_search(search_types.CULL, False, 1).search_pairs.module.name,
+    ]
+    assert all(simd.fingerprint() in name for name in modules)
+    before = simd.fingerprint()
+    source = simd.inspect.getsource
+    monkeypatch.setattr(simd.inspect, "getsource", lambda module: source(module).replace("lanes(a) +", "lanes(a) -"))
+    assert simd.fingerprint() != before
