@@ -261,7 +261,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
 
     return SimpleNamespace(
         Facet=Facet,
-        axis_of=axis_of,
         side_of=side_of,
         num_sides=num_sides,
         is_first_side=is_first_side,

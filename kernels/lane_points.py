@@ -1,7 +1,4 @@
-"""The points of several pairs at once, one pair in each lane, and the corners of their patches.
-
-This is `points` over lanes, for the pair kinds that have a volume.
-"""
+"""The points of several pairs at once, one pair in each lane, from the vertices that the cull has collected."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -57,7 +54,7 @@ _ROW = """
 
 @once
 def make_lane_points(width: int) -> SimpleNamespace:
-    """Structs and functions for several lanes of float64."""
+    """Functions for several lanes of float64."""
     simd = make_simd(wp.float64, width)
     Lanes = simd.Lanes
     Vec3 = simd.Vec3

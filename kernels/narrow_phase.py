@@ -107,8 +107,8 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         used: lane_rows.Numbers  # iterations so far
 
     @wp.func
-    def begins_with_facets(options: Options) -> bool:
-        """Whether pairs skip the first rounds, which take no facets."""
+    def skips_first_rounds(options: Options) -> bool:
+        """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
         return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
 
     @wp.func
@@ -207,7 +207,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         following = (begin + wp.tid()) * chunk
         end = wp.min(following + chunk, count)
         cap = options.max_iterations
-        has_no_first_rounds = begins_with_facets(options)
+        skips_first = skips_first_rounds(options)
         pending = Pending()
         while following < end or pending.count > 0:
             if is_stopped(options.stop):
@@ -224,7 +224,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
             points_a = points_of_rows(points_t0, rows)
             points_b = points_of_rows(points_t1, rows)
             answer = LaneAnswer()
-            is_later = is_packed or has_no_first_rounds
+            is_later = is_packed or skips_first
             if is_later:
                 t = spread(wp.float64(0.0))
                 used = t
@@ -308,7 +308,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         if cap == 0:
             return
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
-        has_no_first_rounds = begins_with_facets(options)
+        skips_first = skips_first_rounds(options)
         pending = Pending()
         while following < count or pending.count > 0:
             if is_stopped(options.stop):
@@ -329,7 +329,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
                 kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
             )
             answer = LaneAnswer()
-            is_later = is_packed or has_no_first_rounds
+            is_later = is_packed or skips_first
             if is_later:
                 t = spread(wp.float64(0.0))
                 used = t
@@ -422,7 +422,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         if cap == 0:
             return
         following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
-        has_no_first_rounds = begins_with_facets(options)
+        skips_first = skips_first_rounds(options)
         pending = Pending()
         while following < count or pending.count > 0:
             if is_stopped(options.stop):
@@ -444,7 +444,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
             )
             least = wp.cast(least_bits[0], wp.float64)
             answer = LaneAnswer()
-            is_later = is_packed or has_no_first_rounds
+            is_later = is_packed or skips_first
             if is_later:
                 t = spread(wp.float64(0.0))
                 used = t
