@@ -309,6 +309,13 @@ def test_harness_finds_a_call_that_hangs(monkeypatch):
     assert any("Hung" in wrong for wrong in findings.wrong)
 
 
+def test_harness_takes_the_error_of_a_lock_of_python_for_the_interrupt_that_it_hides():
+    scenario = Scenario(dict, lambda _: threading.Event().wait(1e-6))
+    findings = inject_interrupts(scenario, "wait", 200, (__file__,))
+    findings.check()
+    assert findings.num_faults == 200
+
+
 # --- by hand ---
 
 
