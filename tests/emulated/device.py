@@ -1,0 +1,191 @@
+"""A device that is the CPU for Warp and a CUDA device for the library.
+
+While it is emulated, a launch on the CPU runs the CUDA source of its kernel, in blocks and on threads as a device does,
+and the modules of the library find that `device.is_cuda` is true, so that the host takes its path for CUDA. Warp itself
+still finds a CPU: arrays lie in host memory, and sorts and scans are those of the CPU.
+"""
+
+import ctypes
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from threading import Lock
+from typing import Any
+from unittest import mock
+
+import warp as wp
+from warp._src import context
+
+from emulated.build import build
+from emulated.source import BLOCK_DIMS, MODULE_BLOCK_DIM, cuda_source, emulated_source, entry_point
+
+# Where a launch leaves the size of a block to Warp, which takes 256: less, so that a few hundred items are several blocks.
+_DEFAULT_BLOCK_DIM = 64
+# The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
+_GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
+
+
+class Emulation:
+    """The emulated modules, and what they have run.
+
+    Attributes:
+        is_sanitized: Whether modules are compiled with AddressSanitizer.
+        launches: Number of launches of each kernel, by the names of its module and its own.
+    """
+
+    def __init__(self, is_sanitized: bool = False) -> None:
+        self.is_sanitized = is_sanitized
+        self.launches: Counter[str] = Counter()
+        self._libraries: dict[tuple[Any, bytes], ctypes.CDLL] = {}
+        self._executables: dict[tuple[Any, bytes, int], _Executable] = {}
+        self._lock = Lock()
+
+    def library_of(self, module: Any) -> ctypes.CDLL:
+        """The compiled program of a Warp module."""
+        key = (module, module.get_module_hash(MODULE_BLOCK_DIM))
+        with self._lock:
+            if key not in self._libraries:
+                self._libraries[key] = self._load(build(emulated_source(cuda_source(module)), self.is_sanitized))
+            return self._libraries[key]
+
+    def build_all(self, modules: Iterable[Any]) -> None:
+        """Compile modules at once, as many as there are cores at a time."""
+        modules = list(modules)
+        sources = [emulated_source(cuda_source(module)) for module in modules]
+        with ThreadPoolExecutor(2) as pool:
+            paths = list(pool.map(lambda source: build(source, self.is_sanitized), sources))
+        for module, path in zip(modules, paths, strict=True):
+            self._libraries[module, module.get_module_hash(MODULE_BLOCK_DIM)] = self._load(path)
+
+    def executable_of(self, module: Any, device: Any, block_dim: int) -> "_Executable":
+        """What Warp launches of a module, for a size of blocks."""
+        library = self.library_of(module)
+        key = (module, module.get_module_hash(MODULE_BLOCK_DIM), block_dim)
+        if key not in self._executables:
+            self._executables[key] = _Executable(self, library, module, device, block_dim)
+        return self._executables[key]
+
+    def check(self) -> None:
+        """Raise the error of a launch whose caller could not, as in the replay of a graph."""
+        for library in self._libraries.values():
+            if message := library.take_error().decode():
+                raise RuntimeError(f"emulated device: {message}")
+
+    @staticmethod
+    def _load(path: Any) -> ctypes.CDLL:
+        library = ctypes.CDLL(str(path))
+        library.take_error.restype = ctypes.c_char_p
+        return library
+
+
+class _Executable(context.ModuleExec):
+    """The kernels of a module; takes the place of what Warp loads for the CPU."""
+
+    def __init__(self, emulation: Emulation, library: ctypes.CDLL, module: Any, device: Any, block_dim: int) -> None:
+        module_hash = module.get_module_hash(MODULE_BLOCK_DIM)
+        hashes = module.hashers[MODULE_BLOCK_DIM].kernel_hashes
+        super().__init__(None, module_hash, device, {}, MODULE_BLOCK_DIM, kernel_hashes=hashes)
+        self._emulation, self._library, self._launch_block_dim = emulation, library, block_dim
+
+    def get_kernel_hooks(self, kernel: Any) -> context.KernelHooks:
+        """The function that launches a kernel."""
+        name = self.get_kernel_mangled_name(kernel)
+        if name not in self.kernel_hooks:
+            function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(
+                (entry_point(name, self._launch_block_dim), self._library)
+            )
+            function.errcheck = self._checked(kernel)
+            self.kernel_hooks[name] = context.KernelHooks(function, None)
+        return self.kernel_hooks[name]
+
+    def _checked(self, kernel: Any) -> Any:
+        """What ctypes calls after each launch: counts it, and raises its error."""
+        name, launches, library = f"{kernel.module.name}:{kernel.key}", self._emulation.launches, self._library
+
+        def check(failed: int, _function: Any, _arguments: Any) -> None:
+            launches[name] += 1
+            if failed:
+                raise RuntimeError(f"emulated device: {kernel.key}: {library.take_error().decode()}")
+
+        return check
+
+
+class _Event:
+    """Stands for an event of CUDA: launches are over when they return."""
+
+    def __init__(self, device: Any = None, **_options: Any) -> None:
+        self.time = 0.0
+
+
+class _Stream:
+    """Stands for a stream of CUDA."""
+
+    def __init__(self, device: Any = None) -> None:
+        self.device = wp.get_device(device)
+
+    def record_event(self, event: _Event) -> _Event:
+        """Remember the time."""
+        event.time = time.perf_counter()
+        return event
+
+
+def _is_asked_by_library() -> bool:
+    """Whether the function that calls the caller belongs to the library."""
+    return sys._getframe(2).f_globals.get("__name__", "").partition(".")[0] == "ccd_warp"
+
+
+@contextmanager
+def emulation(is_sanitized: bool = False) -> Iterator[Emulation]:
+    """Run the kernels of the CPU as on a CUDA device, until the end of the block.
+
+    Meshes and pipelines keep what they have recorded for a device: those of the block and others must not be mixed.
+
+    Raises:
+        RuntimeError: If a launch of a graph failed.
+    """
+    emulated = Emulation(is_sanitized)
+    load, resolve = context.Module.load, context._resolve_launch_block_dim
+    numpy, allocate = wp.array.numpy, context.CpuDefaultAllocator.allocate
+
+    def block_dim_of(device: Any, block_dim: int | None) -> int:
+        if not device.is_cpu:
+            return resolve(device, block_dim)
+        asked = int(block_dim or 0)
+        if asked > 1 and asked not in BLOCK_DIMS:
+            raise ValueError(f"block_dim is {asked}; expected one of {BLOCK_DIMS}, for which there are entry points")
+        return asked if asked > 1 else _DEFAULT_BLOCK_DIM
+
+    def load_emulated(module: Any, device: Any, block_dim: int | None = None, *rest: Any, **named: Any) -> Any:
+        device = wp.get_device(device)
+        if not device.is_cpu:
+            return load(module, device, block_dim, *rest, **named)
+        return emulated.executable_of(module, device, block_dim_of(device, block_dim))
+
+    def copied(array: wp.array) -> Any:
+        """On a device the host gets a copy, which does not follow what kernels write."""
+        return numpy(array).copy() if _is_asked_by_library() else numpy(array)
+
+    def allocate_garbage(allocator: Any, size: int) -> Any:
+        place = allocate(allocator, size)
+        if place:
+            ctypes.memset(place, _GARBAGE, min(size, _MOST_GARBAGE))
+        return place
+
+    with ExitStack() as stack:
+        for target, name, value in (
+            (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
+            (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
+            (context, "_resolve_launch_block_dim", block_dim_of),
+            (context.Module, "load", load_emulated),
+            (context.CpuDefaultAllocator, "allocate", allocate_garbage),
+            (wp.array, "numpy", copied),
+            (wp, "Event", _Event),
+            (wp, "get_stream", _Stream),
+            (wp, "get_event_elapsed_time", lambda begin, end, *_: 1e3 * (end.time - begin.time)),
+        ):
+            stack.enter_context(mock.patch.object(target, name, value))
+        yield emulated
+    emulated.check()

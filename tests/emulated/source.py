@@ -1,0 +1,58 @@
+"""The CUDA source of a Warp module, with an entry point for each of its kernels that the host can call."""
+
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import warp as wp
+from warp._src import build
+
+# Sizes of a block for which a kernel has an entry point.
+BLOCK_DIMS = (32, 64, 128, 256, 512, 1024)
+# The size of a block of the module itself; a kernel asks for that of its launch.
+MODULE_BLOCK_DIM = 256
+
+_KERNEL = re.compile(
+    r'extern "C" __global__ void (?:\w+\([^)]*\)\s*)*(\w+)_cuda_kernel_forward\(\s*(wp::launch_bounds_t<\d>) dim(.*?)\)\s*\{',
+    re.DOTALL,
+)
+
+
+def entry_point(kernel: str, block_dim: int) -> str:
+    """Name of the function that launches a kernel, which has a mangled name, in blocks of a size."""
+    return f"{kernel}_in_blocks_of_{block_dim}"
+
+
+def kernels_in(source: str) -> list[str]:
+    """Mangled names of the kernels in the CUDA source of a module."""
+    return [match[1] for match in _KERNEL.finditer(source)]
+
+
+def cuda_source(module: Any) -> str:
+    """The source that Warp hands to the compiler of CUDA, which is not called."""
+
+    def write_nothing(_source_path: str, _arch: int, output_path: str, **_options: Any) -> None:
+        Path(output_path).touch()
+
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(build, "build_cuda", write_nothing):
+        wp.compile_aot_module(module, device=None, arch=90, module_dir=folder, use_ptx=True)
+        (path,) = Path(folder).glob("*.cu")
+        return path.read_text(encoding="utf-8")
+
+
+def emulated_source(source: str) -> str:
+    """A C++ program: the device, the CUDA source, and functions with the arguments of Warp's kernels for the CPU."""
+    parts = ['#include "device.h"', source]
+    for match in _KERNEL.finditer(source):
+        kernel, bounds, declared = match.groups()
+        fields = [field.strip() for field in declared.split(",\n") if field.strip()]
+        values = ", ".join(["*bounds", *(f"given->{field.split()[-1]}" for field in fields)])
+        parts.append(f"struct {kernel}_arguments {{ {' '.join(field + ';' for field in fields)} }};")
+        parts += [
+            f'extern "C" int {entry_point(kernel, block_dim)}({bounds}* bounds, {kernel}_arguments* given)\n'
+            f"{{ return run_grid(bounds->size, {block_dim}, [=] {{ {kernel}_cuda_kernel_forward({values}); }}); }}"
+            for block_dim in BLOCK_DIMS
+        ]
+    return "\n".join(parts)
