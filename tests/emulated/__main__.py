@@ -23,10 +23,16 @@ def main() -> int:
     parser.add_argument("program", metavar="PROGRAM")
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args()
-    library = subprocess.run([str(compiler()), "-print-file-name=libasan.so"], capture_output=True, text=True).stdout.strip()
+    library = subprocess.run(
+        [str(compiler()), "-print-file-name=libasan.so"], capture_output=True, text=True
+    ).stdout.strip()
     if given.sanitize and os.environ.get("LD_PRELOAD") != library:
         options = "detect_leaks=0:detect_stack_use_after_return=0"
-        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | {"LD_PRELOAD": library, "ASAN_OPTIONS": options})
+        os.execve(
+            sys.executable,
+            [sys.executable, *sys.orig_argv[1:]],
+            os.environ | {"LD_PRELOAD": library, "ASAN_OPTIONS": options},
+        )
     wp.config.log_level = wp.LOG_WARNING
     sys.argv[1:] = given.arguments
     with emulation(given.sanitize) as emulated:

@@ -10,15 +10,23 @@ from pathlib import Path
 
 import warp as wp
 
-_HEADERS = Path(__file__).resolve().parent
+_FOLDER = Path(__file__).resolve().parent
 _NATIVE = Path(wp.__file__).resolve().parent / "native"
 _FLAGS = [
     # fuse_fp is off, so that a product and a sum are rounded one after the other
-    *("-std=c++17", "-O1", "-w", "-fPIC", "-shared", "-pthread", "-ffp-contract=off"),
+    *("-std=c++17", "-w", "-fPIC", "-shared", "-pthread", "-ffp-contract=off"),
     # fmin and fmax are those of the device
     *("-fno-builtin-fmin", "-fno-builtin-fmax", "-fno-builtin-fminf", "-fno-builtin-fmaxf", "-Wl,-Bsymbolic-functions"),
 ]
-_SANITIZERS = ["-fsanitize=address,alignment", "-fno-sanitize-recover=alignment", "-fno-omit-frame-pointer", "-g1"]
+_OPTIMIZED = ["-O1"]
+# not optimized, which would take three times as long to compile
+_SANITIZED = [
+    "-O0",
+    "-fsanitize=address,alignment",
+    "-fno-sanitize-recover=alignment",
+    "-fno-omit-frame-pointer",
+    "-g1",
+]
 
 
 @cache
@@ -34,7 +42,7 @@ def cache_folder() -> Path:
 
 def flags_for(is_sanitized: bool) -> list[str]:
     """Options of the compiler."""
-    return _FLAGS + (_SANITIZERS if is_sanitized else [])
+    return _FLAGS + (_SANITIZED if is_sanitized else _OPTIMIZED)
 
 
 def _hash_of(*texts: str) -> str:
@@ -47,19 +55,19 @@ def _version() -> str:
 
 
 @cache
-def header_folder(is_sanitized: bool = False) -> Path:
-    """A folder with the headers of the device and of Warp, parsed once.
+def device_folder(is_sanitized: bool = False) -> Path:
+    """A folder with the compiled device, `device.so`, and the headers of it and of Warp, parsed once.
 
     Warp's are links, but for a copy of `builtin.h` in which the branches for CUDA (of atomics, fmin, block_dim) are those
     of EMULATED_CUDA_ARCH.
     """
-    own = sorted(_HEADERS.glob("*.h"))
+    own = sorted([*_FOLDER.glob("*.h"), *_FOLDER.glob("*.cpp")])
     builtin = (_NATIVE / "builtin.h").read_text(encoding="utf-8").replace("__CUDA_ARCH__", "EMULATED_CUDA_ARCH")
     # the atomic sum of float64: a function of CUDA, not an instruction
     builtin = builtin.replace("#elif defined(__clang__)  // CUDA compiled by Clang", "#elif 1")
     flags = flags_for(is_sanitized)
     name = _hash_of(builtin, wp.__version__, str(_NATIVE), _version(), *flags, *(path.read_text() for path in own))
-    folder = cache_folder() / f"headers_{name}"
+    folder = cache_folder() / f"device_{name}"
     if folder.exists():
         return folder
     cache_folder().mkdir(parents=True, exist_ok=True)
@@ -71,6 +79,9 @@ def header_folder(is_sanitized: bool = False) -> Path:
     for path in own:
         shutil.copy(path, made)
     _run([str(compiler()), *flags, "-x", "c++-header", "device.h", "-o", "device.h.gch"], made)
+    # switches stacks, of which the sanitizer is told, and is not instrumented itself
+    told = ["-DEMULATED_IS_SANITIZED"] if is_sanitized else []
+    _run([str(compiler()), *flags_for(False), *told, "grid.cpp", "-o", "device.so"], made)
     _move(made, folder)
     return folder
 
@@ -81,12 +92,21 @@ def build(source: str, is_sanitized: bool = False) -> Path:
     Raises:
         RuntimeError: If it does not compile.
     """
-    headers = header_folder(is_sanitized)
-    library = cache_folder() / f"{_hash_of(source, headers.name)}.so"
+    device = device_folder(is_sanitized)
+    library = cache_folder() / f"{_hash_of(source, device.name)}.so"
     if not library.exists():
         made = Path(tempfile.mkdtemp(dir=cache_folder()))
         (made / "program.cpp").write_text(source, encoding="utf-8")
-        command = [str(compiler()), *flags_for(is_sanitized), "-I", str(headers), "program.cpp", "-o", "program.so"]
+        command = [
+            str(compiler()),
+            *flags_for(is_sanitized),
+            "-I",
+            str(device),
+            "program.cpp",
+            str(device / "device.so"),
+            "-o",
+            "program.so",
+        ]
         _run(command, made)
         _move(made / "program.so", library)
         shutil.rmtree(made)

@@ -8,9 +8,9 @@
 
 static constexpr unsigned FULL_WARP = 0xffffffffu;
 
-// Wait for the lanes of the mask; the numbers that they have brought, by lane. Defined in grid.h.
+// Wait for the lanes of the mask; the numbers that they have brought, by lane.
 const uint64_t* exchange(const char* name, unsigned mask, uint64_t value);
-// Wait for all threads of the block that have not ended. Defined in grid.h.
+// Wait for all threads of the block that have not ended.
 void wait_for_block(const char* name);
 
 static inline unsigned lane_id() { return (threadIdx.z * blockDim.y * blockDim.x + threadIdx.y * blockDim.x + threadIdx.x) % 32; }

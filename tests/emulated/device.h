@@ -1,7 +1,7 @@
 // Stands before the CUDA source of a module: what a device has, then Warp's headers, and from there on CUDA's branches.
 #pragma once
 
-#include "grid.h"
+#include "device_launch.h"
 
 // a copy in which the macro below stands for __CUDA_ARCH__, so that Warp's atomics are those of a device
 #define EMULATED_CUDA_ARCH 900

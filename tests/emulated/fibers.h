@@ -11,7 +11,7 @@
 #if !defined(__x86_64__)
 #include <ucontext.h>
 #endif
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
 #include <sanitizer/asan_interface.h>
 #include <sanitizer/common_interface_defs.h>
 #endif
@@ -72,7 +72,7 @@ public:
     // Begin the function; returns when it yields or ends.
     void start(Function function, void* argument)
     {
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         if (is_cut_off_ || is_running_)  // the marks of its frames are left
             __asan_unpoison_memory_region(stack_.begin(), STACK_BYTES);
         is_cut_off_ = false;
@@ -102,7 +102,7 @@ public:
     void resume()
     {
         current_ = this;
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         void* fake = nullptr;
         __sanitizer_start_switch_fiber(&fake, stack_.begin(), STACK_BYTES);
 #endif
@@ -111,7 +111,7 @@ public:
 #else
         swapcontext(&caller_, &own_);
 #endif
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         __sanitizer_finish_switch_fiber(fake, nullptr, nullptr);
 #endif
     }
@@ -119,7 +119,7 @@ public:
     // Called by the function: return to the one that has resumed it.
     void yield()
     {
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         void* fake = nullptr;
         __sanitizer_start_switch_fiber(is_running_ ? &fake : nullptr, caller_begin_, caller_size_);
 #endif
@@ -128,7 +128,7 @@ public:
 #else
         swapcontext(&own_, &caller_);
 #endif
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         __sanitizer_finish_switch_fiber(fake, &caller_begin_, &caller_size_);
 #endif
     }
@@ -146,7 +146,7 @@ private:
     static void enter()
     {
         Fiber* self = current_;
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
         __sanitizer_finish_switch_fiber(nullptr, &self->caller_begin_, &self->caller_size_);
 #endif
         self->function_(self->argument_);
@@ -169,7 +169,7 @@ private:
 #else
     ucontext_t own_, caller_;
 #endif
-#if defined(__SANITIZE_ADDRESS__)
+#if defined(EMULATED_IS_SANITIZED)
     const void* caller_begin_ = nullptr;
     size_t caller_size_ = 0;
 #endif

@@ -26,10 +26,10 @@
 struct dim3 {
     unsigned x, y, z;
 };
-static thread_local dim3 blockIdx { 0, 0, 0 }, threadIdx { 0, 0, 0 }, blockDim { 1, 1, 1 }, gridDim { 1, 1, 1 };
+extern thread_local dim3 blockIdx, threadIdx, blockDim, gridDim;
 static constexpr int warpSize = 32;
 
-// End the launch with a message, which the host raises as an error; defined in grid.h.
+// End the launch with a message, which the host raises as an error; defined in grid.cpp, as what else is only declared.
 [[noreturn]] void fail_launch(const char* format, ...);
 [[noreturn]] inline void __trap() { fail_launch("__trap() was called"); }
 

@@ -7,7 +7,7 @@ from typing import Any
 from unittest import mock
 
 import warp as wp
-from warp._src import build
+from warp._src import build as warp_build
 
 # Sizes of a block for which a kernel has an entry point.
 BLOCK_DIMS = (32, 64, 128, 256, 512, 1024)
@@ -36,7 +36,7 @@ def cuda_source(module: Any) -> str:
     def write_nothing(_source_path: str, _arch: int, output_path: str, **_options: Any) -> None:
         Path(output_path).touch()
 
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(build, "build_cuda", write_nothing):
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(warp_build, "build_cuda", write_nothing):
         wp.compile_aot_module(module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (path,) = Path(folder).glob("*.cu")
         return path.read_text(encoding="utf-8")
@@ -48,11 +48,17 @@ def emulated_source(source: str) -> str:
     for match in _KERNEL.finditer(source):
         kernel, bounds, declared = match.groups()
         fields = [field.strip() for field in declared.split(",\n") if field.strip()]
-        values = ", ".join(["*bounds", *(f"given->{field.split()[-1]}" for field in fields)])
-        parts.append(f"struct {kernel}_arguments {{ {' '.join(field + ';' for field in fields)} }};")
+        values = ", ".join(["*launch.bounds", *(f"launch.given->{field.split()[-1]}" for field in fields)])
+        parts += [
+            f"struct {kernel}_arguments {{ {' '.join(field + ';' for field in fields)} }};",
+            f"struct {kernel}_launch {{ {bounds}* bounds; {kernel}_arguments* given; }};",
+            f"static void {kernel}_thread(void* argument)",
+            f"{{ const auto& launch = *({kernel}_launch*)argument; {kernel}_cuda_kernel_forward({values}); }}",
+        ]
         parts += [
             f'extern "C" int {entry_point(kernel, block_dim)}({bounds}* bounds, {kernel}_arguments* given)\n'
-            f"{{ return run_grid(bounds->size, {block_dim}, [=] {{ {kernel}_cuda_kernel_forward({values}); }}); }}"
+            f"{{ {kernel}_launch launch {{ bounds, given }}; "
+            f"return run_grid(bounds->size, {block_dim}, {kernel}_thread, &launch); }}"
             for block_dim in BLOCK_DIMS
         ]
     return "\n".join(parts)

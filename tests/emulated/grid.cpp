@@ -2,9 +2,7 @@
 //
 // Blocks come in a scrambled order, the warps of a block too, and the lanes of a warp between any two collectives. A
 // thread runs until it ends or waits for others; what spins until another thread of its block writes something never ends.
-#pragma once
-
-#include "collectives.h"
+#include "device_launch.h"
 #include "fibers.h"
 
 #include <cstdarg>
@@ -15,9 +13,13 @@
 
 static constexpr int NUM_SYSTEM_THREADS = 2;
 
-static std::mutex error_lock;
-static std::string error_message;  // of the first launch that failed since it was last taken
-static std::atomic<bool> has_failed { false };
+thread_local dim3 blockIdx { 0, 0, 0 }, threadIdx { 0, 0, 0 }, blockDim { 1, 1, 1 }, gridDim { 1, 1, 1 };
+
+namespace {
+
+std::mutex error_lock;
+std::string error_message;  // of the first launch that failed since it was last taken
+std::atomic<bool> has_failed { false };
 
 // Numbers that look random, the same in each run that makes the same launches.
 class Scrambler {
@@ -56,11 +58,8 @@ struct DeviceThread {
 // One thread of the system: the block that it runs.
 class Processor {
 public:
-    template <class Kernel> void run_block(dim3 block, unsigned num_threads, Kernel& kernel, Scrambler& scrambler)
+    void run_block(dim3 block, unsigned num_threads, DeviceFunction function, void* launch, Scrambler& scrambler)
     {
-        struct Start {
-            static void call(void* kernel) { (*(Kernel*)kernel)(); }
-        };
         current_ = this;
         blockIdx = block;
         threads_.resize(num_threads);
@@ -77,7 +76,7 @@ public:
         while (!is_over && !has_failed) {
             scrambler.shuffle(warps.data(), (unsigned)warps.size());
             for (unsigned warp : warps)
-                run_warp(32 * warp, std::min(32u, num_threads - 32 * warp), &Start::call, &kernel, scrambler);
+                run_warp(32 * warp, std::min(32u, num_threads - 32 * warp), function, launch, scrambler);
             is_over = true;
             for (DeviceThread& thread : threads_)
                 is_over = is_over && thread.is_ended;
@@ -135,7 +134,7 @@ private:
     }
 
     // Run the threads of a warp until each has ended or waits for the block.
-    void run_warp(unsigned first, unsigned count, Fiber::Function function, void* kernel, Scrambler& scrambler)
+    void run_warp(unsigned first, unsigned count, DeviceFunction function, void* launch, Scrambler& scrambler)
     {
         unsigned lanes[32];
         std::iota(lanes, lanes + count, first);
@@ -147,7 +146,7 @@ private:
                 if (thread.is_ended || !thread.is_ready)
                     continue;
                 is_any = true;
-                run_thread(thread, function, kernel);
+                run_thread(thread, function, launch);
                 if (!thread.is_ended && thread.mask)
                     meet(first, count, thread);
             }
@@ -157,7 +156,7 @@ private:
                 report_divergence(first, count, thread);
     }
 
-    void run_thread(DeviceThread& thread, Fiber::Function function, void* kernel)
+    void run_thread(DeviceThread& thread, DeviceFunction function, void* launch)
     {
         self_ = &thread;
         threadIdx = thread.index;
@@ -170,7 +169,7 @@ private:
             }
             thread.fiber = idle_.back();
             idle_.pop_back();
-            thread.fiber->start(function, kernel);
+            thread.fiber->start(function, launch);
         }
         if (!thread.fiber->is_running()) {
             thread.is_ended = true;
@@ -259,12 +258,16 @@ private:
     std::vector<Fiber*> idle_;
 };
 
-inline const uint64_t* exchange(const char* name, unsigned mask, uint64_t value)
+}  // namespace
+
+const uint64_t* exchange(const char* name, unsigned mask, uint64_t value)
 {
     return Processor::current().exchange(name, mask, value);
 }
-inline void wait_for_block(const char* name) { Processor::current().wait_for_block(name); }
-[[noreturn]] inline void fail_launch(const char* format, ...)
+
+void wait_for_block(const char* name) { Processor::current().wait_for_block(name); }
+
+void fail_launch(const char* format, ...)
 {
     va_list arguments;
     va_start(arguments, format);
@@ -273,8 +276,7 @@ inline void wait_for_block(const char* name) { Processor::current().wait_for_blo
     Processor::current().leave();
 }
 
-// Run a kernel for so many threads, in blocks of the given size; 0 if nothing failed.
-template <class Kernel> static int run_grid(size_t size, unsigned block_size, Kernel kernel)
+int run_grid(size_t size, unsigned block_size, DeviceFunction function, void* launch)
 {
     if (has_failed)
         return 1;
@@ -291,8 +293,10 @@ template <class Kernel> static int run_grid(size_t size, unsigned block_size, Ke
         Scrambler scrambler(seed * NUM_SYSTEM_THREADS + which);
         blockDim = { block_size, 1, 1 };
         gridDim = { (unsigned)num_blocks, 1, 1 };
-        for (size_t k; (k = next.fetch_add(1)) < num_blocks && !has_failed;)
-            processor->run_block({ (unsigned)((start + k * stride) % num_blocks), 0, 0 }, block_size, kernel, scrambler);
+        for (size_t k; (k = next.fetch_add(1)) < num_blocks && !has_failed;) {
+            const dim3 block { (unsigned)((start + k * stride) % num_blocks), 0, 0 };
+            processor->run_block(block, block_size, function, launch, scrambler);
+        }
         Processor::put_back(std::move(processor));
     };
     std::vector<std::thread> others;
@@ -304,8 +308,7 @@ template <class Kernel> static int run_grid(size_t size, unsigned block_size, Ke
     return has_failed;
 }
 
-// The message of the launch that failed, or an empty one; launches work again afterwards.
-extern "C" const char* take_error()
+const char* take_error()
 {
     static thread_local std::string taken;
     std::lock_guard<std::mutex> guard(error_lock);
