@@ -12,41 +12,17 @@ import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
+from .candidate_cull import has_volume, is_discarded, write_pair
 from .lane_points import make_lane_points
 from .lanes import lowest_bit, number_of_bits
-from .minima import FOUND, Minima, mark_overflow
+from .minima import FOUND, Minima
 from .once import once
-from .pair_key import pair_key
-from .pair_kind import EDGE_EDGE, VERTEX_FACE
+from .pair_kind import EDGE_EDGE
 from .pair_lanes import collect_pairs
-from .points import corners, make_points, points_of
+from .points import make_points
 from .search_types import SearchOptions, SearchRange, TreePair, is_turned
 
 _NONE = wp.constant(wp.uint32(0))
-
-
-@wp.func
-def has_volume(kind: int) -> bool:
-    """Whether the cull has a test for a pair kind; the patches of other kinds have no volume."""
-    return kind == EDGE_EDGE or kind == VERTEX_FACE
-
-
-@wp.func
-def write_pair(
-    first: int,
-    second: int,
-    a: wp.vec3i,  # vertices of the first primitive
-    b: wp.vec3i,
-    n: wp.int64,
-    part: SearchRange,
-    keys: wp.array[wp.int64],
-    minima: Minima,
-):
-    """Write the key of pair n; beyond the capacity lower its toi where no caller checks the count."""
-    if n < wp.int64(keys.shape[0]):
-        keys[n] = pair_key(first, second)
-    elif part.marks_overflow != 0:
-        mark_overflow(minima, a, b)
 
 
 @once
@@ -203,12 +179,7 @@ def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
                     k = i
                     i = j
                     j = k
-                is_free = wp.uint32(0)
-                if has_volume(tree_pair.kind):
-                    c0 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t0))
-                    c1 = corners(tree_pair.kind, points_of(tree_pair.kind, a, b, vertices_t1))
-                    is_free = free_lanes(tree_pair.kind, c0, c1, options.separation, options.t_end, wp.uint32(1))
-                if is_free == _NONE:
+                if not is_discarded(tree_pair.kind, a, b, vertices_t0, vertices_t1, options):
                     write_pair(i, j, a, b, claim(counts, part.row, FOUND, 1), part, keys, minima)
 
         @wp.func

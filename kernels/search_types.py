@@ -5,6 +5,7 @@ import warp as wp
 # The stage at which a search ends.
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
+LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
 
 
 @wp.struct
@@ -35,10 +36,12 @@ class SearchRange:
 
     first: int  # item
     stride: int
+    count: int  # of items
+    num_groups: int  # half warps that share the items; on CUDA only
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
     row: int  # of the counts
     first_key: int  # of a search without the cull, which writes to a part of the keys
-    capacity: int  # of that part, in keys
+    capacity: int  # of that part, in keys; or of the list of candidates
     marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
 
 

@@ -11,7 +11,7 @@ from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
-from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, without_worlds
@@ -172,6 +172,7 @@ class DeviceStep:
             flags=result.flags,
         )
         kinds = dict.fromkeys(tree_pair.kind for tree_pair in tree_pairs)
+        max_candidates = CANDIDATES_EACH * capacities.max_pairs if execution.is_cuda else 0
         self._stages = Stages(
             topology,
             tree_pairs,
@@ -183,6 +184,7 @@ class DeviceStep:
             vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
             trees={tree.primitives.name: tree.arrays for tree in trees},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
+            candidates={kind: self._empty(max_candidates, wp.int64) for kind in kinds},
             quantization=choose_quantization(topology, (vertices, vertices), _NUM_AABBS),
             t_end=options.t_max,
             inflation=inflation,
@@ -380,6 +382,11 @@ class DeviceStep:
         with recording.at_once():
             for tree_pair in stages.tree_pairs:
                 stages.search(recording, tree_pair, marks_overflow=True)
+        if recording.is_cuda:
+            for kind in stages.kinds:
+                stages.cull(recording, kind, marks_overflow=True, only_if_complete=True)
+            for tree_pair in stages.tree_pairs:
+                stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
         for is_second in (False, True):
             stages.solve(recording, is_second=is_second, only_moving=is_line_search, gaps_moved=gaps_moved)
 

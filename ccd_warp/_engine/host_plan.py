@@ -12,7 +12,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.scene import moves_alone, possible_kinds
-from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
+from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.lanes import narrow_phase_on
@@ -124,8 +125,9 @@ class HostPlan:
         names += ["search options", "options", "contacts"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
+        candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
-        slots = [*trees.values(), *keys.values(), *open_toi.values()]
+        slots = [*trees.values(), *keys.values(), *candidates.values(), *open_toi.values()]
         self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
         self._stages = Stages(
             topology,
@@ -136,10 +138,21 @@ class HostPlan:
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,
             keys=keys,
+            candidates=candidates,
             minima=workspace.contacts.minima if goal == "contacts" else Minima(),
             least_bits=self._least_bits,
             open_toi=open_toi,
         )
+
+    @property
+    def key_bytes(self) -> int:
+        """Bytes of the key of a pair, and on CUDA of the candidates that may be listed for it."""
+        return KEY_BYTES * (1 + CANDIDATES_EACH) if self.execution.is_cuda else KEY_BYTES
+
+    @property
+    def most_pairs(self) -> int:
+        """Largest number of pairs in a batch."""
+        return MOST_PAIRS // CANDIDATES_EACH if self.execution.is_cuda else MOST_PAIRS
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
@@ -250,21 +263,24 @@ class HostPlan:
             self._clear_counts()
             section = "pairs" if stride == 1 else "pairs of a sample"
             self.play(section, lambda stages, recording: self._record_search(stages, recording, stride))
-            found = self._num_found()
-            if all(found[kind] <= self._capacities[kind] for kind in self._searched_kinds):
-                yield self._batch(found, is_only=True)
+            needed = self._num_needed()
+            if all(needed[kind] <= self._capacities[kind] for kind in self._searched_kinds):
+                yield self._batch(self._num_found(), is_only=True)
                 return
-            if sum(found.values()) > largest:
+            if sum(needed.values()) > largest:
                 break
-            grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in found.items()}
-            self._set_capacities(grown if sum(grown.values()) <= largest else found)
-        yield from self._batches_of_parts(stride, largest, found)
+            grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in needed.items()}
+            self._set_capacities(grown if sum(grown.values()) <= largest else needed)
+        yield from self._batches_of_parts(stride, largest, needed)
 
     def _record_search(self, stages: Stages, recording: Recording, stride: int) -> None:
         with recording.at_once():
             for number, tree_pair in enumerate(self.tree_pairs):
                 items = range(0, self._num_items(tree_pair), stride)
                 stages.search(recording, tree_pair, items, is_needed=lambda k=number: self._meets[k])  # type: ignore[misc]
+        if recording.is_cuda:
+            for kind in stages.kinds:
+                stages.cull(recording, kind)
 
     def _num_items(self, tree_pair: TreePair) -> int:
         return tree_pair.query.primitives.count if self.execution.is_cuda else tree_pair.query.levels[0]
@@ -277,7 +293,7 @@ class HostPlan:
             items = range(0, self._num_items(tree_pair), stride)
             pending += _Part(tree_pair, level, items).split(_pieces(expected[tree_pair.kind], largest))
         total = sum(part.num_queries for part in pending)
-        total_found: Counter[PairKind] = Counter()
+        total_needed: Counter[PairKind] = Counter()
         self._share_capacity(largest)
         stages = self._stages.with_values(self._recording.values)
         done = 0
@@ -286,19 +302,21 @@ class HostPlan:
             self.execution.progress.begin("pairs", total, done)
             self._clear_counts()
             stages.search(self.execution, part.tree_pair, part.items, level=part.level)
+            if self.execution.is_cuda:
+                stages.cull(self.execution, part.tree_pair.kind)
             self.num_searches[part.tree_pair.kind] += 1
-            found = self._num_found()
-            count = found[part.tree_pair.kind]
-            if count > largest:
-                pending.extendleft(reversed(part.split(_pieces(count, largest))))
+            needed = self._num_needed()[part.tree_pair.kind]
+            if needed > largest:
+                pending.extendleft(reversed(part.split(_pieces(needed, largest))))
                 continue
+            found = self._num_found()
             done += part.num_queries
-            total_found[part.tree_pair.kind] += count
+            total_needed[part.tree_pair.kind] += needed
             batch = self._batch(found, is_only=False)
-            if count > 0:
+            if found[part.tree_pair.kind] > 0:
                 yield batch
-        if total_found.total() > largest:
-            self._excess[stride] = total_found
+        if total_needed.total() > largest:
+            self._excess[stride] = total_needed
         else:
             self._excess.pop(stride, None)
 
@@ -316,6 +334,14 @@ class HostPlan:
     def _num_found(self) -> dict[PairKind, int]:
         counts = self.counts()
         return {kind: int(counts[kind, FOUND]) for kind in self._searched_kinds}
+
+    def _num_needed(self) -> dict[PairKind, int]:
+        """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
+        needed = self._num_found()
+        if self.execution.is_cuda:
+            counts = self.counts()
+            return {kind: max(n, -(-int(counts[kind, CANDIDATES]) // CANDIDATES_EACH)) for kind, n in needed.items()}
+        return needed
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
@@ -347,8 +373,12 @@ class HostPlan:
         total = sum(capacities.values())
         keys = self._buffers.get("keys", total, wp.int64)
         toi = self._buffers.get("keys toi", total, wp.float64) if self._keeps_toi else None
+        candidates = self._candidates(total)
         begin = 0
         for kind, capacity in capacities.items():
+            if candidates is not None:
+                listed = candidates[CANDIDATES_EACH * begin : CANDIDATES_EACH * (begin + capacity)]
+                self._recording.bind(f"{kind.name} candidates", listed)
             self._set_keys(kind, keys[begin : begin + capacity], None if toi is None else toi[begin : begin + capacity])
             begin += capacity
         self._capacities, self._keys_base = capacities, keys
@@ -357,9 +387,18 @@ class HostPlan:
         """Let every kind use all the memory, one at a time."""
         keys = self._buffers.get("keys", largest, wp.int64)
         toi = self._buffers.get("keys toi", largest, wp.float64) if self._keeps_toi else None
+        candidates = self._candidates(largest)
         for kind in self._searched_kinds:
+            if candidates is not None:
+                self._recording.bind(f"{kind.name} candidates", candidates)
             self._set_keys(kind, keys, toi)
         self._keys_base = None
+
+    def _candidates(self, capacity: int) -> wp.array | None:
+        """Memory for the candidates of so many pairs, on CUDA."""
+        if not self.execution.is_cuda:
+            return None
+        return self._buffers.get("keys candidates", CANDIDATES_EACH * capacity, wp.int64)
 
     def _set_keys(self, kind: PairKind, keys: wp.array, toi: wp.array | None) -> None:
         self._recording.bind(f"{kind.name} keys", keys)

@@ -21,7 +21,7 @@ from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.scene import half_up, length_scale_of
-from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
+from ccd_warp._engine.search import KEY_BYTES, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -142,7 +142,7 @@ class Step:
         least *= num_parts
         limit = self.options.memory_limit
         if limit is None:
-            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), MOST_PAIRS)
+            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), self.plan.most_pairs)
         # half of what is left is for the pairs, half for the contacts
         needed = self.fixed_bytes + 2 * least * bytes_per_pair
         if needed > limit:
@@ -150,7 +150,7 @@ class Step:
                 f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
                 f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
             )
-        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, MOST_PAIRS)
+        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, self.plan.most_pairs)
 
     @property
     def fixed_bytes(self) -> int:
@@ -219,7 +219,7 @@ class Step:
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
-            for batch in self.timed_batches(plan.batches(stride, self.capacity(KEY_BYTES + TOI_BYTES))):
+            for batch in self.timed_batches(plan.batches(stride, self.capacity(plan.key_bytes + TOI_BYTES))):
                 with self.timed("narrow phase"):
                     plan.bound(is_second=False)
                     for kind in plan.num_open():
@@ -272,7 +272,7 @@ class Step:
             plan.reset_minima(store.count)
             plan.set_options(self.workspace.packed(self.options, self.length_scale))
             plan.set_search(t_max, self.inflation, self.separation)
-            batches = plan.batches(1, self.capacity(KEY_BYTES + BYTES_PER_CONTACT))
+            batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
         survivors: Counter[PairKind] = Counter()
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
         for batch in self.timed_batches(batches):

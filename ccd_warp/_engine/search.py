@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, TreePair, search_range
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_GROUPS, TreePair, search_range
 from ccd_warp._runtime.lanes import pair_search_on
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, Minima
+from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
 from ccd_warp.kernels.search_types import BOXES, SearchRange
 
-_CANDIDATES = int(CANDIDATES)
 _FOUND = int(FOUND)
 _NUM_COUNTS = int(NUM_COUNTS)
 # Parts of a search for each thread, so that no thread waits long for another, and the fewest blocks in a part.
@@ -136,7 +135,7 @@ class PairSearch:
         self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
-        self._kernel = pair_search_on(topology.device, BOXES, topology.has_lists)
+        self._kernel = pair_search_on(topology.device, BOXES, topology.has_lists, is_cuda=execution.is_cuda)
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
@@ -210,15 +209,16 @@ class PairSearch:
             self._counts.zero_()
         else:
             self._counts_view[slot] = 0
-        command.set_param_at_index(1, search_range(part.level, slot, capacity, part.first, 1, begin))
-        command.set_dim(part.count)
+        items = range(part.first, part.first + part.count)
+        command.set_param_at_index(1, search_range(part.level, slot, items, capacity, begin))
+        command.set_dim(min(part.count, MOST_GROUPS) * WIDTH if self.execution.is_cuda else part.count)
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
     def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
-        self.candidates[part.tree_pair.kind] += int(counts[_CANDIDATES])
         self.num_launches[part.tree_pair.kind] += 1
         count = int(counts[_FOUND])
+        self.candidates[part.tree_pair.kind] += count
         if count == 0:
             return
         region.filled += count

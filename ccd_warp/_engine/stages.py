@@ -8,18 +8,24 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, Tree, TreePair, fill_trees, search_range
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_GROUPS, Tree, TreePair, fill_trees, search_range
 from ccd_warp._runtime.lanes import pair_search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, device_step
+from ccd_warp.kernels import box_tree, candidate_cull, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
-from ccd_warp.kernels.search_types import CULL
+from ccd_warp.kernels.search_types import CULL, LIST
 
 Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_SEARCH = 64
+# Candidates for which a list on CUDA has capacity, for each pair for which there is capacity.
+CANDIDATES_EACH = 4
+# Largest number of CUDA threads that share the candidates of a kind; and of half warps that search for the candidates
+# of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
+_MOST_CULLS = 1 << 17
+_MOST_REST = 1 << 12
 # Largest number of CUDA threads that share the pairs of a kind.
 _MOST_SOLVERS = 1 << 17
 # On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
@@ -45,6 +51,7 @@ class Stages:
         vertex_aabbs: AABBs of the vertices.
         trees: The boxes of each tree, by name of its set.
         keys: Keys of the pairs that the search finds, by kind.
+        candidates: On CUDA, keys of the candidates that the search lists for the cull, by kind.
         quantization: The map to quantized coordinates.
         t_end: End of the vertex AABBs, a fraction of the step.
         inflation: Enlargement of the boxes, a length.
@@ -66,6 +73,7 @@ class Stages:
     vertex_aabbs: Any
     trees: dict[str, Any]
     keys: dict[PairKind, Any]
+    candidates: dict[PairKind, Any]
     quantization: Any
     t_end: Any
     inflation: Any
@@ -140,11 +148,13 @@ class Stages:
     ) -> None:
         """Search a tree pair, and count all pairs that the cull leaves, whether or not there was capacity for them.
 
+        On CUDA a search lists candidates, and counts all of them; :meth:`cull` follows the searches of a kind.
+
         Args:
             launcher: Where to launch, or to record.
             tree_pair: The trees.
             items: The items to search; all by default.
-            level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as on CUDA.
+            level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as always on CUDA.
             marks_overflow: Whether a pair for which there is no capacity gets toi 0.
             is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
         """
@@ -152,28 +162,106 @@ class Stages:
         level = (0 if launcher.is_cuda else 1) if level is None else level
         if items is None:
             items = range(query.primitives.count if level == 0 else query.levels[0])
+        if launcher.is_cuda:
+            self._search_in_half_warps(launcher, tree_pair, items, LIST, self.candidates[tree_pair.kind])
+            return
         count = len(items)
         num_tests = count * WIDTH**level * target.primitives.count
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            pair_search_on(self.topology.device, CULL, self.topology.has_lists),
+            pair_search_on(self.topology.device, CULL, self.topology.has_lists, is_cuda=False),
             count,
             inputs=[
-                search_range(level, int(tree_pair.kind), 0, items.start, items.step, marks_overflow=marks_overflow),
-                self.trees[query.primitives.name],
-                self.trees[target.primitives.name],
-                tree_pair.packed,
-                self.search_options,
-                self.topology.collision_filter,
-                self.vertices_t0,
-                self.vertices_t1,
+                search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
+                *self._searched(tree_pair),
             ],
             outputs=[self.counts, self.keys[tree_pair.kind], self.minima],
             grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,
             num_needed=None if is_needed is None else lambda: count if is_needed() else 0,  # no more parts than items
             is_long=lambda: is_long,
+        )
+
+    def _searched(self, tree_pair: TreePair) -> list[Any]:
+        """The inputs of a search besides its items."""
+        return [
+            self.trees[tree_pair.query.primitives.name],
+            self.trees[tree_pair.target.primitives.name],
+            tree_pair.packed,
+            self.search_options,
+            self.topology.collision_filter,
+            self.vertices_t0,
+            self.vertices_t1,
+        ]
+
+    def _search_in_half_warps(
+        self,
+        launcher: Launcher,
+        tree_pair: TreePair,
+        items: range,
+        end: str,
+        keys: Any,
+        *,
+        num_groups: int = MOST_GROUPS,
+        capacity: int = 0,
+        marks_overflow: bool = False,
+    ) -> None:
+        """Search a tree pair on CUDA, in a launch of at most so many half warps."""
+        num_groups = min(len(items), num_groups)
+        launcher.launch(
+            pair_search_on(self.topology.device, end, self.topology.has_lists, is_cuda=True),
+            num_groups * WIDTH,
+            inputs=[
+                search_range(0, int(tree_pair.kind), items, capacity, 0, marks_overflow, num_groups),
+                *self._searched(tree_pair),
+            ],
+            outputs=[self.counts, keys, self.minima],
+        )
+
+    def cull(
+        self, launcher: Launcher, kind: PairKind, *, marks_overflow: bool = False, only_if_complete: bool = False
+    ) -> None:
+        """Cull the listed candidates of a kind, and write the keys of those that stay open.
+
+        Args:
+            launcher: Where to launch, or to record.
+            kind: Kind of the candidates; ``counts`` hold their number, which may exceed the length of the list.
+            marks_overflow: Whether a pair for which there is no capacity gets toi 0.
+            only_if_complete: Whether nothing is culled if there were more candidates than the list could take, as
+                :meth:`cull_the_rest` then does.
+        """
+        candidates = self.candidates[kind]
+        num_threads = _MOST_CULLS
+        if not isinstance(candidates, Slot):
+            num_threads = min(_MOST_CULLS, -(-len(candidates) // WIDTH) * WIDTH)
+        launcher.launch(
+            candidate_cull.cull_candidates,
+            num_threads,
+            inputs=[
+                num_threads,
+                search_range(0, int(kind), range(0), marks_overflow=marks_overflow),
+                int(only_if_complete),
+                candidates,
+                *(self.topology.corners[name] for name in CORNER_ARRAYS[kind]),
+                self.vertices_t0,
+                self.vertices_t1,
+                self.search_options,
+            ],
+            outputs=[self.counts, self.keys[kind], self.minima],
+        )
+
+    def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair, *, marks_overflow: bool = False) -> None:
+        """If there were more candidates than the list could take, search again, and cull each where it is found."""
+        self._search_in_half_warps(
+            launcher,
+            tree_pair,
+            range(tree_pair.query.primitives.count),
+            CULL,
+            self.keys[tree_pair.kind],
+            num_groups=_MOST_REST,
+            capacity=len(self.candidates[tree_pair.kind]),
+            marks_overflow=marks_overflow,
         )
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:

@@ -21,6 +21,8 @@ BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 _FEW_BOXES = 2048
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
+# Largest number of half warps of a search on CUDA; each takes every so many-th query.
+MOST_GROUPS = 1 << 22
 
 
 class Tree:
@@ -155,15 +157,16 @@ def search_options(t_end: float, inflation: float, separation: float, flag: Stop
 def search_range(
     level: int,
     row: int,
+    items: range,
     capacity: int = 0,
-    first: int = 0,
-    stride: int = 1,
     first_key: int = 0,
     marks_overflow: bool = False,
+    num_groups: int = MOST_GROUPS,
 ) -> Any:
     """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
     packed = search_types.SearchRange()
-    packed.first, packed.stride, packed.level = first, stride, level
+    packed.first, packed.stride, packed.level = items.start, items.step, level
+    packed.count, packed.num_groups = len(items), num_groups
     packed.row, packed.first_key, packed.capacity = row, first_key, capacity
     packed.marks_overflow = int(marks_overflow)
     return packed

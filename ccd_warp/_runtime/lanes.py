@@ -42,11 +42,17 @@ def narrow_phase_on(device: Any, real: Any) -> SimpleNamespace:
     return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width)
 
 
-def pair_search_on(device: Any, end: str, with_lists: bool) -> Any:
-    """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one."""
+def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
+    """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one.
+
+    On CUDA, where ``is_cuda`` is set, half a warp takes a query.
+    """
+    from ccd_warp.kernels.half_warp_search import make_half_warp_search
     from ccd_warp.kernels.pair_search import make_pair_search
     from ccd_warp.kernels.search_types import CULL
 
+    if is_cuda:
+        return make_half_warp_search(end, with_lists).search_queries
     return make_pair_search(end, with_lists, lanes_of(device) if end == CULL else 1).search_pairs
 
 
