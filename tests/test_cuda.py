@@ -15,41 +15,14 @@ from pathlib import Path
 import ccd_warp.kernels
 import pytest
 import warp as wp
-from ccd_warp.kernels.contact_place import make_contact_points
-from ccd_warp.kernels.device_step import make_input
-from ccd_warp.kernels.half_warp_search import make_half_warp_search
-from ccd_warp.kernels.narrow_phase import make_narrow_phase
-from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+from ccd_warp.benchmarks.cuda_modules import cuda_modules
 
-# Explicit, so that a kernel module that is added without a place here fails the test below.
-PLAIN_MODULES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes"]
-PLAIN_MODULES += ["contact_place", "candidate_cull"]
-# Kernels with other versions for CUDA.
+# Files whose kernels have other versions for CUDA.
 CPU_ONLY = ["pair_search"]
 
 
-def warp_modules():
-    """Every Warp module with kernels: those of the files, and those that a factory makes for a precision."""
-    modules = {}
-    for name in PLAIN_MODULES:
-        module = importlib.import_module(f"ccd_warp.kernels.{name}")
-        modules[name] = wp.get_module(module.__name__)
-    for real in (wp.float64, wp.float32):
-        for dimension in (2, 3):
-            name = f"{real.__name__} {dimension}"
-            modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
-            modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
-        for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
-            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real, 1), kernel).module
-    for end in (BOXES, LIST, CULL):
-        for with_lists in (False, True):
-            search = make_half_warp_search(end, with_lists).search_queries
-            modules[f"half_warp_search {end} {with_lists}"] = search.module
-    return {name: module for name, module in modules.items() if module.kernels}
-
-
 def test_every_file_with_kernels_is_covered():
-    covered = {name.split()[0] for name in warp_modules()}
+    covered = {name.split()[0] for name in cuda_modules()}
     for info in pkgutil.iter_modules(ccd_warp.kernels.__path__):
         module = importlib.import_module(f"ccd_warp.kernels.{info.name}")
         source = open(module.__file__, encoding="utf-8").read()
@@ -73,13 +46,13 @@ def compiled(tmp_path_factory, request):
     return folder, "".join(process.communicate()[0] for process in processes)
 
 
-@pytest.mark.parametrize("name", warp_modules())
+@pytest.mark.parametrize("name", cuda_modules())
 def test_compiles_to_ptx(name, compiled):
     folder, output = compiled
     paths = list((folder / name).glob("*.ptx"))
     assert len(paths) == 1, output
     ptx = paths[0].read_text()
-    for kernel in warp_modules()[name].kernels.values():
+    for kernel in cuda_modules()[name].kernels.values():
         assert kernel.key.split(".")[-1].split("__")[-1] in ptx
     # fuse_fp is off: no bound relies on it, but contraction would make CPU and CUDA differ. Where it is on, the
     # compiler fuses, or leaves operations without a rounding of their own for the driver to fuse.
@@ -93,7 +66,7 @@ def main():
     wp.config.log_level = wp.LOG_ERROR
     # takes half as long as the default, 3, and answers the same questions
     wp.config.optimization_level = 1
-    modules = warp_modules()
+    modules = cuda_modules()
     for name in names or modules:
         wp.compile_aot_module(modules[name], device=None, arch=80, module_dir=str(Path(folder, name)), use_ptx=True)
 

@@ -47,12 +47,13 @@ def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) ->
 
     On CUDA, where ``is_cuda`` is set, half a warp takes a query.
     """
-    from ccd_warp.kernels.half_warp_search import make_half_warp_search
+    if is_cuda:
+        from ccd_warp.kernels.half_warp_search import make_half_warp_search
+
+        return make_half_warp_search(end, with_lists).search_queries
     from ccd_warp.kernels.pair_search import make_pair_search
     from ccd_warp.kernels.search_types import CULL
 
-    if is_cuda:
-        return make_half_warp_search(end, with_lists).search_queries
     return make_pair_search(end, with_lists, lanes_of(device) if end == CULL else 1).search_pairs
 
 

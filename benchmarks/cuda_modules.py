@@ -1,0 +1,38 @@
+"""Every Warp module with kernels that a CUDA device may be asked to run, by a name that a reader knows."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import warp as wp
+
+# Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
+_FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
+_FILES += ["candidate_cull"]
+
+
+def cuda_modules() -> dict[str, Any]:
+    """The modules of the files, and those that a factory makes for a precision, a dimension or an end of the search."""
+    from ccd_warp.kernels.contact_place import make_contact_points
+    from ccd_warp.kernels.device_step import make_input
+    from ccd_warp.kernels.half_warp_search import make_half_warp_search
+    from ccd_warp.kernels.narrow_phase import make_narrow_phase
+    from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+
+    modules = {}
+    for name in _FILES:
+        module = importlib.import_module(f"ccd_warp.kernels.{name}")
+        modules[name] = wp.get_module(module.__name__)
+    for real in (wp.float64, wp.float32):
+        for dimension in (2, 3):
+            name = f"{real.__name__} {dimension}"
+            modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
+            modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
+        for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
+            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real, 1), kernel).module
+    for end in (BOXES, LIST, CULL):
+        for with_lists in (False, True):
+            search = make_half_warp_search(end, with_lists).search_queries
+            modules[f"half_warp_search {end} {with_lists}"] = search.module
+    return {name: module for name, module in modules.items() if module.kernels}
