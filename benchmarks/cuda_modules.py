@@ -17,7 +17,7 @@ def cuda_modules() -> dict[str, Any]:
     from ccd_warp.kernels.contact_place import make_contact_points
     from ccd_warp.kernels.device_step import make_input
     from ccd_warp.kernels.half_warp_search import make_half_warp_search
-    from ccd_warp.kernels.narrow_phase import make_narrow_phase
+    from ccd_warp.kernels.queued_pairs import STAGES, make_queued_pairs
     from ccd_warp.kernels.search_types import BOXES, CULL, LIST
 
     modules = {}
@@ -29,8 +29,9 @@ def cuda_modules() -> dict[str, Any]:
             name = f"{real.__name__} {dimension}"
             modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
             modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
-        for kernel in ("points_toi", "solve_pairs", "pairs_bound"):
-            modules[f"narrow_phase {kernel} {real.__name__}"] = getattr(make_narrow_phase(real, 1), kernel).module
+        for name, kernels in vars(make_queued_pairs(real)).items():
+            for stage, kernel in zip(STAGES, kernels, strict=True):
+                modules[f"queued_pairs {name} {stage} {real.__name__}"] = kernel.module
     for end in (BOXES, LIST, CULL):
         for with_lists in (False, True):
             search = make_half_warp_search(end, with_lists).search_queries

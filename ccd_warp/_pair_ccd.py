@@ -15,12 +15,14 @@ from ccd_warp._input.foreign import is_device_array
 from ccd_warp._input.interop import as_warp
 from ccd_warp._input.option_types import PairOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
-from ccd_warp._runtime.lanes import narrow_phase_on
+from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, borrowed_batch
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels.contacts import lift
+from ccd_warp.kernels.minima import NUM_COUNTS
 
 
 @dataclass(frozen=True)
@@ -330,9 +332,15 @@ def _launch(
     is_long = not is_first or count > _LONG_PART * options.threads
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
+    execution = Execution(device, options.threads, stop)
+    if execution.is_cuda:
+        counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
+        inputs = [count, int(kind), points_t0, points_t1, packed, counts, new_queue(count, device)]
+        launch_queued(execution, queued_pairs_in(options.real).points_toi, count, inputs, out.as_list())
+        return out
     narrow_phase = narrow_phase_on(device, options.real)
     kernel, chunk = narrow_phase.points_toi, narrow_phase.chunk
-    Execution(device, options.threads, stop).launch(
+    execution.launch(
         kernel,
         -(-count // chunk),
         inputs=[chunk, count, int(kind), points_t0, points_t1, packed],

@@ -73,7 +73,9 @@ def make_lane_solver(real, width: int) -> SimpleNamespace:
         """Upper bound of a coordinate of a point beyond the separation."""
         return magnitude(size) + spread(three) * error - spread(round_down) * separation
 
-    @simd.rare
+    # not out of line for plain numbers: on CUDA the later rounds have a kernel of their own, and a call passes structs
+    # through memory
+    @(simd.rare if width > 1 else simd.func)
     def with_start_gap(n: LanePair, is_face: bool, fraction: real) -> LanePair:
         """Reduce the separation to a fraction of the gap at the start, where that is smaller."""
         share = spread(fraction) * start_gap_share(n.t0, is_face, n.separation, n.error)
@@ -154,7 +156,7 @@ def make_lane_solver(real, width: int) -> SimpleNamespace:
         t = spread64(wp.float64(0.0))
         return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
 
-    @simd64.rare
+    @(simd64.rare if width > 1 else simd64.func)
     def later_rounds(
         kind: int,
         points_t0: Points,

@@ -14,6 +14,8 @@ INVALID_INPUT = wp.constant(4)
 FOUND = wp.constant(0)
 OPEN = wp.constant(1)
 CANDIDATES = wp.constant(2)
+# on CUDA: pairs that wait in the queue of the first round (`queued_pairs`), and in that of the second
+QUEUED = wp.constant(3)
 NUM_COUNTS = 8
 
 _ZERO_BITS = wp.constant(wp.int64(0))

@@ -8,17 +8,18 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .atomics import atomic_min_int64, claim, claim_int
-from .contacts import ContactList, normal_at
+from .atomics import atomic_min_int64, claim
+from .contacts import ContactList
 from .interrupts import is_stopped
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .lanes import lowest_bit
-from .minima import CONTACTS_OVERFLOW, FOUND, OPEN, Minima, flag_world, lower_pair
+from .minima import FOUND, OPEN, Minima
 from .once import once
 from .pair_key import pair_of
-from .points import Points, is_stationary, points_of, relative_motion, row_points
-from .query import CLIPPING, make_query
+from .pair_outcome import make_pair_outcome
+from .points import is_stationary, points_of, row_points
+from .query import make_query
 from .simd import fingerprint, make_simd
 from .solver import make_solver
 from .status import (
@@ -30,8 +31,6 @@ from .status import (
 
 # Pairs of an item of `points_toi` where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
-# A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
-_LOST_TOI = wp.constant(wp.float64(2.0**-20))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
@@ -42,12 +41,16 @@ vec3d = wp.vec3d
 def make_narrow_phase(real, width: int) -> SimpleNamespace:
     """Kernels for one floating-point type of the iteration and a number of lanes; positions are always float64."""
     Options = make_query(real).Options
-    share_of_work = make_query(real).share_of_work
-    solver = make_solver(real)
-    Outcome = solver.Outcome
-    normalise = solver.normalise
-    solve = solver.solve
-    closest_parameters = solver.closest_parameters
+    Outcome = make_solver(real).Outcome
+    pair_outcome = make_pair_outcome(real, width)
+    is_set = pair_outcome.is_set
+    outcome_of = pair_outcome.outcome_of
+    skips_first_rounds = pair_outcome.skips_first_rounds
+    cap_of_round = pair_outcome.cap_of_round
+    finished = pair_outcome.finished
+    finished_lanes = pair_outcome.finished_lanes
+    rest_of = pair_outcome.rest_of
+    record_contact = pair_outcome.record_contact
     lane_rows = make_lane_rows(width)
     points_of_rows = lane_rows.points_of_rows
     points_of_pairs = lane_rows.points_of_pairs
@@ -75,28 +78,6 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
     at_start = wp.constant(wp.float64(int(STATUS_INITIAL_CONTACT)))
     lanes = wp.constant(width)
 
-    @wp.func
-    def is_set(bits: wp.uint32, lane: int) -> bool:
-        """Whether the bit of a lane is set."""
-        return ((bits >> wp.uint32(lane)) & _ONE) != _NONE
-
-    @wp.func
-    def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> Outcome:
-        """The result of a pair that its lane has settled."""
-        outcome = Outcome()
-        outcome.toi = wp.float64(wp.inf)
-        outcome.status = STATUS_NO_COLLISION
-        outcome.iterations = wp.int32(lane_of(answer.iterations, lane))
-        t = lane_of(answer.t, lane)
-        if is_set(answer.contact, lane) and t <= options.t_max:
-            outcome.toi = t
-            outcome.status = STATUS_COLLISION
-            if t == wp.float64(0.0):
-                outcome.status = STATUS_INITIAL_CONTACT
-            outcome.parameters = wp.vec2d(lane_of(answer.u, lane), lane_of(answer.v, lane))
-            outcome.gap = lane_of(answer.gap, lane)
-        return outcome
-
     @wp.struct
     class Pending:
         """Pairs that the first rounds have left open, until there are enough of them for all lanes."""
@@ -107,37 +88,9 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         used: lane_rows.Numbers  # iterations so far
 
     @wp.func
-    def skips_first_rounds(options: Options) -> bool:
-        """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
-        return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
-
-    @wp.func
     def first_lanes(count: int) -> wp.uint32:
         """Bits of the first ``count`` lanes."""
         return (_ONE << wp.uint32(count)) - _ONE
-
-    @wp.func(inline=False)
-    def finished(
-        kind: int, t: wp.float64, used: int, is_contact: bool, a: Points, b: Points, options: Options, cap: int
-    ) -> Outcome:
-        """The result of a pair that its lane has left open at time t, after ``used`` iterations.
-
-        Of a contact within a separation only the parameters are set: its lane has found a point, not the closest one.
-        """
-        outcome = Outcome()
-        n = normalise(kind, a, b, options)
-        if is_contact:
-            outcome.parameters = closest_parameters(kind, n, real(t))
-        else:
-            outcome = solve(kind, n, options, real(t), used, cap)
-        return outcome
-
-    @wp.func
-    def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
-        """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
-        if options.minimum_separation > wp.float64(0.0):
-            return answer.free
-        return answer.free | answer.contact
 
     @simd64.func
     def write(
@@ -163,21 +116,6 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         put(gap, rows, select(hit, answer.gap, nothing), count)
         put(width_of, rows, nothing, count)
         put(iterations, rows, answer.iterations, count)
-
-    @wp.func
-    def rest_of(
-        outcome: Outcome, answer: LaneAnswer, lane: int, kind: int, a: Points, b: Points, options: Options, cap: int
-    ) -> Outcome:
-        """The result of a pair for which `outcome_of` is not all."""
-        is_contact = is_set(answer.contact, lane)
-        if is_contact and outcome.status == STATUS_NO_COLLISION:
-            return outcome
-        used = wp.int32(lane_of(answer.iterations, lane))
-        found = finished(kind, lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
-        if is_contact:
-            outcome.parameters = found.parameters
-            return outcome
-        return found
 
     def own_module(name: str):
         """A Warp module for each kernel, so that a scene compiles only those that it launches."""
@@ -268,15 +206,6 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
         if following % wp.int64(chunk) == wp.int64(0):
             following += wp.int64(num_solvers - 1) * wp.int64(chunk)
         return following
-
-    @wp.func
-    def cap_of_round(options: Options, is_second: int, num_open: wp.int64) -> int:
-        """Iterations of each pair: in the second round its share of the work left to the open pairs, 0 without any."""
-        if is_second != 0:
-            if num_open == wp.int64(0):
-                return 0
-            return share_of_work(options, num_open)
-        return wp.min(options.first_iterations, options.max_iterations)
 
     @wp.kernel(module=own_module("solve_pairs"))
     def solve_pairs(
@@ -371,26 +300,18 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
                     pairs[k] = ~key
                     claim(counts, kind, OPEN, 1)
                 elif outcome.status != STATUS_NO_COLLISION:
-                    toi = outcome.toi
-                    if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
-                        motion = relative_motion(a, b)
-                        if gaps_moved * outcome.gap < motion:
-                            toi = wp.max(toi, gaps_moved * outcome.gap / motion)
-                    lower_pair(minima, first, second, wp.cast(toi, wp.int64))
-                    n = claim_int(contacts.count, 0)
-                    if n < contacts.toi.shape[0]:
-                        contacts.kind[n] = kind
-                        contacts.primitives[n] = pair
-                        contacts.toi[n] = outcome.toi
-                        contacts.status[n] = outcome.status
-                        contacts.parameters[n] = outcome.parameters
-                        contacts.gap[n] = outcome.gap
-                        contacts.width[n] = outcome.width
-                        contacts.normal[n] = normal_at(
-                            kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters
-                        )
-                    else:
-                        flag_world(minima, first[0], CONTACTS_OVERFLOW)
+                    record_contact(
+                        kind,
+                        pair,
+                        first,
+                        second,
+                        outcome,
+                        vertices_t0,
+                        vertices_t1,
+                        gaps_moved,
+                        minima,
+                        contacts,
+                    )
 
     @wp.kernel(module=own_module("pairs_bound"))
     def pairs_bound(
@@ -487,6 +408,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
                     atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
     return SimpleNamespace(
+        real=real,
         chunk=PAIRS_OF_AN_ITEM if width > 1 else 1,
         points_toi=points_toi,
         solve_pairs=solve_pairs,

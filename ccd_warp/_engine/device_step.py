@@ -20,6 +20,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.pair_queue import new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step
@@ -192,6 +193,7 @@ class DeviceStep:
             options=options.for_kernel(length_scale, stop=self._flag.array),
             minima=minima,
             contacts=new_contact_list(vars(result.contacts)),
+            queue=new_queue(capacities.max_pairs, topology.device) if execution.is_cuda else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)

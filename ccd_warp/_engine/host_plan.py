@@ -18,6 +18,7 @@ from ccd_warp._engine.topology import WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
 
@@ -115,6 +116,8 @@ class HostPlan:
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
+        self._has_queue = self.execution.is_cuda and goal != "candidates"
+        self._queue_arrays: list[wp.array] = []
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
         self._least_bits: wp.array = wp.zeros(1, dtype=wp.int64, device=topology.device)
@@ -122,7 +125,7 @@ class HostPlan:
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
-        names += ["search options", "options", "contacts"]
+        names += ["search options", "options", "contacts", "queue"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
@@ -146,8 +149,8 @@ class HostPlan:
 
     @property
     def key_bytes(self) -> int:
-        """Bytes of the key of a pair, and on CUDA of the candidates that may be listed for it."""
-        return KEY_BYTES * (1 + CANDIDATES_EACH) if self.execution.is_cuda else KEY_BYTES
+        """Bytes of the key of a pair; on CUDA also of its place in the queue, and of candidates listed for it."""
+        return KEY_BYTES * (1 + CANDIDATES_EACH) + QUEUE_BYTES if self.execution.is_cuda else KEY_BYTES
 
     @property
     def most_pairs(self) -> int:
@@ -382,6 +385,7 @@ class HostPlan:
             self._set_keys(kind, keys[begin : begin + capacity], None if toi is None else toi[begin : begin + capacity])
             begin += capacity
         self._capacities, self._keys_base = capacities, keys
+        self._set_queue(max(capacities.values(), default=0))
 
     def _share_capacity(self, largest: int) -> None:
         """Let every kind use all the memory, one at a time."""
@@ -393,6 +397,16 @@ class HostPlan:
                 self._recording.bind(f"{kind.name} candidates", candidates)
             self._set_keys(kind, keys, toi)
         self._keys_base = None
+        self._set_queue(largest)
+
+    def _set_queue(self, count: int) -> None:
+        """Have capacity for so many pairs of a kind in the queue."""
+        if self._has_queue:
+            dtypes = {"keys rows": wp.int32, "keys time": wp.float64, "keys used": wp.int8}
+            arrays = [self._buffers.get(name, count, dtype) for name, dtype in dtypes.items()]
+            if self._queue_arrays != arrays:
+                self._queue_arrays = arrays
+                self._recording.bind("queue", queue_of(*arrays))
 
     def _candidates(self, capacity: int) -> wp.array | None:
         """Memory for the candidates of so many pairs, on CUDA."""
@@ -436,6 +450,7 @@ class HostPlan:
         pairs[: len(keys)].assign(keys)
         self._set_keys(kind, pairs, None)
         self._keys_base = None
+        self._set_queue(len(keys))
         counts = np.zeros(self._counts.shape, dtype=np.int64)
         counts[kind, [FOUND, OPEN]] = len(keys)
         self._counts.assign(counts)

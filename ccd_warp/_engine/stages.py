@@ -9,8 +9,9 @@ import warp as wp
 
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_GROUPS, Tree, TreePair, fill_trees, search_range
-from ccd_warp._runtime.lanes import pair_search_on
+from ccd_warp._runtime.lanes import pair_search_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree, candidate_cull, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
@@ -26,8 +27,8 @@ CANDIDATES_EACH = 4
 # of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
 _MOST_CULLS = 1 << 17
 _MOST_REST = 1 << 12
-# Largest number of CUDA threads that share the pairs of a kind.
-_MOST_SOLVERS = 1 << 17
+# Pairs for which a recording on CUDA has threads, where their number is not known then: as many as there ever are.
+_MANY_PAIRS = 1 << 20
 # On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
 # in the cache, and more than which are worth waking a thread.
 _SOLVERS_PER_THREAD = 8
@@ -61,6 +62,7 @@ class Stages:
         contacts: The list of contacts.
         least_bits: The least toi as bits, where no contacts are kept, shape [1].
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
+        queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
     """
 
     topology: Topology
@@ -83,6 +85,7 @@ class Stages:
     contacts: Any
     least_bits: Any = None
     open_toi: dict[PairKind, Any] | None = None
+    queue: Any = None
 
     @property
     def kinds(self) -> list[PairKind]:
@@ -273,51 +276,42 @@ class Stages:
             only_moving: Whether stationary pairs are ignored.
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
-        kernel = self.narrow_phase.solve_pairs
         inputs = [int(only_moving), float(gaps_moved)]
-        self._narrow_phase(launcher, kernel, is_second, inputs, lambda kind: [self.minima, self.contacts])
+        self._narrow_phase(launcher, "solve_pairs", is_second, inputs, lambda kind: [self.minima, self.contacts])
 
     def bound(self, launcher: Launcher, *, is_second: bool) -> None:
         """A round of the narrow phase that lowers the least toi alone."""
-        kernel = self.narrow_phase.pairs_bound
-        self._narrow_phase(launcher, kernel, is_second, [], lambda kind: [self.least_bits, self.open_toi[kind]])  # type: ignore[index]
+        outputs_of = lambda kind: [self.least_bits, self.open_toi[kind]]  # type: ignore[index]  # noqa: E731
+        self._narrow_phase(launcher, "pairs_bound", is_second, [], outputs_of)
 
     def _narrow_phase(
         self,
         launcher: Launcher,
-        kernel: Any,
+        name: str,
         is_second: bool,
         inputs: list[Any],
         outputs_of: Callable[[PairKind], list[Any]],
     ) -> None:
-        """Launch a kernel for the pairs of each kind that the search has found; only the device knows their number."""
-        is_strided = launcher.is_cuda or is_second  # the open pairs may be neighbours, so solvers take turns
-        chunk = 1 if is_strided else _CHUNK
+        """Launch kernels for the pairs of each kind that the search has found; only the device knows their number."""
+        chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
         counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
         with launcher.at_once():
             for kind in self.kinds:
+                keys = self.keys[kind]
+                corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
+                pairs = [int(kind), self.counts, keys, *corners, self.vertices_t0, self.vertices_t1]
+                pairs += [self.options, int(is_second)]
+                if launcher.is_cuda:
+                    kernels = getattr(queued_pairs_in(self.narrow_phase.real), name)
+                    most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
+                    launch_queued(launcher, kernels, most_pairs, [*pairs, self.queue, *inputs], outputs_of(kind))
+                    continue
                 found = None if counts is None else counts[kind]
                 solvers = _SOLVERS_PER_THREAD * launcher.num_threads
-                if launcher.is_cuda:
-                    keys = self.keys[kind]
-                    solvers = _MOST_SOLVERS if isinstance(keys, Slot) else min(_MOST_SOLVERS, len(keys))
-                corners = [self.topology.corners[name] for name in CORNER_ARRAYS[kind]]
                 launcher.launch(
-                    kernel,
+                    getattr(self.narrow_phase, name),
                     solvers,
-                    inputs=[
-                        solvers,
-                        chunk,
-                        int(kind),
-                        self.counts,
-                        self.keys[kind],
-                        *corners,
-                        self.vertices_t0,
-                        self.vertices_t1,
-                        self.options,
-                        int(is_second),
-                        *inputs,
-                    ],
+                    inputs=[solvers, chunk, *pairs, *inputs],
                     outputs=outputs_of(kind),
                     grain=1,
                     parts_per_thread=_SOLVERS_PER_THREAD,

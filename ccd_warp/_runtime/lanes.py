@@ -42,6 +42,13 @@ def narrow_phase_on(device: Any, real: Any) -> SimpleNamespace:
     return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width)
 
 
+def queued_pairs_in(real: Any) -> SimpleNamespace:
+    """The kernels of the narrow phase on CUDA for a precision, in the order of their launches."""
+    from ccd_warp.kernels.queued_pairs import make_queued_pairs
+
+    return make_queued_pairs(real)
+
+
 def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
     """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one.
 

@@ -32,6 +32,11 @@ def start_warp() -> None:
         _is_started = True
 
 
+def block_dim_of(kernel: Any, device: Any) -> int | None:
+    """Threads of a block in launches of a kernel: what its module says, 256 for most; Warp's own choice on the CPU."""
+    return kernel.module.options["block_dim"] if device.is_cuda else None
+
+
 def load(kernel: Any, device: Any) -> None:
     """Compile and load a kernel once, on its own thread, so that an interrupt is handled meanwhile."""
     key = (kernel.module, str(device))
@@ -40,7 +45,7 @@ def load(kernel: Any, device: Any) -> None:
 
     def compile_module() -> None:
         with building:
-            wp.load_module(module=kernel.module, device=device)
+            wp.load_module(module=kernel.module, device=device, block_dim=block_dim_of(kernel, device))
 
     if device.is_capturing:  # Warp allows it only on the thread of the capture
         compile_module()
@@ -100,7 +105,9 @@ class Execution:
         load(kernel, self.device)
 
         def part(begin: int, end: int) -> None:
-            wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=outputs, device=self.device)
+            block_dim = block_dim_of(kernel, self.device)
+            dim, packed = end - begin, [begin, *inputs]
+            wp.launch(kernel, dim=dim, inputs=packed, outputs=outputs, device=self.device, block_dim=block_dim)
 
         if self.is_serial:
             part(0, count)
@@ -220,7 +227,12 @@ class Recording:
         commands = []
         for begin, end in self.execution.ranges(count, grain, parts_per_thread):
             command = wp.launch(
-                kernel, dim=end - begin, inputs=[begin, *packed], device=self.execution.device, record_cmd=True
+                kernel,
+                dim=end - begin,
+                inputs=[begin, *packed],
+                device=self.execution.device,
+                record_cmd=True,
+                block_dim=block_dim_of(kernel, self.execution.device),
             )
             commands.append(command)
             for index, argument in enumerate(arguments):

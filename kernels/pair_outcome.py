@@ -1,0 +1,171 @@
+"""What the lanes of the narrow phase say of a pair, and how a contact is recorded; on the CPU and on CUDA."""
+
+from types import SimpleNamespace
+
+import warp as wp
+
+from .atomics import claim_int
+from .contacts import ContactList, normal_at
+from .lane_solver import make_lane_solver
+from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
+from .once import once
+from .points import Points, points_of, relative_motion
+from .query import CLIPPING, make_query
+from .simd import make_simd
+from .solver import make_solver
+from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
+
+# A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
+_LOST_TOI = wp.constant(wp.float64(2.0**-20))
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
+
+
+@once
+def make_pair_outcome(real, width: int) -> SimpleNamespace:
+    """Functions for one floating-point type of the iteration and a number of lanes."""
+    Options = make_query(real).Options
+    share_of_work = make_query(real).share_of_work
+    solver = make_solver(real)
+    Outcome = solver.Outcome
+    normalise = solver.normalise
+    solve = solver.solve
+    closest_parameters = solver.closest_parameters
+    LaneAnswer = make_lane_solver(real, width).LaneAnswer
+    lane_of = make_simd(wp.float64, width).lane_of
+
+    @wp.func
+    def is_set(bits: wp.uint32, lane: int) -> bool:
+        """Whether the bit of a lane is set."""
+        return ((bits >> wp.uint32(lane)) & _ONE) != _NONE
+
+    @wp.func
+    def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> Outcome:
+        """The result of a pair that its lane has settled."""
+        outcome = Outcome()
+        outcome.toi = wp.float64(wp.inf)
+        outcome.status = STATUS_NO_COLLISION
+        outcome.iterations = wp.int32(lane_of(answer.iterations, lane))
+        t = lane_of(answer.t, lane)
+        if is_set(answer.contact, lane) and t <= options.t_max:
+            outcome.toi = t
+            outcome.status = STATUS_COLLISION
+            if t == wp.float64(0.0):
+                outcome.status = STATUS_INITIAL_CONTACT
+            outcome.parameters = wp.vec2d(lane_of(answer.u, lane), lane_of(answer.v, lane))
+            outcome.gap = lane_of(answer.gap, lane)
+        return outcome
+
+    @wp.func
+    def skips_first_rounds(options: Options) -> bool:
+        """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
+        return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
+
+    @wp.func
+    def cap_of_round(options: Options, is_second: int, num_open: wp.int64) -> int:
+        """Iterations of each pair: in the second round its share of the work left to the open pairs, 0 without any."""
+        if is_second != 0:
+            if num_open == wp.int64(0):
+                return 0
+            return share_of_work(options, num_open)
+        return wp.min(options.first_iterations, options.max_iterations)
+
+    @wp.func(inline=False)
+    def finished(
+        kind: int, t: wp.float64, used: int, is_contact: bool, a: Points, b: Points, options: Options, cap: int
+    ) -> Outcome:
+        """The result of a pair that its lane has left open at time t, after ``used`` iterations.
+
+        Of a contact within a separation only the parameters are set: its lane has found a point, not the closest one.
+        """
+        outcome = Outcome()
+        n = normalise(kind, a, b, options)
+        if is_contact:
+            outcome.parameters = closest_parameters(kind, n, real(t))
+        else:
+            outcome = solve(kind, n, options, real(t), used, cap)
+        return outcome
+
+    @wp.func
+    def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
+        """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
+        if options.minimum_separation > wp.float64(0.0):
+            return answer.free
+        return answer.free | answer.contact
+
+    @wp.func
+    def rest_of(
+        outcome: Outcome, answer: LaneAnswer, lane: int, kind: int, a: Points, b: Points, options: Options, cap: int
+    ) -> Outcome:
+        """The result of a pair for which `outcome_of` is not all."""
+        is_contact = is_set(answer.contact, lane)
+        if is_contact and outcome.status == STATUS_NO_COLLISION:
+            return outcome
+        used = wp.int32(lane_of(answer.iterations, lane))
+        found = finished(kind, lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
+        if is_contact:
+            outcome.parameters = found.parameters
+            return outcome
+        return found
+
+    @wp.func(inline=False)
+    def motion_of(
+        kind: int, first: wp.vec3i, second: wp.vec3i, vertices_t0: wp.array[wp.vec3d], vertices_t1: wp.array[wp.vec3d]
+    ) -> wp.float64:
+        """`relative_motion` of a pair; out of line, so that nobody keeps its points in registers for it."""
+        return relative_motion(points_of(kind, first, second, vertices_t0), points_of(kind, first, second, vertices_t1))
+
+    @wp.func(inline=False)
+    def parameters_at(kind: int, t: wp.float64, a: Points, b: Points, options: Options) -> wp.vec2d:
+        """Parameters of the closest point at a time: those of a contact within a separation."""
+        return closest_parameters(kind, normalise(kind, a, b, options), real(t))
+
+    @wp.func(inline=True)
+    def record_contact(
+        kind: int,
+        pair: wp.vec2i,
+        first: wp.vec3i,
+        second: wp.vec3i,
+        outcome: Outcome,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        gaps_moved: wp.float64,
+        # out
+        minima: Minima,
+        contacts: ContactList,
+    ) -> int:
+        """Lower the minima, and append the contact to the list if there is capacity; its place there, -1 without."""
+        toi = outcome.toi
+        if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
+            motion = motion_of(kind, first, second, vertices_t0, vertices_t1)
+            if gaps_moved * outcome.gap < motion:
+                toi = wp.max(toi, gaps_moved * outcome.gap / motion)
+        lower_pair(minima, first, second, wp.cast(toi, wp.int64))
+        n = claim_int(contacts.count, 0)
+        if n < contacts.toi.shape[0]:
+            contacts.kind[n] = kind
+            contacts.primitives[n] = pair
+            contacts.toi[n] = outcome.toi
+            contacts.status[n] = outcome.status
+            contacts.parameters[n] = outcome.parameters
+            contacts.gap[n] = outcome.gap
+            contacts.width[n] = outcome.width
+            contacts.normal[n] = normal_at(
+                kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters
+            )
+        else:
+            flag_world(minima, first[0], CONTACTS_OVERFLOW)
+            n = -1
+        return n
+
+    return SimpleNamespace(
+        is_set=is_set,
+        outcome_of=outcome_of,
+        skips_first_rounds=skips_first_rounds,
+        cap_of_round=cap_of_round,
+        finished=finished,
+        finished_lanes=finished_lanes,
+        rest_of=rest_of,
+        parameters_at=parameters_at,
+        record_contact=record_contact,
+    )

@@ -1,0 +1,421 @@
+"""The narrow phase on CUDA: three kernels, with a queue between them for the pairs that each leaves open.
+
+A thread takes one pair, and a warp waits for the slowest of its pairs. So the first kernel makes only the first rounds,
+which settle most pairs that do not touch; the second the later rounds of `lane_solver`, which settle most contacts; and
+the last one, for few pairs, runs the solver for single pairs. Each is small: the registers and the stack of the rare
+ways do not burden the common ones. A pair gets the answer, in every bit, that the kernels of `narrow_phase` give on the
+CPU: it goes through the same functions in the same order.
+
+The second kernel takes the queue as it is, without gaps. It leaves open pairs in their places and marks the others as
+settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a contact within a
+separation the second kernel finds a point and not the closest one, so the last one completes it.
+"""
+
+from types import SimpleNamespace
+
+import warp as wp
+
+from .atomics import atomic_min_int64, claim
+from .contacts import ContactList, normal_at
+from .lane_rows import make_lane_rows
+from .lane_solver import make_lane_solver
+from .minima import FOUND, OPEN, QUEUED, Minima
+from .once import once
+from .pair_key import pair_of
+from .pair_outcome import make_pair_outcome
+from .points import is_stationary, points_of, row_points
+from .query import make_query
+from .simd import fingerprint
+from .solver import make_solver
+from .status import STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+
+# The kernels of a narrow phase, in their order.
+STAGES = ("first", "later", "last")
+# Most registers of a thread: sixteen warps a multiprocessor for the pairs that come as they are, where the compiler by
+# itself takes up to 216. The other kernels have fewer pairs, and as many registers as there are.
+MAX_REGISTERS = {"first": 128, "later": 255, "last": 255}
+# Threads of a block: one warp, so that a few thousand pairs reach all multiprocessors. With more than 64 registers a
+# thread no more than 32 warps fit on one, as many as it can hold blocks.
+BLOCK_DIM = 32
+# Most threads of each kernel: about what 132 multiprocessors run at once with these registers; more pairs take turns.
+MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15}
+# Lanes of a warp; the number of threads is a multiple of it.
+WARP = 32
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
+_SETTLED = wp.constant(-1)
+_LANES = wp.constant(WARP)
+
+vec3d = wp.vec3d
+
+
+@wp.struct
+class Queue:
+    """Pairs that are open, each free on [0, t), in any order; their number is in the counts."""
+
+    rows: wp.array[wp.int32]  # of its points, or of its key; then `_SETTLED`, or `_SETTLED` - 1 - what to complete
+    t: wp.array[wp.float64]
+    used: wp.array[wp.int8]  # iterations so far
+
+
+@wp.func
+def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, row: int, t: wp.float64, used: int):
+    """Append an open pair; there is capacity for all pairs."""
+    n = claim(counts, kind, column, 1)
+    queue.rows[n] = row
+    queue.t[n] = t
+    queue.used[n] = wp.int8(used)
+
+
+@wp.func
+def in_use(num_solvers: int, count: int) -> int:
+    """Lanes of a warp that get a pair: as few as it takes, so that few pairs are spread over all multiprocessors."""
+    num_warps = num_solvers / _LANES
+    return wp.min(_LANES, (count + num_warps - 1) / num_warps)
+
+
+@wp.func
+def first_of(solver: int, lanes: int, count: int) -> int:
+    """The first item of a solver, ``count`` if it gets none; the next is ``num_solvers / 32 * lanes`` further on."""
+    lane = solver % _LANES
+    return wp.where(lane < lanes, (solver / _LANES) * lanes + lane, count)
+
+
+@once
+def make_queued_pairs(real) -> SimpleNamespace:
+    """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
+    Options = make_query(real).Options
+    Outcome = make_solver(real).Outcome
+    pair_outcome = make_pair_outcome(real, 1)
+    outcome_of = pair_outcome.outcome_of
+    skips_first_rounds = pair_outcome.skips_first_rounds
+    cap_of_round = pair_outcome.cap_of_round
+    finished = pair_outcome.finished
+    parameters_at = pair_outcome.parameters_at
+    record_contact = pair_outcome.record_contact
+    lane_solver = make_lane_solver(real, 1)
+    LaneAnswer = lane_solver.LaneAnswer
+    first_rounds = lane_solver.first_rounds
+    later_rounds = lane_solver.later_rounds
+    points_of_pairs = make_lane_rows(1).points_of_pairs
+    unbounded = wp.constant(wp.float64(float("inf")))
+
+    def own_module(name: str, stage: str):
+        """A Warp module for each kernel, so that each has its own registers and stack."""
+        module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}.{fingerprint()}")
+        options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "block_dim": BLOCK_DIM}
+        wp.set_module_options(options, module=module)
+        return module
+
+    def make_points_toi(stage: str):
+        is_first, is_last = stage == "first", stage == "last"
+
+        @wp.kernel(module=own_module("points_toi", stage), cuda_max_registers=MAX_REGISTERS[stage])
+        def points_toi(
+            begin: int,
+            # in
+            num_solvers: int,
+            count: int,
+            kind: int,
+            points_t0: wp.array2d[vec3d],
+            points_t1: wp.array2d[vec3d],
+            options: Options,
+            # in and out
+            counts: wp.array2d[wp.int64],
+            queue: Queue,
+            # out
+            toi: wp.array[wp.float64],
+            status: wp.array[wp.int32],
+            parameters: wp.array[wp.vec2d],
+            gap: wp.array[wp.float64],
+            width_of: wp.array[wp.float64],
+            iterations: wp.array[wp.int32],
+        ):
+            """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
+            cap = options.max_iterations
+            skips_first = skips_first_rounds(options)
+            last = count
+            if wp.static(not is_first):
+                last = wp.int32(counts[0, QUEUED])
+            lanes = in_use(num_solvers, last)
+            following = first_of(begin + wp.tid(), lanes, last)
+            while following < last:
+                n = following
+                following += num_solvers / _LANES * lanes
+                i = n
+                t = wp.float64(0.0)
+                used = int(0)
+                if wp.static(is_first):
+                    if skips_first:
+                        enqueue(queue, counts, 0, QUEUED, i, t, used)
+                        continue
+                else:
+                    i = queue.rows[n]
+                    t = queue.t[n]
+                    used = wp.int32(queue.used[n])
+                    if i == _SETTLED:
+                        continue
+                    if wp.static(is_last):
+                        if i < 0:
+                            i = _SETTLED - 1 - i
+                            a = row_points(points_t0, i)
+                            b = row_points(points_t1, i)
+                            parameters[i] = parameters_at(kind, toi[i], a, b, options)
+                            continue
+                a = row_points(points_t0, i)
+                b = row_points(points_t1, i)
+                outcome = Outcome()
+                if wp.static(is_last):
+                    outcome = finished(kind, t, used, False, a, b, options, cap)
+                else:
+                    answer = LaneAnswer()
+                    if wp.static(is_first):
+                        answer = first_rounds(kind, a, b, options, cap, unbounded)
+                    else:
+                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
+                    if answer.free | answer.contact == _NONE:
+                        used = wp.int32(answer.iterations)
+                        if wp.static(is_first):
+                            enqueue(queue, counts, 0, QUEUED, i, answer.t, used)
+                        else:
+                            queue.t[n] = answer.t
+                            queue.used[n] = wp.int8(used)
+                        continue
+                    outcome = outcome_of(answer, 0, options)
+                    if wp.static(not is_first):
+                        queue.rows[n] = _SETTLED
+                        if outcome.status != STATUS_NO_COLLISION and skips_first:
+                            queue.rows[n] = _SETTLED - 1 - i
+                toi[i] = outcome.toi
+                status[i] = outcome.status
+                parameters[i] = outcome.parameters
+                gap[i] = outcome.gap
+                width_of[i] = outcome.width
+                iterations[i] = outcome.iterations
+
+        return points_toi
+
+    @wp.func
+    def complete(
+        kind: int,
+        place: int,
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
+        options: Options,
+        # in and out
+        contacts: ContactList,
+    ):
+        """Write the parameters and the normal of a contact within a separation, whose other fields are known."""
+        pair = contacts.primitives[place]
+        toi = contacts.toi[place]
+        first = first_corners[pair[0]]
+        second = second_corners[pair[1]]
+        a = points_of(kind, first, second, vertices_t0)
+        b = points_of(kind, first, second, vertices_t1)
+        parameters = parameters_at(kind, toi, a, b, options)
+        contacts.parameters[place] = parameters
+        contacts.normal[place] = normal_at(kind, first, second, vertices_t0, vertices_t1, toi, parameters)
+
+    def make_solve_pairs(stage: str):
+        is_first, is_last = stage == "first", stage == "last"
+
+        @wp.kernel(module=own_module("solve_pairs", stage), cuda_max_registers=MAX_REGISTERS[stage])
+        def solve_pairs(
+            begin: int,
+            # in
+            num_solvers: int,
+            kind: int,
+            counts: wp.array2d[wp.int64],
+            pairs: wp.array[wp.int64],
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+            vertices_t0: wp.array[vec3d],
+            vertices_t1: wp.array[vec3d],
+            options: Options,
+            is_second: int,
+            queue: Queue,
+            only_moving: int,
+            gaps_moved: wp.float64,
+            # out
+            minima: Minima,
+            contacts: ContactList,
+        ):
+            """Like ``solve_pairs`` of `narrow_phase`."""
+            cap = cap_of_round(options, is_second, counts[kind, OPEN])
+            if cap == 0:
+                return
+            skips_first = skips_first_rounds(options)
+            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+            if wp.static(not is_first):
+                last = wp.int32(counts[kind, QUEUED + is_second])
+            lanes = in_use(num_solvers, last)
+            following = first_of(begin + wp.tid(), lanes, last)
+            while following < last:
+                n = following
+                following += num_solvers / _LANES * lanes
+                k = n
+                t = wp.float64(0.0)
+                used = int(0)
+                if wp.static(is_first):
+                    if is_second != 0 and pairs[k] >= wp.int64(0):
+                        continue  # the second round is of the pairs that the first has left open
+                    if skips_first:
+                        enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
+                        continue
+                else:
+                    k = queue.rows[n]
+                    t = queue.t[n]
+                    used = wp.int32(queue.used[n])
+                    if k == _SETTLED:
+                        continue
+                    if wp.static(is_last):
+                        if k < 0:
+                            complete(
+                                kind,
+                                _SETTLED - 1 - k,
+                                first_corners,
+                                second_corners,
+                                vertices_t0,
+                                vertices_t1,
+                                options,
+                                contacts,
+                            )
+                            continue
+                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+                is_needed = only_moving == 0 or not is_stationary(a, b)
+                outcome = Outcome()
+                if wp.static(is_last):
+                    if is_needed:
+                        outcome = finished(kind, t, used, False, a, b, options, cap)
+                else:
+                    answer = LaneAnswer()
+                    if wp.static(is_first):
+                        answer = first_rounds(kind, a, b, options, cap, unbounded)
+                    else:
+                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
+                    if is_needed and answer.free | answer.contact == _NONE:
+                        used = wp.int32(answer.iterations)
+                        if wp.static(is_first):
+                            enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
+                        else:
+                            queue.t[n] = answer.t
+                            queue.used[n] = wp.int8(used)
+                        continue
+                    if is_needed and answer.contact != _NONE:
+                        outcome = outcome_of(answer, 0, options)
+                    if wp.static(not is_first):
+                        queue.rows[n] = _SETTLED
+                if outcome.status == STATUS_NO_COLLISION:
+                    continue
+                key = pairs[k]
+                if is_second != 0:
+                    key = ~key
+                if wp.static(is_last):
+                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                        pairs[k] = ~key
+                        claim(counts, kind, OPEN, 1)
+                        continue
+                pair = pair_of(key)
+                first = first_corners[pair[0]]
+                second = second_corners[pair[1]]
+                place = record_contact(
+                    kind, pair, first, second, outcome, vertices_t0, vertices_t1, gaps_moved, minima, contacts
+                )
+                if wp.static(stage == "later"):
+                    if skips_first and place >= 0:
+                        queue.rows[n] = _SETTLED - 1 - place
+
+        return solve_pairs
+
+    def make_pairs_bound(stage: str):
+        is_first, is_last = stage == "first", stage == "last"
+
+        @wp.kernel(module=own_module("pairs_bound", stage), cuda_max_registers=MAX_REGISTERS[stage])
+        def pairs_bound(
+            begin: int,
+            # in
+            num_solvers: int,
+            kind: int,
+            counts: wp.array2d[wp.int64],
+            pairs: wp.array[wp.int64],
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+            vertices_t0: wp.array[vec3d],
+            vertices_t1: wp.array[vec3d],
+            options: Options,
+            is_second: int,
+            queue: Queue,
+            # out
+            least_bits: wp.array[wp.int64],
+            open_toi: wp.array[wp.float64],
+        ):
+            """Like ``pairs_bound`` of `narrow_phase`."""
+            cap = cap_of_round(options, is_second, counts[kind, OPEN])
+            if cap == 0:
+                return
+            skips_first = skips_first_rounds(options)
+            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+            if wp.static(not is_first):
+                last = wp.int32(counts[kind, QUEUED + is_second])
+            lanes = in_use(num_solvers, last)
+            following = first_of(begin + wp.tid(), lanes, last)
+            while following < last:
+                n = following
+                following += num_solvers / _LANES * lanes
+                k = n
+                t = wp.float64(0.0)
+                used = int(0)
+                if wp.static(is_first):
+                    if is_second != 0 and pairs[k] >= wp.int64(0):
+                        continue  # the second round is of the pairs that the first has left open
+                    if skips_first:
+                        enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
+                        continue
+                else:
+                    k = queue.rows[n]
+                    t = queue.t[n]
+                    used = wp.int32(queue.used[n])
+                    # a pair that is free up to the least toi cannot lower it
+                    if k < 0 or wp.cast(t, wp.int64) >= least_bits[0]:
+                        continue
+                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+                toi = unbounded
+                if wp.static(is_last):
+                    outcome = finished(kind, t, used, False, a, b, options, cap)
+                    toi = outcome.toi
+                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                        pairs[k] = ~pairs[k]
+                        open_toi[k] = toi
+                        claim(counts, kind, OPEN, 1)
+                        continue
+                else:
+                    least = wp.cast(least_bits[0], wp.float64)
+                    answer = LaneAnswer()
+                    if wp.static(is_first):
+                        answer = first_rounds(kind, a, b, options, cap, least)
+                    else:
+                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
+                    if answer.free | answer.contact == _NONE and answer.t < least:
+                        used = wp.int32(answer.iterations)
+                        if wp.static(is_first):
+                            enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
+                        else:
+                            queue.t[n] = answer.t
+                            queue.used[n] = wp.int8(used)
+                        continue
+                    if wp.static(not is_first):
+                        queue.rows[n] = _SETTLED
+                    if answer.contact != _NONE and answer.t <= options.t_max:
+                        toi = answer.t
+                if toi < unbounded:
+                    atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
+
+        return pairs_bound
+
+    return SimpleNamespace(
+        points_toi=[make_points_toi(stage) for stage in STAGES],
+        solve_pairs=[make_solve_pairs(stage) for stage in STAGES],
+        pairs_bound=[make_pairs_bound(stage) for stage in STAGES],
+    )
