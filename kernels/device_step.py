@@ -85,9 +85,13 @@ def set_active(
     value: int,
     # out
     body_active: wp.array[wp.int32],
+    is_any_active: wp.array[wp.int32],
 ):
-    """Write one value for every body."""
-    body_active[begin + wp.tid()] = value
+    """Write one value for every body, and whether a body is active."""
+    i = begin + wp.tid()
+    body_active[i] = value
+    if i == 0:
+        is_any_active[0] = value
 
 
 @wp.kernel
@@ -99,6 +103,7 @@ def keep_touched(
     m: Minima,
     # out
     body_active: wp.array[wp.int32],
+    is_any_active: wp.array[wp.int32],
 ):
     """Activate the bodies of the worlds in which a contact was found, where the motion is about to be shortened.
 
@@ -111,6 +116,7 @@ def keep_touched(
         bits = m.scene[0]
     if bits < _INFINITY_BITS:
         body_active[m.vertex_body[v]] = 1
+        is_any_active[0] = 1
 
 
 @wp.func

@@ -16,6 +16,8 @@ OPEN = wp.constant(1)
 CANDIDATES = wp.constant(2)
 # on CUDA: pairs that wait in the queue of the first round (`queued_pairs`), and in that of the second
 QUEUED = wp.constant(3)
+# in the first row alone: those in the column `OPEN` of all kinds
+ANY_OPEN = wp.constant(5)
 NUM_COUNTS = 8
 
 _ZERO_BITS = wp.constant(wp.int64(0))

@@ -14,7 +14,7 @@ from .interrupts import is_stopped
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .lanes import lowest_bit
-from .minima import FOUND, OPEN, Minima
+from .minima import ANY_OPEN, FOUND, OPEN, Minima
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -299,6 +299,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     claim(counts, kind, OPEN, 1)
+                    claim(counts, 0, ANY_OPEN, 1)
                 elif outcome.status != STATUS_NO_COLLISION:
                     record_contact(
                         kind,
@@ -404,6 +405,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
                     pairs[k] = ~key
                     open_toi[k] = outcome.toi
                     claim(counts, kind, OPEN, 1)
+                    claim(counts, 0, ANY_OPEN, 1)
                 else:
                     atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 

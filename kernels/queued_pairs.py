@@ -19,7 +19,7 @@ from .atomics import atomic_min_int64, claim
 from .contacts import ContactList, normal_at
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
-from .minima import FOUND, OPEN, QUEUED, Minima
+from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -316,6 +316,7 @@ def make_queued_pairs(real) -> SimpleNamespace:
                     if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                         pairs[k] = ~key
                         claim(counts, kind, OPEN, 1)
+                        claim(counts, 0, ANY_OPEN, 1)
                         continue
                 pair = pair_of(key)
                 first = first_corners[pair[0]]
@@ -389,6 +390,7 @@ def make_queued_pairs(real) -> SimpleNamespace:
                         pairs[k] = ~pairs[k]
                         open_toi[k] = toi
                         claim(counts, kind, OPEN, 1)
+                        claim(counts, 0, ANY_OPEN, 1)
                         continue
                 else:
                     least = wp.cast(least_bits[0], wp.float64)

@@ -1,5 +1,6 @@
 """A step whose input and results stay on the device: launches of fixed sizes, recorded once and replayed."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from ccd_warp._runtime.pair_queue import new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step
-from ccd_warp.kernels.minima import NUM_COUNTS
+from ccd_warp.kernels.minima import ANY_OPEN, NUM_COUNTS
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -147,8 +148,9 @@ class DeviceStep:
         separation = options.separation(length_scale)
         inflation = half_up(separation)
         self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
-        self._is_moved = self._full(1, 0, wp.int32)
+        self._is_moved, self._is_any_touched = (self._full(1, 0, wp.int32) for _ in range(2))
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
+        self._is_open = _low_half(self._counts, int(ANY_OPEN))
         self._start = self._end = self._empty(0, wp.vec3d)
         self._last: PreparedLaunch | None = None
         if self._has_static:
@@ -326,6 +328,7 @@ class DeviceStep:
         )
         with recording.section(_PLAY):
             if form.line_search is None:
+                self._record_reset(recording)
                 self._record_step(recording, form)
             else:
                 self._record_line_search(recording, form, form.line_search)
@@ -336,38 +339,54 @@ class DeviceStep:
         topology = self.topology
         num_bodies = self._mesh.num_bodies
         by_scene = int(line_search.per == "scene" or not _worlds_are_apart(self._mesh))
-        recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=[self._touched])
+        touched = [self._touched, self._is_any_touched]
+        recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=touched)
         stages = line_search.stages()
         for number, (per, share) in enumerate(stages):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and stages[1][0] == per
-            self._record_step(recording, form, _KEPT_FLAGS if number > 0 else 0, _GAPS_MOVED if may_cut else 0.0)
-            if number < len(stages) - 1:
-                # a world found free of contacts stays so until something in it is shortened
-                recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=[self._touched])
+            self._record_reset(recording, _KEPT_FLAGS if number > 0 else 0)
+            if number > 0:
+                self._stages.reset_vertices(recording)
+            # where nothing was touched in the pass before, there is nothing else to do
+            with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
+                self._record_step(recording, form, is_first=number == 0, gaps_moved=_GAPS_MOVED if may_cut else 0.0)
+                if number < len(stages) - 1:
+                    # a world found free of contacts stays so until something in it is shortened
+                    recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=touched)
+                    recording.launch(
+                        device_step.keep_touched,
+                        len(topology.moving_vertices),
+                        inputs=[topology.moving_vertices, by_scene, self._stages.minima],
+                        outputs=touched,
+                    )
                 recording.launch(
-                    device_step.keep_touched,
+                    device_step.make_input(form.real, self._mesh.dimension).shorten,
                     len(topology.moving_vertices),
-                    inputs=[topology.moving_vertices, by_scene, self._stages.minima],
-                    outputs=[self._touched],
+                    inputs=[
+                        topology.moving_vertices,
+                        Slot("vertices_t0"),
+                        int(form.t0_by_vertex),
+                        int(form.t1_by_vertex),
+                        _PER[per],
+                        share,
+                        self._stages.minima,
+                    ],
+                    outputs=[Slot("vertices_t1")],
                 )
-            recording.launch(
-                device_step.make_input(form.real, self._mesh.dimension).shorten,
-                len(topology.moving_vertices),
-                inputs=[
-                    topology.moving_vertices,
-                    Slot("vertices_t0"),
-                    int(form.t0_by_vertex),
-                    int(form.t1_by_vertex),
-                    _PER[per],
-                    share,
-                    self._stages.minima,
-                ],
-                outputs=[Slot("vertices_t1")],
-            )
 
-    def _record_step(self, recording: Recording, form: _Form, kept_flags: int = 0, gaps_moved: float = 0.0) -> None:
-        """Record the launches of one pass over a step."""
+    def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
+        """Record the launch that resets the results of the last step, or of the last pass."""
+        self._stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
+
+    def _record_step(
+        self, recording: Recording, form: _Form, *, is_first: bool = True, gaps_moved: float = 0.0
+    ) -> None:
+        """Record the launches of one pass over a step after the reset.
+
+        Only the first pass reads the positions of static bodies, and may meet coordinates that are not finite; no later
+        one changes either.
+        """
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
@@ -377,7 +396,7 @@ class DeviceStep:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
             start, end = self._start, self._end
         stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
-        self._record_input(recording, form, stages, is_copied, kept_flags)
+        self._record_input(recording, form, stages, is_copied, is_first)
         is_line_search = form.line_search is not None
         stages.fill_vertex_aabbs(recording, topology.moving_vertices, self._touched if is_line_search else self._active)
         stages.fill_trees(recording, self._moving_trees)
@@ -389,17 +408,15 @@ class DeviceStep:
                 stages.cull(recording, kind, marks_overflow=True, only_if_complete=True)
             for tree_pair in stages.tree_pairs:
                 stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
-        for is_second in (False, True):
-            stages.solve(recording, is_second=is_second, only_moving=is_line_search, gaps_moved=gaps_moved)
+        stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
+        with recording.only_if(self._is_open):
+            stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
 
-    def _record_input(
-        self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, kept_flags: int
-    ) -> None:
-        """Record the launches that read positions and reset the results."""
+    def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
+        """Record the launches that read positions and, in the first pass, reset the vertices."""
         topology, minima = self.topology, stages.minima
         read = device_step.make_input(form.real, self._mesh.dimension)
-        stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
-        if form.t0_by_vertex and self._has_static:
+        if is_first and form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // _CHUNK),
@@ -421,15 +438,16 @@ class DeviceStep:
             ],
             outputs=[self._start, self._end, minima],
         )
-        stages.reset_vertices(recording)
-        # also if static bodies are not read here: an earlier launch may have been interrupted after it read them
-        self._record_refresh(recording)
+        if is_first:
+            stages.reset_vertices(recording)
+        if is_first and self._static_trees:
+            # also if static bodies are not read here: an earlier launch may have been interrupted after it read them
+            with recording.only_if(self._is_moved):
+                self._record_refresh(recording)
 
     def _record_refresh(self, recording: Recording) -> None:
         """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
         topology, stages, trees = self.topology, self._stages, self._static_trees
-        if not trees:
-            return
         lattice = [topology.vertex_world, topology.world_shift]
         recording.launch(
             device_step.refresh_vertex_aabbs,
@@ -464,6 +482,12 @@ class DeviceStep:
         """Whether a launch reads positions into arrays of its own."""
         is_in_plane = self._mesh.dimension == 2
         return form.real is not wp.float64 or form.is_displacement or self._has_static or is_in_plane
+
+
+def _low_half(counts: wp.array, column: int) -> wp.array:
+    """The low half of a count in the first row, int32, shape [1]: a flag, as there are fewer than 2³² pairs."""
+    place = counts.ptr + column * counts.strides[1]  # the bytes of a number are in ascending order on all devices
+    return wp.array(ptr=place, dtype=wp.int32, shape=1, device=counts.device)
 
 
 def _check_same_dtype(start: wp.array, end: wp.array, name_t1: str) -> None:

@@ -163,6 +163,27 @@ class _Launch:
     is_long: Callable[[], bool] | None
 
 
+@dataclass(frozen=True)
+class _Conditional:
+    """Launches that have nothing to do where a flag on the device is 0."""
+
+    condition: wp.array  # int32, the first element
+    on_host: Any  # the same as a NumPy array; None on CUDA
+    groups: "list[_Group]"
+
+
+_Group = list[_Launch] | _Conditional
+
+
+def leaves_out_launches(device: Any) -> bool:
+    """Whether the graph that is captured on a device can leave out launches by a flag.
+
+    On CUDA that takes a driver from 12.4 on and a capture that Warp has begun: it knows no other's graph, and would
+    wait for the flag.
+    """
+    return device.is_cpu or (device.stream in device.captures and wp.is_conditional_graph_supported())
+
+
 class Recording:
     """Launches that are packed once and then repeated, in the order in which they were given.
 
@@ -173,8 +194,8 @@ class Recording:
         """``values`` are the initial values of the slots."""
         self.execution = execution
         self.values = dict(values)
-        self._sections: dict[str, list[list[_Launch]]] = {}
-        self._groups: list[list[_Launch]] = []  # of the section that is recorded
+        self._sections: dict[str, list[_Group]] = {}
+        self._groups: list[_Group] = []  # of the section that is recorded
         self._is_at_once = False
         self._uses: dict[str, list[tuple[wp.Launch, int]]] = {name: [] for name in values}
 
@@ -197,6 +218,19 @@ class Recording:
         self._groups = []
         yield
         self._sections[name], self._groups = self._groups, []
+
+    @contextmanager
+    def only_if(self, condition: wp.array) -> Iterator[None]:
+        """Record launches that have nothing to do where a flag on the device is 0, so that they may be left out.
+
+        Args:
+            condition: The flag, int32, in the first element, as it is when the launches would begin.
+        """
+        outer, self._groups = self._groups, []
+        yield
+        on_host = None if self.execution.device.is_cuda else condition.numpy()
+        outer.append(_Conditional(condition, on_host, self._groups))
+        self._groups = outer
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
@@ -240,7 +274,9 @@ class Recording:
                     self._uses[argument.name].append((command, index + 1))
         if not self._is_at_once:
             self._groups.append([])
-        self._groups[-1].append(_Launch(commands, count >= grain > 1, num_needed, is_long))
+        group = self._groups[-1]
+        assert isinstance(group, list)
+        group.append(_Launch(commands, count >= grain > 1, num_needed, is_long))
 
     def bind(self, name: str, value: Any) -> None:
         """Set a slot to an array, a struct or a number."""
@@ -258,14 +294,33 @@ class Recording:
 
     def play(self, section: str) -> None:
         """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
-        if self.execution.is_serial:
-            for group in self._sections[section]:
+        self._play_groups(section, self._sections[section])
+
+    def _play_groups(self, section: str, groups: list[_Group]) -> None:
+        for group in groups:
+            if isinstance(group, _Conditional):
+                self._play_conditional(section, group)
+            elif self.execution.is_serial:
                 for launch in group:
                     for command in launch.commands:
                         command.launch()
-        else:
-            for group in self._sections[section]:
+            else:
                 self._play_on_threads(section, group)
+
+    def _play_conditional(self, section: str, group: _Conditional) -> None:
+        """Launch what may be left out: as a branch of a graph; by the flag on the CPU; in any case otherwise on CUDA.
+
+        There the host would have to wait for the flag, and the kernels find out by themselves.
+        """
+        device = self.execution.device
+
+        def play() -> None:
+            self._play_groups(section, group.groups)
+
+        if device.is_capturing and leaves_out_launches(device):
+            wp.capture_if(group.condition, on_true=play)
+        elif device.is_capturing or group.on_host is None or group.on_host[0]:
+            play()
 
     def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
         """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
