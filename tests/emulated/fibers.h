@@ -73,9 +73,8 @@ public:
     void start(Function function, void* argument)
     {
 #if defined(EMULATED_IS_SANITIZED)
-        if (is_cut_off_ || is_running_)  // the marks of its frames are left
+        if (is_running_)  // never resumed, and the marks of its frames are left
             __asan_unpoison_memory_region(stack_.begin(), STACK_BYTES);
-        is_cut_off_ = false;
 #endif
         function_ = function;
         argument_ = argument;
@@ -133,13 +132,6 @@ public:
 #endif
     }
 
-    // Called by the function: end it here and now.
-    [[noreturn]] void leave()
-    {
-        is_cut_off_ = true;
-        end();
-    }
-
     bool is_running() const { return is_running_; }
 
 private:
@@ -150,12 +142,8 @@ private:
         __sanitizer_finish_switch_fiber(nullptr, &self->caller_begin_, &self->caller_size_);
 #endif
         self->function_(self->argument_);
-        self->end();
-    }
-    [[noreturn]] void end()
-    {
-        is_running_ = false;
-        yield();
+        self->is_running_ = false;
+        self->yield();
         abort();  // an ended function is not resumed
     }
 
@@ -163,7 +151,7 @@ private:
     Stack stack_;
     Function function_ = nullptr;
     void* argument_ = nullptr;
-    bool is_running_ = false, is_cut_off_ = false;
+    bool is_running_ = false;
 #if defined(__x86_64__)
     void *own_ = nullptr, *caller_ = nullptr;
 #else

@@ -18,6 +18,9 @@ _KERNEL = re.compile(
     r'extern "C" __global__ void (?:\w+\([^)]*\)\s*)*(\w+)_cuda_kernel_forward\(\s*(wp::launch_bounds_t<\d>) dim(.*?)\)\s*\{',
     re.DOTALL,
 )
+# Calls of a warp or of a block, which threads make together.
+_COLLECTIVE = re.compile(r"__\w+_sync\s*\(|__sync(warp|threads)\s*\(")
+_TILE = re.compile(r"wp::tile_(?!shared_storage_t)")
 
 
 def entry_point(kernel: str, block_dim: int) -> str:
@@ -43,8 +46,15 @@ def cuda_source(module: Any) -> str:
 
 
 def emulated_source(source: str) -> str:
-    """A C++ program: the device, the CUDA source, and functions with the arguments of Warp's kernels for the CPU."""
+    """A C++ program: the device, the CUDA source, and functions with the arguments of Warp's kernels for the CPU.
+
+    Raises:
+        NotImplementedError: If a kernel uses Warp's tiles.
+    """
+    if _TILE.search(source):
+        raise NotImplementedError("a kernel uses tiles of Warp; expected none, as they are not emulated")
     parts = ['#include "device.h"', source]
+    is_cooperative = int(_COLLECTIVE.search(source) is not None)
     for match in _KERNEL.finditer(source):
         kernel, bounds, declared = match.groups()
         fields = [field.strip() for field in declared.split(",\n") if field.strip()]
@@ -58,7 +68,7 @@ def emulated_source(source: str) -> str:
         parts += [
             f'extern "C" int {entry_point(kernel, block_dim)}({bounds}* bounds, {kernel}_arguments* given)\n'
             f"{{ {kernel}_launch launch {{ bounds, given }}; "
-            f"return run_grid(bounds->size, {block_dim}, {kernel}_thread, &launch); }}"
+            f"return run_grid(bounds->size, {block_dim}, {is_cooperative}, {kernel}_thread, &launch); }}"
             for block_dim in BLOCK_DIMS
         ]
     return "\n".join(parts)

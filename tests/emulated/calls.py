@@ -1,0 +1,138 @@
+"""Every public call on a step or on pairs, and what it returns."""
+
+import re
+from typing import Any
+
+import numpy as np
+import scenes
+import warp as wp
+
+import ccd_warp as ccd
+
+from emulated.outputs import Outputs, outputs_of
+from emulated.steps import StepCase
+
+EVERY_PER = ("scene", "world", "body", "vertex")
+_CAPACITIES = {"max_pairs": 60_000, "max_contacts": 60_000}
+_VECTORS = {("float64", 3): wp.vec3d, ("float32", 3): wp.vec3f, ("float64", 2): wp.vec2d, ("float32", 2): wp.vec2f}
+
+
+def on_the_host(case: StepCase, precision: str) -> Outputs:
+    """The calls that take and return NumPy arrays, each twice, as the second meets what the first has left."""
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision}
+    found = outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
+    found |= outputs_of(ccd.mesh_ccd(mesh, end, start, **options), "mesh_ccd back")
+    found |= outputs_of(ccd.collision_free_step(mesh, start, end, **options), "collision_free_step")
+    found |= outputs_of(ccd.is_step_collision_free(mesh, start, end, **options), "is_step_collision_free")
+    for inflation in (0.0, 0.02):
+        of_search = {name: options[name] for name in ("pair_kinds", "num_threads") if name in options}
+        candidates = ccd.find_candidates(mesh, start, end, inflation, **of_search)
+        found |= outputs_of(candidates, f"find_candidates {inflation}")
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    found |= outputs_of(pipeline.mesh_ccd(start, end[mesh.moving_vertices]), "pipeline.mesh_ccd")
+    return found | outputs_of(pipeline.counts, "counts")
+
+
+def line_searches(case: StepCase, precision: str) -> Outputs:
+    """The line search on the host, whose fractions are those of the scene, of worlds, bodies and vertices."""
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision}
+    options.pop("t_max", None)
+    found: Outputs = {}
+    for per in EVERY_PER:
+        found |= outputs_of(ccd.line_search(mesh, start, end, per=per, **options), f"line_search {per}")
+    return found
+
+
+def batches(case: StepCase, precision: str) -> Outputs:
+    """The calls on the host with as little memory as they can do with, which each device counts by itself."""
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision}
+    found: Outputs = {}
+    for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.is_step_collision_free):
+        try:
+            call(mesh, start, end, memory_limit=1, **options)
+        except ValueError as error:
+            least = int(re.search(r"at least (\d+)", str(error))[1])
+        for memory_limit in (least, 3 * least):
+            name = f"{call.__name__} in {memory_limit // least} of the least memory"
+            found |= outputs_of(call(mesh, start, end, memory_limit=memory_limit, **options), name)
+    return found
+
+
+def launches(case: StepCase, precision: str) -> Outputs:
+    """The launches on the device, with positions of both types: whole, as displacements, of moving vertices alone."""
+    mesh, start, end = case.make()
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **case.options)
+    found: Outputs = {}
+    for dtype in ("float64", "float32"):
+        t0, t1, moves = (_on_device(x, dtype) for x in (start, end, end - start))
+        found |= outputs_of(pipeline.launch(t0, t1), f"launch {dtype}")
+        found |= outputs_of(pipeline.launch(t0, displacements=moves), f"launch of displacements {dtype}")
+        # a static body that is moved, and stays there
+        moved = _on_device(start + 0.01, dtype)
+        found |= outputs_of(pipeline.launch(moved, _on_device(end + 0.01, dtype)), f"launch elsewhere {dtype}")
+        own0, own1 = (_on_device(x[mesh.moving_vertices], dtype) for x in (start, end))
+        result = pipeline.launch(own0, own1)
+        found |= outputs_of(result, f"launch of moving vertices {dtype}")
+        found |= outputs_of(result.contacts.points_at(t0, t1), f"points_at {dtype}") if not len(result.toi) else {}
+        found |= outputs_of(result.to_host().contacts, f"to_host {dtype}")
+    pipeline.reserve(vertices=end)
+    return found | outputs_of(pipeline.launch(_on_device(start, "float64"), _on_device(end, "float64")), "laid out anew")
+
+
+def launched_line_searches(case: StepCase, precision: str) -> Outputs:
+    """The line searches on the device, with the positions that they leave."""
+    mesh, start, end = case.make()
+    options = {name: value for name, value in case.options.items() if name != "t_max"}
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **options)
+    found: Outputs = {}
+    for per in EVERY_PER:
+        for dtype in ("float64", "float32"):
+            t0, t1 = _on_device(start, dtype), _on_device(end, dtype)
+            result = pipeline.launch_line_search(t0, t1, per=per, num_rounds=5)
+            found |= outputs_of(result, f"launch_line_search {per} {dtype}")
+            found |= outputs_of(t1, f"launch_line_search {per} {dtype} positions")
+    return found
+
+
+def replays(case: StepCase, precision: str) -> Outputs:
+    """Launches that a graph holds, replayed with other positions in the same arrays."""
+    mesh, start, end = case.make()
+    options = {name: value for name, value in case.options.items() if name != "t_max"}
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **options)
+    pipeline.reserve()
+    t0, t1, shortened = _on_device(start, "float64"), _on_device(end, "float64"), _on_device(end, "float64")
+    pipeline.launch(t0, t1)
+    pipeline.launch_line_search(t0, shortened, per="world")
+    with wp.ScopedCapture(device="cpu") as capture:
+        result = pipeline.launch(t0, t1)
+        points = result.contacts.count
+        pipeline.launch_line_search(t0, shortened, per="world")
+    found: Outputs = {}
+    for k, share in enumerate((1.0, 0.3, 0.0)):
+        for array in (t1, shortened):
+            array.assign(start + share * (end - start))
+        wp.capture_launch(capture.graph)
+        found |= outputs_of(result, f"replay {k}") | outputs_of(points, f"replay {k} contacts")
+        found |= outputs_of(shortened, f"replay {k} positions")
+    return found
+
+
+def pairs(kind: str, dimension: int, precision: str, options: dict[str, Any]) -> Outputs:
+    """The pair function of a kind, with arrays of NumPy, few and many, and of Warp, with a coordinate that is none."""
+    call = getattr(ccd, f"{kind}_ccd")
+    start, end = scenes.random_pairs(kind, 300, seed=31, dimension=dimension)
+    options = {**options, "precision": precision}
+    found = outputs_of(call(start, end, **options), "many") | outputs_of(call(start[:3], end[:3], **options), "few")
+    start, end = start.copy(), end.copy()
+    start[5, 0, 0], end[6, -1, -1] = np.nan, np.inf
+    dtype = _VECTORS["float64", dimension]
+    result = call(*(wp.array(x, dtype=dtype, device="cpu") for x in (start, end)), **options)
+    return found | outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
+
+
+def _on_device(positions: np.ndarray, dtype: str) -> wp.array:
+    vector = _VECTORS[dtype, positions.shape[1]]
+    return wp.array(np.ascontiguousarray(positions, dtype=dtype), dtype=vector, device="cpu")

@@ -1,0 +1,75 @@
+"""What calls return, as named NumPy arrays whose bits can be compared."""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import ccd_warp as ccd
+
+# Times that calls took, and what tells how the work was divided, which is for each device to choose.
+_NOT_COMPARED = {"timings", "num_boxes", "num_sorted_sets", "num_searches", "num_batches"}
+# What contacts know beside their fields.
+_OF_CONTACTS = ("points", "vertices", "bodies", "world")
+
+Outputs = dict[str, np.ndarray]
+
+
+def outputs_of(value: Any, name: str = "") -> Outputs:
+    """The arrays and numbers of a result and its parts."""
+    if value is None:
+        return {}
+    if isinstance(value, (ccd.LaunchResult, ccd.DeviceContacts)):
+        return _of_launch(value, name) if isinstance(value, ccd.LaunchResult) else _of_device_contacts(value, name)
+    if isinstance(value, ccd.Candidates):
+        value = value.sorted()  # the one device sorts them, the other does not
+    if isinstance(value, wp.array):
+        return {name: value.numpy().copy()}
+    if isinstance(value, Mapping):
+        parts = {str(key): item for key, item in value.items()}
+    elif is_dataclass(value):
+        parts = {field.name: getattr(value, field.name) for field in fields(value)}
+    else:
+        return {name: np.array(value)}
+    if isinstance(value, ccd.Contacts):
+        parts |= {key: getattr(value, key) for key in _OF_CONTACTS}
+    found: Outputs = {}
+    for key, part in parts.items():
+        if key not in _NOT_COMPARED and not key.startswith("_"):
+            found |= outputs_of(part, f"{name}.{key}")
+    return found
+
+
+def _of_launch(result: ccd.LaunchResult, name: str) -> Outputs:
+    names = ("toi", "world_toi", "body_toi", "vertex_toi", "flags", "world_flags", "num_pairs")
+    found = {f"{name}.{key}": getattr(result, key).numpy().copy() for key in names}
+    return found | outputs_of(result.contacts, f"{name}.contacts")
+
+
+def _of_device_contacts(contacts: ccd.DeviceContacts, name: str) -> Outputs:
+    """Contacts that are stored, in the order of `Contacts`, for on a device they come in any."""
+    count = contacts.count.numpy()
+    num_stored = min(int(count[0]), len(contacts.kind))
+    stored = {key: array.numpy()[:num_stored] for key, array in vars(contacts).items() if key != "count"}
+    stored |= {key: getattr(contacts, key).numpy()[:num_stored] for key in _OF_CONTACTS}
+    pairs = np.column_stack([stored["kind"], stored["primitives"]])
+    by_toi = pairs[contacts.order_by_toi().numpy()[:num_stored]]
+    order = np.lexsort(pairs.T[::-1])
+    found = {f"{name}.{key}": values[order] for key, values in stored.items()}
+    return found | {f"{name}.count": count.copy(), f"{name}.order_by_toi": by_toi}
+
+
+def different(ours: Outputs, theirs: Outputs) -> list[str]:
+    """What is not equal in every bit, a line each."""
+    lines = [f"{name}: only one has it" for name in ours.keys() ^ theirs.keys()]
+    for name in ours.keys() & theirs.keys():
+        a, b = ours[name], theirs[name]
+        if a.shape != b.shape or a.dtype != b.dtype:
+            lines.append(f"{name}: {a.dtype} {a.shape}, expected {b.dtype} {b.shape}")
+        elif a.tobytes() != b.tobytes():
+            rows = np.flatnonzero([x.tobytes() != y.tobytes() for x, y in zip(np.atleast_1d(a), np.atleast_1d(b), strict=True)])
+            shown = [f"[{row}] {np.atleast_1d(a)[row]}, expected {np.atleast_1d(b)[row]}" for row in rows[:3]]
+            lines.append(f"{name}: {len(rows)} of {len(np.atleast_1d(a))} rows: {'; '.join(shown)}")
+    return sorted(lines)

@@ -1,0 +1,143 @@
+"""Steps for every part of the library: small scenes that have what a part is for, made anew for each device."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scenes
+
+import ccd_warp as ccd
+
+Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class StepCase:
+    """A step, and what is passed along with it.
+
+    Attributes:
+        make: Returns the mesh and the positions at both ends.
+        options: Options of the calls.
+    """
+
+    make: Callable[[], Made]
+    options: dict[str, Any]
+
+
+def _crowd(num_faces: int = 300, **arguments: Any) -> Made:
+    return scenes.crowd(np.random.default_rng(21), num_faces, **arguments)
+
+
+def _every_kind(**arguments: Any) -> Made:
+    """Faces, cables and particles, which form pairs of all kinds, in three bodies."""
+    rng = np.random.default_rng(22)
+    vertices, faces, edges = scenes.cables_and_particles(rng, 40, 0.1)
+    bodies = [(vertices + 0.05 * k, faces, edges) for k in range(3)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **arguments)
+    start = mesh.vertices
+    moves = 0.15 * rng.standard_normal(start.shape) * ~mesh.static[mesh.vertex_body][:, None]
+    return mesh, start, start + moves
+
+
+def _in_plane(**arguments: Any) -> Made:
+    rng = np.random.default_rng(23)
+    k = np.arange(60)
+    bodies = [
+        (rng.random((60, 2)), np.stack([k[:-1], k[1:]], axis=1)),
+        (rng.random((40, 2)), np.zeros((0, 2), dtype=int)),
+        (rng.random((30, 2)), rng.permutation(30).reshape(-1, 2)),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **arguments)
+    moves = 0.1 * rng.standard_normal(mesh.vertices.shape) * ~mesh.static[mesh.vertex_body][:, None]
+    return mesh, mesh.vertices, mesh.vertices + moves
+
+
+def _in_worlds() -> Made:
+    _, mesh, start, end = scenes.cloth_and_ball_in_worlds(6)
+    return mesh, start.reshape(-1, 3), end.reshape(-1, 3)
+
+
+def _worlds_in_one_place() -> Made:
+    """Worlds of different sizes, whose vertices are mixed up, with a scene that touches itself in each."""
+    rng = np.random.default_rng(24)
+    parts = [scenes.soup(rng, count, 0.15) for count in (30, 80, 5, 50)]
+    mesh = ccd.CollisionMesh.from_arrays(
+        parts, vertex_world=np.repeat([2, 0, 3, 1], [len(vertices) for vertices, _ in parts])
+    )
+    return mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+
+
+def _excluding() -> Made:
+    """Every kind of excluded pairs, by which the search takes lists along."""
+    mesh, start, end = _every_kind(exclusion_rings=2)
+    pairs = ccd.find_candidates(mesh, start, end, num_threads=1).sorted()
+    every_third = {name: values[::3] for name, values in vars(pairs).items() if len(values)}
+    return mesh.excluding({**every_third, "bodies": [(0, 2)], "vertices": [(0, 130), (7, 250)]}), start, end
+
+
+def _with_a_giant(**arguments: Any) -> Made:
+    """A face a thousand times as large as the others, among them."""
+    mesh, start, end = _crowd(200)
+    giant = 1000 * scenes.TRIANGLE + [0.1, 0.2, 0.5]
+    both = ccd.CollisionMesh.from_arrays([(start, mesh.faces), (giant, scenes.FACE)], **arguments)
+    return both, both.vertices, np.concatenate([end, giant + [0, 0, 0.01]])
+
+
+def _bodies_far_apart() -> Made:
+    """Bodies without self-collision, of which few come near another."""
+    ball, faces = scenes.sheet(3, 0.3)
+    places = np.random.default_rng(25).uniform(-2, 2, (40, 3))
+    mesh = ccd.CollisionMesh.from_arrays([(ball + place, faces) for place in places], self_collision=False)
+    moves = np.repeat(np.random.default_rng(26).uniform(-0.5, 0.5, (40, 3)), len(ball), axis=0)
+    return mesh, mesh.vertices, mesh.vertices + moves
+
+
+def _pile_at_rest() -> Made:
+    """Bodies that touch at the start, and hardly move."""
+    mesh, start = scenes.stacked(0.0, 0.0, 0.01, 0.01, 1e-9, 0.5)
+    return mesh, start, start + 1e-3 * np.random.default_rng(27).standard_normal(start.shape)
+
+
+def _bent(make: Callable[[], Made]) -> Callable[[], Made]:
+    """Pairs that stay close for the whole step, on which the solver takes many iterations."""
+
+    def bent() -> Made:
+        mesh, start, _ = make()
+        turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+        return mesh, start, start @ turn.T
+
+    return bent
+
+
+_BODY_PAIRS = ~np.eye(3, dtype=bool)
+_BODY_PAIRS[0, 1] = _BODY_PAIRS[1, 0] = False
+
+STEPS = {
+    "crowd": StepCase(_crowd, {}),
+    "sheet over a static ball": StepCase(scenes.sheet_over_ball, {}),
+    "every kind of pair": StepCase(_every_kind, {"minimum_separation": 0.004}),
+    "every kind, one body static": StepCase(lambda: _every_kind(static=[1]), {"minimum_separation": 0.004}),
+    "in the plane": StepCase(_in_plane, {"minimum_separation": 0.003}),
+    "in the plane, one body static": StepCase(lambda: _in_plane(static=[0]), {}),
+    "worlds": StepCase(_in_worlds, {}),
+    "worlds in one place": StepCase(_worlds_in_one_place, {}),
+    "excluded pairs": StepCase(_excluding, {}),
+    "rings": StepCase(lambda: _every_kind(exclusion_rings=3), {}),
+    "body pairs, self-collision of one": StepCase(
+        lambda: _every_kind(body_pairs=_BODY_PAIRS, self_collision=[True, False, False]), {}
+    ),
+    "bodies far apart": StepCase(_bodies_far_apart, {}),
+    "a giant face": StepCase(_with_a_giant, {}),
+    "a static giant face": StepCase(lambda: _with_a_giant(static=[1]), {}),
+    "contact at the start": StepCase(_pile_at_rest, {"start_gap_fraction": 0.5, "minimum_separation": 0.02}),
+    "a turn without contact": StepCase(_bent(_crowd), {"length_scale": 1.0}),
+    "t_max": StepCase(_crowd, {"t_max": 0.37}),
+    "t_max of 0": StepCase(_every_kind, {"t_max": 0.0}),
+    "tolerance, length_scale": StepCase(_crowd, {"tolerance": 1e-3, "length_scale": 0.3, "minimum_separation": 0.01}),
+    "bisection": StepCase(lambda: _crowd(100), {"method": "bisection"}),
+    "few iterations": StepCase(_crowd, {"max_iterations": 3}),
+    "little work": StepCase(_bent(_pile_at_rest), {"max_work": 100, "method": "bisection"}),
+    "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
+    "one thread": StepCase(_crowd, {"num_threads": 1}),
+}
