@@ -65,7 +65,7 @@ def write_pair(
         mark_overflow(minima, a, b)
 
 
-@wp.kernel
+@wp.kernel(grid_stride=False)
 def cull_candidates(
     begin: int,
     # in

@@ -22,7 +22,7 @@ PER_WORLD = wp.constant(1)
 PER_BODY = wp.constant(2)
 PER_VERTEX = wp.constant(3)
 
-# Vertices and blocks of static bodies that one item processes.
+# Vertices and blocks of static bodies that one item processes on the CPU.
 CHUNK = wp.constant(64)
 
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
@@ -137,13 +137,14 @@ def refresh_vertex_aabbs(
     inflation: wp.float64,
     quantization: Quantization,
     num_aabbs: int,
+    chunk: int,  # vertices of an item: neighbouring threads of CUDA are to read neighbouring vertices
     # out
     vertex_aabbs: wp.array[wp.float32],
 ):
     """`fill_vertex_aabbs` for a chunk of static vertices, if any static vertex has changed its position."""
     if is_moved[0] != 0:
-        first = (begin + wp.tid()) * CHUNK
-        for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
+        first = (begin + wp.tid()) * chunk
+        for k in range(first, wp.min(first + chunk, vertices.shape[0])):
             v = vertices[k]
             for n in range(num_aabbs):
                 aabb = vertex_aabb(
@@ -237,6 +238,7 @@ def make_input(real, dimension: int) -> SimpleNamespace:
         # in
         vertices: wp.array[wp.int32],
         vertices_t0: wp.array[vec],
+        chunk: int,  # vertices of an item, as above
         # out
         start: wp.array[wp.vec3d],
         end: wp.array[wp.vec3d],
@@ -247,8 +249,8 @@ def make_input(real, dimension: int) -> SimpleNamespace:
 
         A vertex with a coordinate that is not finite keeps its last position, since later launches may not read it.
         """
-        first = (begin + wp.tid()) * CHUNK
-        for k in range(first, wp.min(first + CHUNK, vertices.shape[0])):
+        first = (begin + wp.tid()) * chunk
+        for k in range(first, wp.min(first + chunk, vertices.shape[0])):
             v = vertices[k]
             a = in_space(vertices_t0[v])
             if not is_finite(a):

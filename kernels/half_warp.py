@@ -12,6 +12,8 @@ References: NVIDIA, "CUDA C++ programming guide", "Warp vote functions" and "War
 
 import warp as wp
 
+from .lanes import vec8f
+
 HALF_WARP = wp.constant(16)
 
 
@@ -94,4 +96,25 @@ def claim_together(values: wp.array2d[wp.int64], row: int, column: int, lanes: w
 )
 def number_before(lanes: wp.uint32, lane: int) -> int:
     """Number of lanes that are set before a lane."""
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const unsigned threads = 0xFFFFu << (threadIdx.x & 16);
+    wp::vec_t<8, wp::float32> r = x;
+    for (int distance = 8; distance > 0; distance >>= 1)
+        for (int k = 0; k < 8; ++k) {
+            const float other = __shfl_xor_sync(threads, r[k], distance, 16);
+            r[k] = other < r[k] ? other : r[k];
+        }
+    return r;
+#else
+    return x;
+#endif
+"""
+)
+def least_together(x: vec8f) -> vec8f:
+    """The least of each number among the threads of the half warp, all of which call it."""
     ...

@@ -39,6 +39,11 @@ _ONE = wp.constant(wp.uint32(1))
 _BITS = wp.constant(wp.uint64(16))
 _REST = wp.constant(wp.uint64(48))
 
+# A walk waits for memory, so that the number of warps at work counts: 24 of 64 on a multiprocessor in place of 16, for
+# 28 bytes of spills. The second search, with its cull, is rare.
+_FEW_REGISTERS = 80
+_MANY_REGISTERS = 168
+
 vec12f = wp.types.vector(length=12, dtype=wp.float32)
 
 
@@ -162,7 +167,6 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
         q: int,
-        a: wp.vec3i,  # vertices of the query
         box: vec12f,
         block: int,
         first: int,  # lane of the thread
@@ -173,9 +177,9 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         minima: Minima,
     ):
         """Write the pairs of a query and the boxes of a leaf block; each thread decides about those of its lanes."""
-        i = query.primitive[q]
         near = overlaps(target.nodes, block, box, first, last)
         lanes = wp.uint32(_NONE)
+        a = box_corners(query, q)
         while near != _NONE:
             lane = lowest_bit(near)
             near = near & (near - _ONE)
@@ -186,7 +190,7 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                 is_out = is_left_out(query, target, tree_pair, collision_filter, q, p, a, b)
                 if wp.static(not of_boxes and not is_listing):
                     if not is_out:
-                        turned = is_turned(tree_pair, i, target.primitive[p])
+                        turned = is_turned(tree_pair, query.primitive[q], target.primitive[p])
                         c = wp.where(turned, b, a)
                         d = wp.where(turned, a, b)
                         is_out = is_discarded(tree_pair.kind, c, d, vertices_t0, vertices_t1, options)
@@ -213,6 +217,7 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         if every == _NONE:
             return
         begin = claim_together(counts, part.row, column, every)
+        i = query.primitive[q]
         while lanes != _NONE:
             lane = lowest_bit(lanes)
             lanes = lanes & (lanes - _ONE)
@@ -250,7 +255,6 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         minima: Minima,
     ):
         """Find the pairs of a query box."""
-        a = box_corners(query, q)
         box = box_at(query.nodes, query.num_aabbs, q)
         top = target.num_levels - 1
         level_begin = int(0)  # the first block of the level
@@ -295,7 +299,6 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                             vertices_t0,
                             vertices_t1,
                             q,
-                            a,
                             box,
                             child,
                             first,
@@ -306,7 +309,9 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                             minima,
                         )
 
-    @wp.kernel(module=module)
+    registers = _FEW_REGISTERS if of_boxes or is_listing else _MANY_REGISTERS
+
+    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=registers)
     def search_queries(
         begin: int,
         # in
@@ -323,19 +328,17 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         keys: wp.array[wp.int64],  # or candidates, of a search that lists them
         minima: Minima,
     ):
-        """Find the pairs of single query boxes; those of a half warp are ``part.num_groups`` items apart.
+        """Find the pairs of a query box.
 
         A search that culls its candidates is the second one, which is needed only if they exceeded ``part.capacity``.
+        Its queries are shared by so few half warps that it costs little where it is not.
         """
         thread = begin + wp.tid()
         first = first_lane(thread)
         last = end_lane(thread)
         if last == 0:
             return
-        if wp.static(not of_boxes and not is_listing):
-            if counts[part.row, CANDIDATES] <= wp.int64(part.capacity):
-                return
-        for item in range(thread / HALF_WARP, part.count, part.num_groups):
+        if wp.static(of_boxes or is_listing):
             search_query(
                 query,
                 target,
@@ -344,7 +347,7 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                 collision_filter,
                 vertices_t0,
                 vertices_t1,
-                part.first + item * part.stride,
+                part.first + thread / HALF_WARP * part.stride,
                 first,
                 last,
                 part,
@@ -352,5 +355,23 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                 keys,
                 minima,
             )
+        elif counts[part.row, CANDIDATES] > wp.int64(part.capacity):
+            for item in range(thread / HALF_WARP, query.num_boxes, part.stride):
+                search_query(
+                    query,
+                    target,
+                    tree_pair,
+                    options,
+                    collision_filter,
+                    vertices_t0,
+                    vertices_t1,
+                    item,
+                    first,
+                    last,
+                    part,
+                    counts,
+                    keys,
+                    minima,
+                )
 
     return SimpleNamespace(search_queries=search_queries)

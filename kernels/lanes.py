@@ -146,13 +146,15 @@ SHARED_VERTEX = {
 
 UNITED_VERTEX_AABBS = {
     "scalar": """
+    struct alignas(16) Four { float x[4]; };  // one load of CUDA
+    const Four* aabbs = (const Four*)vertex_aabbs.data;
     wp::vec_t<8, wp::float32> r;
-    for (int k = 0; k < 8; ++k) {
-        const float a = vertex_aabbs.data[8LL * v0 + k];
-        const float b = vertex_aabbs.data[8LL * v1 + k];
-        const float c = vertex_aabbs.data[8LL * v2 + k];
-        const float ab = a < b ? a : b;
-        r[k] = ab < c ? ab : c;
+    for (int half = 0; half < 2; ++half) {
+        const Four a = aabbs[2LL * v0 + half], b = aabbs[2LL * v1 + half], c = aabbs[2LL * v2 + half];
+        for (int k = 0; k < 4; ++k) {
+            const float ab = a.x[k] < b.x[k] ? a.x[k] : b.x[k];
+            r[4 * half + k] = ab < c.x[k] ? ab : c.x[k];
+        }
     }
     return r;
 """,

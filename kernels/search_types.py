@@ -36,8 +36,6 @@ class SearchRange:
 
     first: int  # item
     stride: int
-    count: int  # of items
-    num_groups: int  # half warps that share the items; on CUDA only
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
     row: int  # of the counts
     first_key: int  # of a search without the cull, which writes to a part of the keys

@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.rest_order import apply_order, rest_order
 from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
     VERTEX_AABB_FLOATS,
@@ -112,7 +113,7 @@ class StepBoxes:
         """Give a tree its arrays; that of moving bodies begins every step in the order of the rest configuration."""
         name = tree.primitives.name
         if name not in self._rest:
-            order = self.topology.rest_order(tree.primitives, execution)
+            order = rest_order(self.topology, tree.primitives, execution)
             tree.lay_out(self._num_aabbs, order, lambda n: self.buffers.get(f"{name} boxes", n, wp.float32))
             self._rest[name] = tree.arrays
             self._filled.discard(name)
@@ -180,13 +181,7 @@ class StepBoxes:
             self.buffers.get(f"{name} order", primitives.count, wp.int32),
             self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32),
         )
-        execution.launch(
-            kernels.apply_order,
-            primitives.num_blocks,
-            inputs=[keys, (1 << primitives.index_bits) - 1, primitives.ids, primitives.corners],
-            outputs=list(order),
-            grain=64,
-        )
+        apply_order(keys, (1 << primitives.index_bits) - 1, primitives, list(order), execution)
         nodes = tree.arrays.nodes
         tree.lay_out(num_aabbs, order, lambda _: nodes)
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
+from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
-from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
+from ccd_warp._engine.trees import fill_trees, search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -143,6 +144,7 @@ class DeviceStep:
         self._options = options
         self._flag = StopFlag(topology.device)
         self._execution = execution = Execution(topology.device, options.threads, self._flag)
+        self._chunk = 1 if execution.is_cuda else _CHUNK
         self._vertices = vertices
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
@@ -233,8 +235,8 @@ class DeviceStep:
 
     def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
         if self._vertices is self._mesh._vertices_in_space:
-            return self.topology.rest_order(primitives, self._execution)
-        return self.topology.order_at(self._vertices, primitives, self._execution)
+            return rest_order(self.topology, primitives, self._execution)
+        return order_at(self.topology, self._vertices, primitives, self._execution)
 
     def prepare(
         self,
@@ -419,8 +421,8 @@ class DeviceStep:
         if is_first and form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,
-                -(-len(topology.static_vertices) // _CHUNK),
-                inputs=[topology.static_vertices, Slot("vertices_t0")],
+                -(-len(topology.static_vertices) // self._chunk),
+                inputs=[topology.static_vertices, Slot("vertices_t0"), self._chunk],
                 outputs=[self._start, self._end, self._is_moved, minima],
                 grain=64,
             )
@@ -451,7 +453,7 @@ class DeviceStep:
         lattice = [topology.vertex_world, topology.world_shift]
         recording.launch(
             device_step.refresh_vertex_aabbs,
-            -(-len(topology.static_vertices) // _CHUNK),
+            -(-len(topology.static_vertices) // self._chunk),
             inputs=[
                 self._is_moved,
                 topology.static_vertices,
@@ -460,11 +462,14 @@ class DeviceStep:
                 stages.inflation,
                 stages.quantization,
                 _NUM_AABBS,
+                self._chunk,
             ],
             outputs=[stages.vertex_aabbs],
             grain=64,
         )
-        for tree in trees:
+        if recording.is_cuda:
+            fill_trees(trees, stages.vertex_aabbs, recording, only_if=self._is_moved)
+        for tree in () if recording.is_cuda else trees:
             recording.launch(
                 device_step.refresh_blocks,
                 -(-tree.levels[0] // _CHUNK),

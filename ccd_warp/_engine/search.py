@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, MOST_GROUPS, TreePair, search_range
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
 from ccd_warp._runtime.lanes import pair_search_on
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._status import PairKind
@@ -177,7 +177,7 @@ class PairSearch:
     def _parts(self, tree_pair: TreePair, number: int) -> list[_Part]:
         level = 0 if self.execution.is_cuda else 1
         count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
-        parts = 1
+        parts = -(-count // MOST_QUERIES)
         if not self.execution.is_cuda:
             parts = max(1, min(_PARTS_PER_THREAD * self.num_workers, count // _SMALLEST_PART))
         bounds = [count * k // parts for k in range(parts + 1)]
@@ -211,7 +211,7 @@ class PairSearch:
             self._counts_view[slot] = 0
         items = range(part.first, part.first + part.count)
         command.set_param_at_index(1, search_range(part.level, slot, items, capacity, begin))
-        command.set_dim(min(part.count, MOST_GROUPS) * WIDTH if self.execution.is_cuda else part.count)
+        command.set_dim(part.count * WIDTH if self.execution.is_cuda else part.count)
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, MOST_GROUPS, Tree, TreePair, fill_trees, search_range
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, Tree, TreePair, fill_trees, search_range
 from ccd_warp._runtime.lanes import pair_search_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
@@ -166,7 +166,11 @@ class Stages:
         if items is None:
             items = range(query.primitives.count if level == 0 else query.levels[0])
         if launcher.is_cuda:
-            self._search_in_half_warps(launcher, tree_pair, items, LIST, self.candidates[tree_pair.kind])
+            for k in range(0, len(items), MOST_QUERIES):
+                queries = items[k : k + MOST_QUERIES]
+                part = search_range(0, int(tree_pair.kind), queries)
+                candidates = self.candidates[tree_pair.kind]
+                self._search_in_half_warps(launcher, tree_pair, part, len(queries), LIST, candidates)
             return
         count = len(items)
         num_tests = count * WIDTH**level * target.primitives.count
@@ -199,26 +203,13 @@ class Stages:
         ]
 
     def _search_in_half_warps(
-        self,
-        launcher: Launcher,
-        tree_pair: TreePair,
-        items: range,
-        end: str,
-        keys: Any,
-        *,
-        num_groups: int = MOST_GROUPS,
-        capacity: int = 0,
-        marks_overflow: bool = False,
+        self, launcher: Launcher, tree_pair: TreePair, part: Any, num_queries: int, end: str, keys: Any
     ) -> None:
-        """Search a tree pair on CUDA, in a launch of at most so many half warps."""
-        num_groups = min(len(items), num_groups)
+        """Search a tree pair on CUDA, with sixteen threads for each query."""
         launcher.launch(
             pair_search_on(self.topology.device, end, self.topology.has_lists, is_cuda=True),
-            num_groups * WIDTH,
-            inputs=[
-                search_range(0, int(tree_pair.kind), items, capacity, 0, marks_overflow, num_groups),
-                *self._searched(tree_pair),
-            ],
+            num_queries * WIDTH,
+            inputs=[part, *self._searched(tree_pair)],
             outputs=[self.counts, keys, self.minima],
         )
 
@@ -256,16 +247,11 @@ class Stages:
 
     def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair, *, marks_overflow: bool = False) -> None:
         """If there were more candidates than the list could take, search again, and cull each where it is found."""
-        self._search_in_half_warps(
-            launcher,
-            tree_pair,
-            range(tree_pair.query.primitives.count),
-            CULL,
-            self.keys[tree_pair.kind],
-            num_groups=_MOST_REST,
-            capacity=len(self.candidates[tree_pair.kind]),
-            marks_overflow=marks_overflow,
-        )
+        kind, count = tree_pair.kind, tree_pair.query.primitives.count
+        num_groups = min(count, _MOST_REST)
+        items = range(0, count, num_groups)
+        part = search_range(0, int(kind), items, len(self.candidates[kind]), marks_overflow=marks_overflow)
+        self._search_in_half_warps(launcher, tree_pair, part, num_groups, CULL, self.keys[kind])
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
         """A round of the narrow phase: lower the minima, and list the contacts.

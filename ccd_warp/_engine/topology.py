@@ -15,7 +15,6 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels import rest_order
 from ccd_warp.kernels.collision_filter import CollisionFilter
 
 if TYPE_CHECKING:
@@ -90,15 +89,15 @@ class Topology:
     def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
         self.mesh = mesh
         self.device = device
-        self.vertex_body = self._array(mesh.vertex_body)
+        self.vertex_body = self.array(mesh.vertex_body)
         has_worlds = mesh.num_worlds > 1
-        self.vertex_world = self._array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
-        self.world_shift = self._array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
+        self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
+        self.world_shift = self.array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
         vertex_static = mesh.static[mesh.vertex_body]
-        self.moving_vertices = self._array(np.flatnonzero(~vertex_static).astype(np.int32))
-        self.static_vertices = self._array(np.flatnonzero(vertex_static).astype(np.int32))
+        self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
+        self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
         self._sets: dict[tuple[str, bool], PrimitiveSet] = {}
-        self._orders: dict[str, tuple[wp.array, wp.array]] = {}
+        self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
 
     @staticmethod
     def of(mesh: "CollisionMesh", device: Any) -> "Topology":
@@ -113,7 +112,8 @@ class Topology:
         """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
         return [self.vertex_body, active, self.vertex_world, self.world_shift]
 
-    def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+    def array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        """Values on the device."""
         if self.device.is_capturing:  # the copy would be part of the graph, and not made now
             raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -121,7 +121,7 @@ class Topology:
     @lazy_property
     def corners(self) -> dict[str, wp.array]:
         """Vertices of every primitive, by kind and index; arrays of kinds that a mesh lacks are empty."""
-        return {name: self._array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+        return {name: self.array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
 
     @lazy_property
     def may_have_inactive_bodies(self) -> bool:
@@ -166,11 +166,11 @@ class Topology:
         name = f"{'static' if is_static else 'moving'} {kind}"
         if among is None and (mesh.static == is_static).all():
             ids = np.arange(len(body), dtype=np.int32)
-            return PrimitiveSet(name, is_static, num_corners, self._array(ids), self.corners[array])
+            return PrimitiveSet(name, is_static, num_corners, self.array(ids), self.corners[array])
         chosen = np.arange(len(body), dtype=np.int32) if among is None else among
         ids = chosen[mesh.static[body[chosen]] == is_static].astype(np.int32)
-        corners = self._array(self._corners_host(array)[ids], wp.vec3i)
-        return PrimitiveSet(name, is_static, num_corners, self._array(ids), corners)
+        corners = self.array(self._corners_host(array)[ids], wp.vec3i)
+        return PrimitiveSet(name, is_static, num_corners, self.array(ids), corners)
 
     @lazy_property
     def collision_filter(self) -> Any:
@@ -181,20 +181,20 @@ class Topology:
         collision_filter.vertex_body = self.vertex_body
         collision_filter.by_pair = int(mesh.body_pairs is not None)
         collision_filter.by_body = int(not mesh.self_collision.all() or collision_filter.by_pair)
-        collision_filter.self_collision = self._array(mesh.self_collision.astype(np.int32))
+        collision_filter.self_collision = self.array(mesh.self_collision.astype(np.int32))
         pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
-        collision_filter.body_pairs = self._array(pairs, wp.uint8)
+        collision_filter.body_pairs = self.array(pairs, wp.uint8)
         collision_filter.by_world = int(mesh.num_worlds > 1)
         collision_filter.vertex_world = self.vertex_world
         collision_filter.by_ring = int(mesh.exclusion_rings > 1 or "vertices" in mesh.exclude_pairs)
         collision_filter.ring_begin, collision_filter.ring = none, none
         if collision_filter.by_ring:
             collision_filter.ring_begin, collision_filter.ring = (
-                self._array(array) for array in excluded_vertices(mesh)
+                self.array(array) for array in excluded_vertices(mesh)
             )
         listed = [mesh.exclude_pairs.get(name, np.zeros((0, 2))).astype(np.int64) for name in _LISTED]
-        collision_filter.listed_begin = self._array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
-        collision_filter.listed = self._array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
+        collision_filter.listed_begin = self.array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
+        collision_filter.listed = self.array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
         collision_filter.by_listed_body = int(len(listed[-1]) > 0)
         collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
         collision_filter.applies = int(
@@ -207,60 +207,13 @@ class Topology:
         """Whether excluded pairs of bodies or of primitives are listed; those of vertices are part of the rings."""
         return any(name in self.mesh.exclude_pairs for name in _LISTED)
 
-    def rest_order(self, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
-        """Indices of the primitives and vertices of their blocks, in an order made for the undeformed mesh.
-
-        A surface bends but neighbours stay neighbours, so this order is made once and used as long as the blocks stay
-        small, which every step checks.
-        """
-        if primitives.name not in self._orders:
-            order = self.order_at(self.mesh._vertices_in_space, primitives, execution)
-            self._orders.setdefault(primitives.name, order)
-        return self._orders[primitives.name]
-
-    def order_at(
-        self, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
-    ) -> tuple[wp.array, wp.array]:
-        """The same for the mesh at other positions, computed anew."""
-        mesh = self.mesh
-        positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=self.device)
-        quantization = choose_quantization(self, (vertices, vertices), 1)
-        vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=self.device)
-        every = self._array(np.arange(mesh.num_vertices, dtype=np.int32))
-        active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=self.device)
-        execution.launch(
-            kernels.fill_vertex_aabbs,
-            mesh.num_vertices,
-            inputs=[every, *self.of_vertices(active), positions, positions, 1.0, 0.0, quantization, 1],
-            outputs=[vertex_aabbs],
-        )
-        order = wp.empty(primitives.count, dtype=wp.int64, device=self.device)
-        centres = wp.empty(primitives.count, dtype=wp.vec4f, device=self.device)
-        inputs = [primitives.corners, self.vertex_body, vertex_aabbs]
-        execution.launch(rest_order.fill_centres, primitives.count, inputs, [centres, order])
-        size = WIDTH << (primitives.num_blocks - 1).bit_length()
-        while size > WIDTH:
-            segments = -(-primitives.count // size)
-            execution.launch(rest_order.split_segments, segments, [centres, size], [order], grain=1)
-            size //= 2
-        primitive = wp.empty(primitives.count, dtype=wp.int32, device=self.device)
-        block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=self.device)
-        execution.launch(
-            kernels.apply_order,
-            primitives.num_blocks,
-            inputs=[order, -1, primitives.ids, primitives.corners],
-            outputs=[primitive, block_corners],
-            grain=64,
-        )
-        return primitive, block_corners
-
     @property
     def num_bytes(self) -> int:
         """Bytes on the device that belong to the mesh, not to a step."""
         arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
-        arrays += [array for order in self._orders.values() for array in order]
+        arrays += [array for order in self.orders.values() for array in order]
         collision_filter = self.collision_filter
         arrays += [
             collision_filter.self_collision,

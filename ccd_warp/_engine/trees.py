@@ -14,15 +14,15 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels import search_types
+from ccd_warp.kernels import half_warp_tree, search_types
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
-# Largest number of half warps of a search on CUDA; each takes every so many-th query.
-MOST_GROUPS = 1 << 22
+# Largest number of queries of a launch on CUDA, whose threads are numbered in 32 bits.
+MOST_QUERIES = 1 << 26
 
 
 class Tree:
@@ -86,8 +86,15 @@ def fill_trees(
     vertex_aabbs: Any,
     launcher: Execution | Recording,
     arrays_of: Callable[[Tree], Any] = lambda tree: tree.arrays,
+    only_if: wp.array | None = None,
 ) -> None:
-    """Compute the boxes of every level of trees from the vertex AABBs; a recording may take slots for both."""
+    """Compute the boxes of every level of trees from the vertex AABBs; a recording may take slots for both.
+
+    On CUDA the kernels do nothing if ``only_if`` is given and its number is 0.
+    """
+    if launcher.is_cuda:
+        _fill_in_half_warps(trees, vertex_aabbs, launcher, arrays_of, only_if)
+        return
     next_level = dict.fromkeys(trees, 2)
     with launcher.at_once():
         for tree in next_level:
@@ -97,7 +104,7 @@ def fill_trees(
         large = [
             tree
             for tree, level in next_level.items()
-            if level < len(tree.levels) and (launcher.is_cuda or tree.levels[level - 1] > _FEW_BOXES)
+            if level < len(tree.levels) and tree.levels[level - 1] > _FEW_BOXES
         ]
         if not large:
             break
@@ -112,6 +119,32 @@ def fill_trees(
             if level < len(tree.levels):
                 inputs = [level, tree.levels[level - 1]]
                 launcher.launch(kernels.unite_levels, 1, inputs, [arrays_of(tree)], grain=2)
+
+
+def _fill_in_half_warps(
+    trees: Iterable[Tree],
+    vertex_aabbs: Any,
+    launcher: Execution | Recording,
+    arrays_of: Callable[[Tree], Any],
+    only_if: wp.array | None,
+) -> None:
+    """`fill_trees` on CUDA: a launch fills the lowest two levels, and one each of those above."""
+    for tree in dict.fromkeys(trees):
+        num_aabbs, corners = tree.arrays.num_aabbs, tree.primitives.num_corners
+        if only_if is None:
+            only_if = wp.empty(0, dtype=wp.int32, device=tree.primitives.ids.device)
+        inputs = [only_if, vertex_aabbs, corners]
+        launcher.launch(
+            half_warp_tree.fill_leaves, tree.levels[0] * num_aabbs * WIDTH, inputs=inputs, outputs=[arrays_of(tree)]
+        )
+        for level in range(2, len(tree.levels)):
+            below, begin = sum(tree.levels[: level - 1]), sum(tree.levels[:level])
+            launcher.launch(
+                half_warp_tree.unite_rows,
+                tree.levels[level] * num_aabbs * BLOCK_FLOATS,
+                inputs=[only_if, below, begin, tree.levels[level - 1]],
+                outputs=[arrays_of(tree)],
+            )
 
 
 @dataclass(frozen=True)
@@ -161,12 +194,10 @@ def search_range(
     capacity: int = 0,
     first_key: int = 0,
     marks_overflow: bool = False,
-    num_groups: int = MOST_GROUPS,
 ) -> Any:
     """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
     packed = search_types.SearchRange()
     packed.first, packed.stride, packed.level = items.start, items.step, level
-    packed.count, packed.num_groups = len(items), num_groups
     packed.row, packed.first_key, packed.capacity = row, first_key, capacity
     packed.marks_overflow = int(marks_overflow)
     return packed

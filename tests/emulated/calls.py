@@ -79,7 +79,9 @@ def launches(case: StepCase, precision: str) -> Outputs:
         found |= outputs_of(result.contacts.points_at(t0, t1), f"points_at {dtype}") if not len(result.toi) else {}
         found |= outputs_of(result.to_host().contacts, f"to_host {dtype}")
     pipeline.reserve(vertices=end)
-    return found | outputs_of(pipeline.launch(_on_device(start, "float64"), _on_device(end, "float64")), "laid out anew")
+    return found | outputs_of(
+        pipeline.launch(_on_device(start, "float64"), _on_device(end, "float64")), "laid out anew"
+    )
 
 
 def launched_line_searches(case: StepCase, precision: str) -> Outputs:

@@ -69,7 +69,9 @@ def different(ours: Outputs, theirs: Outputs) -> list[str]:
         if a.shape != b.shape or a.dtype != b.dtype:
             lines.append(f"{name}: {a.dtype} {a.shape}, expected {b.dtype} {b.shape}")
         elif a.tobytes() != b.tobytes():
-            rows = np.flatnonzero([x.tobytes() != y.tobytes() for x, y in zip(np.atleast_1d(a), np.atleast_1d(b), strict=True)])
+            rows = np.flatnonzero(
+                [x.tobytes() != y.tobytes() for x, y in zip(np.atleast_1d(a), np.atleast_1d(b), strict=True)]
+            )
             shown = [f"[{row}] {np.atleast_1d(a)[row]}, expected {np.atleast_1d(b)[row]}" for row in rows[:3]]
             lines.append(f"{name}: {len(rows)} of {len(np.atleast_1d(a))} rows: {'; '.join(shown)}")
     return sorted(lines)
