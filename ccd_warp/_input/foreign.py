@@ -21,6 +21,11 @@ def speaks_dlpack(value: Any) -> bool:
     return hasattr(value, "__dlpack__") and not isinstance(value, type)
 
 
+def is_of_jax(value: Any) -> bool:
+    """Whether a value is an array of JAX."""
+    return type(value).__module__.partition(".")[0] in ("jax", "jaxlib")
+
+
 def reason_of(error: Exception) -> str:
     """The error message of another library on one line, and what was expected."""
     return f"{on_one_line(str(error))}; expected one that can"

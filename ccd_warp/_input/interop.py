@@ -7,11 +7,13 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._input.arguments import check_unmasked, shown
-from ccd_warp._input.foreign import place_of, reason_of, speaks_dlpack
+from ccd_warp._input.foreign import is_of_jax, place_of, reason_of, speaks_dlpack
 from ccd_warp._quiet import start_warp
 
-# Device type of CUDA in DLPack.
-_CUDA = 2
+# Device types of CUDA in DLPack: memory of a GPU, host memory that CUDA has pinned, and memory that it manages.
+_CUDA, _PINNED, _MANAGED = 2, 3, 13
+# The stream for which a library should make its array ready, by which it is told not to synchronize at all.
+_NO_SYNCHRONIZATION = -1
 _VECTORS = {
     3: {wp.float32: wp.vec3f, wp.float64: wp.vec3d},
     2: {wp.float32: wp.vec2f, wp.float64: wp.vec2d},
@@ -41,9 +43,29 @@ def as_warp(value: Any, name: str) -> wp.array:
         names = ", ".join(device.alias for device in wp.get_devices())
         raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
     try:
-        return wp.from_dlpack(value)  # type: ignore[return-value]
+        return wp.from_dlpack(_exported(value, kind, index))  # type: ignore[return-value]
     except Exception as error:  # whatever the other library raises
         raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error
+
+
+def _exported(value: Any, kind: int, index: int) -> Any:
+    """What ``wp.from_dlpack`` can take for an array: itself, or a capsule where Warp would name a wrong stream.
+
+    Warp names its current stream, and the library that owns the array lets that stream wait for its own: it records an
+    event there. While the stream is captured into a graph, CUDA refuses to wait for an event from outside the capture,
+    and the whole capture is lost. Nothing has to wait then, because nothing reads the array before the graph is
+    replayed; who replays it sees to the order.
+
+    References:
+        Array API standard, ``__dlpack__``: a stream of -1 says that the producer must not synchronize, and devices
+        without streams take None alone.
+    """
+    if kind == _PINNED:
+        return value.__dlpack__(stream=None)  # PyTorch refuses a stream here, because the tensor is on the CPU
+    if kind in (_CUDA, _MANAGED) and wp.get_cuda_device(index).is_capturing:
+        # JAX takes -1 for the address of a stream; without a stream it waits on the host, and no stream is touched
+        return value.__dlpack__(stream=None if is_of_jax(value) else _NO_SYNCHRONIZATION)
+    return value
 
 
 def check_writable(value: Any, name: str) -> None:
@@ -54,7 +76,7 @@ def check_writable(value: Any, name: str) -> None:
     """
     if isinstance(value, wp.array):
         return
-    if type(value).__module__.partition(".")[0] in ("jax", "jaxlib"):
+    if is_of_jax(value):
         raise ValueError(f"{name} is an array of JAX, which does not change; expected one that can be written to")
     if isinstance(value, np.ndarray) and not value.flags.writeable:
         raise ValueError(f"{name} is read-only; expected an array that can be written to")
