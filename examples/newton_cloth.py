@@ -55,8 +55,8 @@ def obstacle_meshes() -> list[trimesh.Trimesh]:
     return [ball, plate]
 
 
-def cloth_model(resolution: int) -> newton.Model:
-    """A cloth of ``resolution`` cells on each side above the obstacles, coloured for VBD, on the CPU."""
+def cloth_model(resolution: int, device: str = "cpu") -> newton.Model:
+    """A cloth of ``resolution`` cells on each side above the obstacles, coloured for VBD."""
     builder = newton.ModelBuilder()
     cell = CLOTH_SIDE / resolution
     builder.add_cloth_grid(
@@ -80,7 +80,7 @@ def cloth_model(resolution: int) -> newton.Model:
         shape = newton.Mesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32).ravel())
         builder.add_shape_mesh(body=-1, mesh=shape, cfg=contact)
     builder.color(include_bending=True)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=device)
     model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = STIFFNESS, 0.0, 0.3
     return model
 
@@ -261,11 +261,11 @@ def set_velocities(start: wp.array, state: newton.State, dt: float) -> None:
 class ClothThrow:
     """The simulation in one of the ``MODES``."""
 
-    def __init__(self, mode: str, resolution: int = 24) -> None:
+    def __init__(self, mode: str, resolution: int = 24, device: str = "cpu") -> None:
         if mode not in MODES:
             raise ValueError(f"mode is {mode!r}; expected one of {', '.join(map(repr, MODES))}")
         self.mode = mode
-        self.model = cloth_model(resolution)
+        self.model = cloth_model(resolution, device)
         self.mesh = collision_mesh(self.model)
         self.pipeline: newton.CollisionPipeline | None = None
         owned: dict = {}
@@ -338,9 +338,10 @@ def main() -> None:
     parser.add_argument("--mode", choices=MODES, default="iterations")
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--resolution", type=int, default=24, help="cells along a side of the cloth (default 24)")
+    parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    throw = ClothThrow(options.mode, options.resolution)
+    throw = ClothThrow(options.mode, options.resolution, options.device)
     print(f"{throw.model.particle_count} particles, {len(throw.mesh.faces)} faces, mode {options.mode}")
     seconds = []
     begin = time.perf_counter()

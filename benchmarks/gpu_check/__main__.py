@@ -1,0 +1,151 @@
+"""The command ``python -m ccd_warp.benchmarks.gpu_check``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import warp as wp
+from ccd_warp.benchmarks.gpu_check import precompile
+from ccd_warp.benchmarks.gpu_check.emulation import require_emulation
+from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint
+from ccd_warp.benchmarks.gpu_check.record import SUMMARY
+from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_ordered
+from ccd_warp.benchmarks.gpu_check.stages import NAMES
+from ccd_warp.benchmarks.gpu_check.summary import summary
+from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, EMULATED, Target
+
+_ROOT = Path(__file__).resolve().parents[2]  # of a checkout
+_MINUTES = 8.0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    result = argparse.ArgumentParser(
+        prog="python -m ccd_warp.benchmarks.gpu_check",
+        description="What a GPU answers and how fast, in at most eight minutes; docs/cuda.md says more.",
+    )
+    result.add_argument("--output", metavar="DIR", type=Path, help="folder of gpu_check.json and gpu_check.md")
+    result.add_argument("--device", metavar="NAME", help="Warp device (cuda:0); cpu rehearses, shortened")
+    result.add_argument("--emulated", action="store_true", help="run the CUDA source on the CPU, shortened")
+    result.add_argument("--minutes", metavar="X", type=float, default=_MINUTES, help="time for all stages (8)")
+    result.add_argument("--only", metavar="STAGE", nargs="+", help=f"stages to run: {', '.join(NAMES)} (all)")
+    result.add_argument("--again", action="store_true", help="measure anew what an earlier run has in --output")
+    result.add_argument("--tests", metavar="DIR", type=Path, help="folder of the tests (that of the checkout)")
+    result.add_argument("--examples", metavar="DIR", type=Path, help="folder of the examples (that of the checkout)")
+    result.add_argument(
+        "--precompile", metavar="DIR", type=Path, help="make cubins, without a GPU, and do nothing else"
+    )
+    result.add_argument(
+        "--arch", metavar="N", type=int, nargs="+", default=list(precompile.ARCHS), help="of --precompile (80 90 120)"
+    )
+    result.add_argument("--modules", metavar="WORD", nargs="+", default=[], help="of --precompile: only these modules")
+    result.add_argument("--precompiled", metavar="DIR", type=Path, help="folder that --precompile has filled")
+    result.add_argument("--stage", help=argparse.SUPPRESS)
+    return result
+
+
+def checked(given: argparse.Namespace) -> None:
+    """Check what can be checked before anything is started.
+
+    Raises:
+        ValueError: If an argument is wrong.
+    """
+    if given.output is None:
+        raise ValueError("output is not given; expected --output DIR, or --precompile DIR")
+    if not given.minutes > 0:
+        raise ValueError(f"minutes is {given.minutes}; expected a positive number")
+    for name in given.only or []:
+        if name not in NAMES:
+            raise ValueError(f"only holds {name!r}; expected some of {', '.join(NAMES)}")
+    if given.emulated and given.device not in (None, "cpu"):
+        raise ValueError(f"emulated is given with device {given.device!r}; expected no device, as it runs on the CPU")
+    for name in ("tests", "examples"):
+        folder = getattr(given, name)
+        if folder is not None and not folder.is_dir():
+            raise ValueError(f"{name} is {folder}; expected a folder")
+
+
+def target_of(given: argparse.Namespace) -> Target:
+    """The device that is checked.
+
+    Raises:
+        ValueError: If there is no such device.
+    """
+    if given.emulated:
+        return Target("cpu", EMULATED, is_short=True)
+    device = given.device or "cuda:0"
+    if device == "cpu":
+        return Target("cpu", CPU, is_short=True)
+    names = [each.alias for each in wp.get_devices()]
+    if device not in names:
+        raise ValueError(
+            f"device is {device!r}; expected one of {', '.join(names)} (--emulated and --device cpu need no GPU)"
+        )
+    return Target(device, CUDA)
+
+
+def check(given: argparse.Namespace) -> int:
+    """Run the stages, and write and print the summary.
+
+    Returns:
+        0 if every stage ended as it should, else 1.
+    """
+    checked(given)
+    folder: Path = given.output
+    folder.mkdir(parents=True, exist_ok=True)
+    if given.precompiled is not None:
+        print(precompile.check_folder(given.precompiled), flush=True)
+        precompile.use_in_all_processes(given.precompiled)
+    target = target_of(given)
+    places = {}
+    for name in ("tests", "examples"):
+        beside = _ROOT / name
+        places[name] = getattr(given, name) or (beside if beside.is_dir() else None)
+    settings = {"device": target.device, "kind": target.kind, "code": fingerprint(), "warp": wp.config.version}
+    journal = Journal(folder, settings, is_anew=given.again)
+    if journal.note:
+        print(journal.note, flush=True)
+    chosen = list(given.only or NAMES)
+    if given.only:
+        for name in chosen:
+            journal.raw["stages"].pop(name, None)
+    if given.emulated:
+        require_emulation(places["tests"])
+    run_all(target, places, journal, chosen, 60 * given.minutes, lambda line: print(line, flush=True))
+    lines = summary(journal.raw)
+    (folder / SUMMARY).write_text("\n".join(lines), encoding="utf-8")
+    print("\n" + "\n".join(lines))
+    return int(any("error" in journal.raw["stages"][name] for name in chosen))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command.
+
+    Returns:
+        Its exit status.
+    """
+    given = parser().parse_args(arguments)
+    wp.config.log_level = wp.LOG_WARNING
+    try:
+        if given.stage is not None:
+            precompile.use_named()
+            run_ordered(given.stage)
+            return 0
+        if given.precompile is not None:
+            given.precompile.mkdir(parents=True, exist_ok=True)
+            precompile.use(given.precompile, cubins=False)
+            precompile.precompile(given.precompile, given.arch, lambda line: print(line, flush=True), given.modules)
+            return 0
+        return check(given)
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the stages that have ended are kept, and the same command goes on from there")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Stage: a million and ten million queries of the pair functions, in both precisions, by threads a block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks.gpu_check.cases import PAIRS, PRECISIONS
+from ccd_warp.benchmarks.gpu_check.modules import BLOCK_DIMS
+from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.target import Target, launched_with, middle
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+
+COLLIDING, CULLED = "colliding", "culled"
+MANY, FEW = 10_000_000, 1_000_000
+_REPEATS = 5
+_DIFFERENT = 100_000  # queries that are different; the others are copies of them at other places in memory
+_DEFAULT = 256  # threads a block where nothing is said
+
+
+def run(target: Target, record: Record, **_: Any) -> None:
+    """Measure: first what the goals are stated for, then the other kinds, sizes and blocks."""
+    counts = (2_000, 200) if target.is_short else (MANY, FEW)
+    points = {}
+    for what, kind, count, precision, block_dim in plan(counts):
+        name = f"{count:,} {what} {kind} queries, {precision}, {block_dim} threads a block"
+        if not record.has_time(name, 0.2 if target.is_short else 1.0):
+            continue
+        key = (what, kind)
+        if key not in points:
+            points.clear()  # the largest take 4 GB
+            points[key] = [tiled(target, x, counts[0]) for x in some_points(what, kind, min(counts[0], _DIFFERENT))]
+        start, end = (array[:count] for array in points[key])
+        measure(target, record, start, end, what, kind, precision, block_dim, name)
+
+
+def plan(counts: tuple[int, int]) -> Iterator[tuple[str, str, int, str, int]]:
+    """What, kind, number, precision and threads a block of every measurement, in order of importance."""
+    many, few = counts
+    kinds = ("vertex-face", "edge-edge")
+    for kind in kinds:
+        for what in (COLLIDING, CULLED):
+            for precision in PRECISIONS:
+                for block_dim in (_DEFAULT, *(dim for dim in BLOCK_DIMS if dim != _DEFAULT)):
+                    for count in (many, few):
+                        yield what, kind, count, precision, block_dim
+
+
+def some_points(what: str, kind: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Different queries: all of them touch, or none does and the first direction proves it."""
+    rng = np.random.default_rng(3)
+    start, end = FAMILIES["random_colliding"](kind, count, rng)
+    if what == COLLIDING:
+        return start, end
+    first = slice(0, 1) if kind == "vertex-face" else slice(0, 2)
+    for points in (start, end):  # one side is far above the other throughout
+        size = np.abs(points).max(axis=(1, 2))
+        points[:, first, 2] += 4.0 * np.maximum(size, 1.0)[:, None]
+    return start, end
+
+
+def tiled(target: Target, points: np.ndarray, count: int) -> wp.array:
+    """Points on the device, repeated up to a number of queries."""
+    some = target.array(points, wp.vec3d)
+    all_points = wp.empty((count, points.shape[1]), dtype=wp.vec3d, device=target.device)
+    for begin in range(0, count, len(points)):
+        part = all_points[begin : min(begin + len(points), count)]
+        wp.copy(part, some[: part.shape[0]])
+    return all_points
+
+
+def measure(
+    target: Target,
+    record: Record,
+    start: wp.array,
+    end: wp.array,
+    what: str,
+    kind: str,
+    precision: str,
+    block_dim: int,
+    name: str,
+) -> None:
+    """One measurement, by events, with the share of the queries that touch."""
+    results = []
+
+    def call() -> None:
+        results[:] = [PAIRS[kind](start, end, precision=precision, length_scale=1.0)]  # type: ignore[arg-type]
+
+    with launched_with(block_dim):
+        seconds = middle(target.seconds_on_device(call, 2 if target.is_short else _REPEATS))
+    count = len(start)
+    touching = int(np.isfinite(results[0].toi[: min(count, _DIFFERENT)].numpy()).sum())
+    record.add(
+        f"{name}: {count / seconds['median'] / 1e9:.3f} G queries a second",
+        what=what,
+        kind=kind,
+        count=count,
+        precision=precision,
+        block_dim=block_dim,
+        seconds=seconds,
+        queries_a_second=count / seconds["median"],
+        share_touching=touching / min(count, _DIFFERENT),
+    )

@@ -1,0 +1,90 @@
+"""What a stage is given: the time that it has, and the record to which it adds; and the file of all records."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+FILE = "gpu_check.json"
+SUMMARY = "gpu_check.md"
+# How a stage can have ended.
+DONE, FAILED, STOPPED, LEFT_OUT = "done", "failed", "stopped", "left out"
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a file whole or not at all: beside the old one first, then in its place."""
+    new = path.with_suffix(f".{os.getpid()}.new")
+    new.write_text(json.dumps(value, indent=1, default=_plain) + "\n", encoding="utf-8")
+    os.replace(new, path)
+
+
+def read_json(path: Path) -> Any:
+    """What a file holds, or None where there is no such file, or not a whole one."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers as Python's."""
+    return value.item() if hasattr(value, "item") else str(value)
+
+
+@dataclass
+class Record:
+    """The record of a stage, kept on disk from row to row, so that what ends the process loses no row.
+
+    Attributes:
+        path: Its file, or None where it stays in memory.
+        seconds: The time that the stage has.
+        say: Called with a line for people.
+        rows: What was measured, in order.
+        left_out: What was not done, each with the reason.
+    """
+
+    path: Path | None
+    seconds: float
+    say: Callable[[str], None]
+    rows: list[dict] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    _begin: float = field(default_factory=time.perf_counter)
+
+    def left(self) -> float:
+        """Seconds that are left of the stage's time."""
+        return self.seconds - (time.perf_counter() - self._begin)
+
+    def add(self, line: str | None = None, **row: Any) -> None:
+        """Keep a row, and say a line about it."""
+        self.rows.append(row)
+        self._write()
+        if line is not None:
+            self.say(line)
+
+    def leave_out(self, what: str, why: str) -> None:
+        """Note what is not done."""
+        self.left_out.append(f"{what}: {why}")
+        self._write()
+        self.say(f"left out: {what}: {why}")
+
+    def has_time(self, what: str, seconds: float = 0.0) -> bool:
+        """Whether so many seconds are left; where they are not, what does not fit is noted."""
+        if self.left() > seconds:
+            return True
+        self.leave_out(what, "no time was left")
+        return False
+
+    def as_json(self, status: str, error: str | None = None) -> dict:
+        """The record with how the stage ended."""
+        seconds = round(time.perf_counter() - self._begin, 2)
+        record: dict[str, Any] = {"status": status, "seconds": seconds, "rows": self.rows, "left_out": self.left_out}
+        return record if error is None else {**record, "error": error}
+
+    def _write(self) -> None:
+        if self.path is not None:
+            write_json(self.path, self.as_json(STOPPED))

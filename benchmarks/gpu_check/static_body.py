@@ -1,0 +1,54 @@
+"""Stage: launches in which a static body moves, so that its boxes are made anew, beside those in which it stays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.target import Target, middle
+from ccd_warp.benchmarks.scenes import grid, sphere
+
+import ccd_warp as ccd
+
+_REPEATS = 9
+
+
+def run(target: Target, record: Record, **_: Any) -> None:
+    """Move a static ball of many faces to and fro, and compare with a launch that has never seen it elsewhere."""
+    num_faces = 1_000 if target.is_short else 200_000
+    repeats = 2 if target.is_short else _REPEATS
+    ball, faces = sphere(num_faces, 0.5)
+    sheet, sheet_faces = grid(20, 20)
+    sheet = sheet + [0, 0, 0.53]
+    mesh = ccd.CollisionMesh.from_arrays([(sheet, sheet_faces), (ball, faces)], static=[1])
+    is_static = np.repeat([0.0, 1.0], [len(sheet), len(ball)])[:, None]
+    start = np.concatenate([sheet, ball])
+    end = start - 0.02 * (1 - is_static) * [0, 0, 1]
+    moved = start + 0.01 * is_static
+    arrays = [target.array(x, wp.vec3d) for x in (start, moved)]
+    wished = target.array(end, wp.vec3d)
+    pipeline = ccd.CollisionPipeline(mesh, device=target.device)
+    turn = iter(range(10**9))
+    calls = {
+        "stays": lambda: pipeline.launch(arrays[0], wished),
+        "moves": lambda: pipeline.launch(arrays[next(turn) % 2], wished),
+    }
+    seconds, kernels = {}, {}
+    for name, call in calls.items():
+        seconds[name] = middle(target.seconds_on_device(call, repeats))
+        call()
+        kernels[name] = target.kernel_seconds(call)
+    toi = pipeline.launch(arrays[1], wished).vertex_toi.numpy()
+    fresh = ccd.CollisionPipeline(mesh, device=target.device).launch(arrays[1], wished).vertex_toi.numpy()
+    num_different = int((toi != fresh).sum())
+    record.add(
+        f"static body of {len(faces):,} faces: {seconds['stays']['median'] * 1e3:.3f} ms a launch where it stays, "
+        f"{seconds['moves']['median'] * 1e3:.3f} ms where it moves; {num_different} tois differ",
+        faces=len(faces),
+        seconds=seconds,
+        kernels=kernels,
+        different=num_different,
+        touching=int(np.isfinite(toi).sum()),
+    )

@@ -1,0 +1,97 @@
+"""Small scenes made by code: each kind of body, pair and mesh option at least once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from ccd_warp.benchmarks.scenes import grid
+
+import ccd_warp as ccd
+
+
+@dataclass(frozen=True)
+class Step:
+    """A mesh and its positions at both ends of a step."""
+
+    name: str
+    mesh: ccd.CollisionMesh
+    start: np.ndarray
+    end: np.ndarray
+
+    def named(self, name: str) -> Step:
+        """The same with another name."""
+        return Step(name, self.mesh, self.start, self.end)
+
+
+def sheet_over_ball(rows: int, *, static: bool = True, **options: Any) -> Step:
+    """A wavy sheet that falls through a ball, which turns a little if it is not static."""
+    sheet, faces = grid(rows, rows, 1.0, 1.0)
+    sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    bodies = [(sheet, faces), (np.asarray(ball.vertices), ball.faces)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if static else [], **options)
+    start = np.concatenate([sheet + [0.013, 0.007, 0.4], ball.vertices])
+    end = start.copy()
+    end[: len(sheet), 2] -= 0.35
+    if not static:
+        end[len(sheet) :] = ball.vertices @ trimesh.transformations.rotation_matrix(0.3, [1, 2, 3])[:3, :3].T
+    return Step("sheet over ball", mesh, start, end)
+
+
+def crowd(num_faces: int, **options: Any) -> Step:
+    """Faces at random places that move at random and share vertices, in two bodies, with cables and particles."""
+    rng = np.random.default_rng(5)
+    count = 3 * num_faces
+    bodies, positions = [], []
+    for _ in range(2):
+        at = np.repeat(rng.random((num_faces, 1, 3)), 3, axis=1).reshape(-1, 3)
+        at += 0.08 * rng.standard_normal((count, 3))
+        edges = np.stack([np.arange(0, 30, 3), np.arange(4, 34, 3)], axis=1)
+        bodies.append((at, np.arange(count).reshape(-1, 3) % (count - 9), edges))
+        positions.append(at)
+    start = np.concatenate(positions)
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **options)
+    return Step("crowd", mesh, start, start + 0.1 * rng.standard_normal(start.shape))
+
+
+def worlds(count: int) -> Step:
+    """Copies of a sheet over a static ball in worlds of their own; each moves a little differently."""
+    one = sheet_over_ball(5)
+    start = np.tile(one.start, (count, 1))
+    move = np.tile(one.end - one.start, (count, 1))
+    move *= np.repeat(np.linspace(0.2, 1.2, count), len(one.start))[:, None]
+    return Step(f"{count} worlds", one.mesh.replicate(count), start, start + move)
+
+
+def polygons() -> Step:
+    """Two polygons in the plane that turn through each other."""
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.where(np.arange(24) % 2, 1.0, 0.6)[:, None]
+    edges = np.stack([np.arange(24), (np.arange(24) + 1) % 24], axis=1)
+    mesh = ccd.CollisionMesh.from_arrays([(ring, edges), (ring + [1.7, 0.1], edges)])
+    start = np.concatenate([ring, ring + [1.9, 0.1]])
+    return Step("polygons", mesh, start, np.concatenate([ring @ [[0.8, 0.6], [-0.6, 0.8]], ring + [1.4, 0.1]]))
+
+
+def all_steps(is_short: bool) -> list[Step]:
+    """The scenes, each small, or large enough for many blocks of threads."""
+    rows, faces = (6, 24) if is_short else (80, 600)
+    excluded = {"vertex_face": [[0, 1], [2, 20], [5, 9]], "edge_edge": [[0, 9], [3, 40]], "bodies": [[0, 0]]}
+    steps = [
+        sheet_over_ball(rows),
+        crowd(faces),
+        crowd(faces, exclude_pairs=excluded).named("crowd without some pairs"),
+        worlds(3 if is_short else 40),
+        polygons(),
+    ]
+    if not is_short:
+        apart = np.array([[True, False], [False, True]])
+        steps += [
+            sheet_over_ball(rows, static=False, self_collision=[True, False]).named("sheet over a turning ball"),
+            crowd(faces, exclusion_rings=2).named("crowd without neighbours"),
+            crowd(faces, body_pairs=apart).named("crowd of bodies apart"),
+        ]
+    return steps

@@ -1,0 +1,65 @@
+"""Stage: the tests of the package that run on a CUDA device, where their folder is at hand."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.target import Target
+
+# Tests with the fixture `device` have "cuda:0" in their names; the emulation and the compilation to PTX need no GPU.
+_CHOSEN = "cuda and not emulated"
+_WITHOUT = ("test_cuda.py", "test_cuda_code.py", "test_gpu_check.py")
+_OUTCOME = re.compile(r"^(\S+::.*?) (PASSED|FAILED|SKIPPED|ERROR|XFAIL|XPASS)\b", re.MULTILINE)
+_PLUGIN = "ccd_warp.benchmarks.gpu_check.pytest_cubins"
+_LATE = 8.0  # seconds that pytest has to stop after an interrupt
+
+
+def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None:
+    """Run the tests within the time of the stage, and count how they ended."""
+    if tests is None:
+        record.leave_out("the tests", "their folder is not at hand; --tests names it")
+        return
+    if importlib.util.find_spec("pytest") is None:
+        record.leave_out("the tests", "pytest is not installed")
+        return
+    command = [sys.executable, "-m", "pytest", str(tests), "-v", "--tb=short", "-p", "no:cacheprovider", "-k", _CHOSEN]
+    command += ["-p", _PLUGIN]
+    command += ["--continue-on-collection-errors", *(f"--ignore={tests / name}" for name in _WITHOUT)]
+    process = subprocess.Popen(command, cwd=tests.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    is_cut = False
+    try:
+        said, _ = process.communicate(timeout=max(record.left() - _LATE, 1.0))
+    except subprocess.TimeoutExpired:
+        is_cut = True
+        process.send_signal(signal.SIGINT)
+        try:
+            said, _ = process.communicate(timeout=_LATE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            said, _ = process.communicate()
+    counts, failed = outcomes(said)
+    if is_cut:
+        record.leave_out("the tests that are not counted", "no time was left")
+    record.add(
+        ", ".join(f"{count} {outcome.lower()}" for outcome, count in counts.items()) or "no test ran",
+        counts=counts,
+        failed=failed,
+        status=process.returncode,
+        output=said[-6000:] if failed or not counts else "",
+    )
+
+
+def outcomes(said: str) -> tuple[dict[str, int], list[str]]:
+    """How many tests ended in which way, and the names of those that failed, in what ``pytest -v`` says."""
+    found = _OUTCOME.findall(said)
+    counts = Counter(outcome for _, outcome in found)
+    counts["ERROR"] += len(re.findall(r"^ERROR (?!.*::)\S+\.py", said, re.MULTILINE))  # files that cannot be imported
+    return {k: n for k, n in counts.items() if n}, [name for name, outcome in found if outcome in ("FAILED", "ERROR")]
