@@ -157,12 +157,9 @@ def launched(result: ccd.LaunchResult, *, with_contacts: bool = True) -> Arrays:
     return arrays | contact_arrays(result.to_host().contacts)
 
 
-CAPACITIES = {"max_pairs": 1 << 20, "max_contacts": 1 << 18}
-
-
 def launch(step: Step, real: Any, options: dict[str, Any], how: str, device: str) -> Arrays:
     """A launch: of positions, or as ``how`` says."""
-    pipeline = ccd.CollisionPipeline(step.mesh, device=device, **CAPACITIES, **options)
+    pipeline = ccd.CollisionPipeline(step.mesh, device=device, **step.capacities, **options)
     pipeline.reserve(vertices=step.start)
     start, end = positions(step, real, device)
     if how == "displacements":
@@ -199,7 +196,7 @@ def overflow(step: Step, device: str) -> Arrays:
 
 def launch_line_search(step: Step, per: str, real: Any, device: str) -> Arrays:
     """The line search on the device, in place."""
-    pipeline = ccd.CollisionPipeline(step.mesh, device=device, **CAPACITIES)
+    pipeline = ccd.CollisionPipeline(step.mesh, device=device, **step.capacities)
     start, end = positions(step, real, device)
     result = pipeline.launch_line_search(start, end, per=per)  # type: ignore[arg-type]
     return {"vertices_t1": host(end), "world_toi": host(result.world_toi), "flags": host(result.flags)}

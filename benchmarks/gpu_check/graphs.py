@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.cases import CAPACITIES, PER, host
+from ccd_warp.benchmarks.gpu_check.cases import PER, host
 from ccd_warp.benchmarks.gpu_check.record import Record
 from ccd_warp.benchmarks.gpu_check.steps import Step, worlds
 from ccd_warp.benchmarks.gpu_check.target import Target
@@ -19,14 +19,14 @@ from ccd_warp.benchmarks.gpu_check.target import Target
 import ccd_warp as ccd
 
 REPLAYS = 100
-_PHASES = 4  # different motions among which the replays go round
+_PHASES = 2  # different motions among which the replays go round
 KINDS = ("launch", *(f"line search per {per}" for per in PER))
 
 
 def run(target: Target, record: Record, **_: Any) -> None:
     """Capture and replay; the results must be those that the CPU gives without a graph."""
-    count = 3 if target.is_short else 40
-    replays = 8 if target.is_short else REPLAYS
+    count = 2 if target.is_short else 40
+    replays = _PHASES if target.is_short else REPLAYS
     step = worlds(count)
     ends = [step.start + (0.3 + 0.3 * k) * (step.end - step.start) for k in range(_PHASES)]
     expected = {kind: [without_graph(step, end, kind) for end in ends] for kind in KINDS}
@@ -63,7 +63,7 @@ def arrays_of(result: ccd.LaunchResult, end: np.ndarray) -> dict[str, np.ndarray
 
 def without_graph(step: Step, end: np.ndarray, kind: str) -> dict[str, np.ndarray]:
     """What the CPU gives, called directly."""
-    pipeline = ccd.CollisionPipeline(step.mesh, device="cpu", **CAPACITIES)
+    pipeline = ccd.CollisionPipeline(step.mesh, device="cpu", **step.capacities)
     start, wished = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (step.start, end))
     result = caller(pipeline, kind)(start, wished)
     return arrays_of(result, wished.numpy())
@@ -108,7 +108,7 @@ def replay(
         given = [wp.to_torch(array).clone() for array in (start, wished)]
         wished = wp.from_torch(given[1], dtype=wp.vec3d)
     motions = [wp.array(end, dtype=wp.vec3d, device=target.device) for end in ends]
-    pipeline = ccd.CollisionPipeline(step.mesh, device=target.device, **CAPACITIES)
+    pipeline = ccd.CollisionPipeline(step.mesh, device=target.device, **step.capacities)
     call = caller(pipeline, kind)
     call(*given)
     target.wait()

@@ -17,7 +17,6 @@ COLLIDING, CULLED = "colliding", "culled"
 MANY, FEW = 10_000_000, 1_000_000
 _REPEATS = 5
 _DIFFERENT = 100_000  # queries that are different; the others are copies of them at other places in memory
-_DEFAULT = 256  # threads a block where nothing is said
 
 
 def run(target: Target, record: Record, **_: Any) -> None:
@@ -25,7 +24,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
     counts = (2_000, 200) if target.is_short else (MANY, FEW)
     points = {}
     for what, kind, count, precision, block_dim in plan(counts):
-        name = f"{count:,} {what} {kind} queries, {precision}, {block_dim} threads a block"
+        name = f"{count:,} {what} {kind} queries, {precision}, {block_dim or 'its own'} threads a block"
         if not record.has_time(name, 0.2 if target.is_short else 1.0):
             continue
         key = (what, kind)
@@ -36,14 +35,14 @@ def run(target: Target, record: Record, **_: Any) -> None:
         measure(target, record, start, end, what, kind, precision, block_dim, name)
 
 
-def plan(counts: tuple[int, int]) -> Iterator[tuple[str, str, int, str, int]]:
+def plan(counts: tuple[int, int]) -> Iterator[tuple[str, str, int, str, int | None]]:
     """What, kind, number, precision and threads a block of every measurement, in order of importance."""
     many, few = counts
     kinds = ("vertex-face", "edge-edge")
     for kind in kinds:
         for what in (COLLIDING, CULLED):
             for precision in PRECISIONS:
-                for block_dim in (_DEFAULT, *(dim for dim in BLOCK_DIMS if dim != _DEFAULT)):
+                for block_dim in (None, *BLOCK_DIMS):  # its own first
                     for count in (many, few):
                         yield what, kind, count, precision, block_dim
 
@@ -79,7 +78,7 @@ def measure(
     what: str,
     kind: str,
     precision: str,
-    block_dim: int,
+    block_dim: int | None,
     name: str,
 ) -> None:
     """One measurement, by events, with the share of the queries that touch."""

@@ -21,6 +21,11 @@ class Step:
     start: np.ndarray
     end: np.ndarray
 
+    @property
+    def capacities(self) -> dict[str, int]:
+        """Capacities of a launch that suffice."""
+        return {"max_pairs": max(1 << 12, 64 * len(self.start)), "max_contacts": max(1 << 12, 8 * len(self.start))}
+
     def named(self, name: str) -> Step:
         """The same with another name."""
         return Step(name, self.mesh, self.start, self.end)

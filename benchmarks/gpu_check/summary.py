@@ -81,7 +81,7 @@ def goal_table(raw: dict) -> list[str]:
                 f"over {goal / 1e9:.0f} G",
                 "–"
                 if best is None
-                else f"{best['queries_a_second'] / 1e9:.3f} G ({best['block_dim']} threads a block)",
+                else f"{best['queries_a_second'] / 1e9:.3f} G ({best['block_dim'] or 'its own'} threads a block)",
                 met(None if best is None or not is_real else best["queries_a_second"] > goal),
             ]
         )
@@ -135,14 +135,18 @@ def kernel_table(raw: dict) -> list[str]:
 def query_table(raw: dict) -> list[str]:
     """Rates by threads a block."""
     rows = rows_of(raw, "queries")
-    dims = sorted({row["block_dim"] for row in rows})
+    dims = sorted({row["block_dim"] for row in rows}, key=lambda dim: dim or 0)
     rates = {(r["what"], r["kind"], r["count"], r["precision"], r["block_dim"]): r["queries_a_second"] for r in rows}
     cells = []
     for key in dict.fromkeys(key[:4] for key in rates):
         found = [rates.get((*key, dim)) for dim in dims]
         said = ["–" if rate is None else f"{rate / 1e9:.3f}" for rate in found]
         cells.append([f"{key[2]:,} {key[0]} {key[1]}", key[3], *said])
-    return table(["G queries a second", "precision", *(f"{dim} threads" for dim in dims)], cells) if rows else []
+    return (
+        table(["G queries a second", "precision", *(f"{dim or 'its own'} threads a block" for dim in dims)], cells)
+        if rows
+        else []
+    )
 
 
 def broad_phase_table(raw: dict) -> list[str]:

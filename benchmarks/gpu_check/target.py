@@ -33,6 +33,11 @@ class Target:
     is_short: bool = False
 
     @property
+    def stride(self) -> int:
+        """Every which case is compared: the emulation is slow, and has tests of its own; the CPU is equal to itself."""
+        return {CUDA: 1, EMULATED: 13, CPU: 5}[self.kind]
+
+    @property
     def is_real(self) -> bool:
         """Whether it is a GPU."""
         return self.kind == CUDA
@@ -101,9 +106,12 @@ def middle(seconds: list[float]) -> dict[str, float]:
 
 
 @contextmanager
-def launched_with(block_dim: int):
-    """Let every launch within have a number of threads a block; the CPU has blocks of one thread."""
+def launched_with(block_dim: int | None):
+    """Let every launch within have a number of threads a block, its own if None; the CPU has blocks of one thread."""
     launch = wp.launch
+    if block_dim is None:
+        yield
+        return
 
     def with_block_dim(*arguments: Any, **options: Any) -> Any:
         return launch(*arguments, **{**options, "block_dim": block_dim})

@@ -1,0 +1,331 @@
+"""The check for a first GPU: rehearsed from beginning to end, and when a stage fails, hangs or is resumed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from ccd_warp.benchmarks.gpu_check import __main__ as command
+from ccd_warp.benchmarks.gpu_check import bits, broad_phases, precompile, runner, sanitizer, stages, suite, summary
+from ccd_warp.benchmarks.gpu_check.record import DONE, FAILED, LEFT_OUT, STOPPED, Record, read_json
+from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_stage
+from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, Target, launched_with
+
+TESTS = Path(__file__).resolve().parent
+NEEDS_GPU = {"tests", "sanitizer"}
+
+
+def records(folder):
+    return json.loads((folder / "gpu_check.json").read_text())["stages"]
+
+
+def rehearse(folder, *more):
+    """Run the command as a user does, in this process, and return its status."""
+    return command.main(["--output", str(folder), *more])
+
+
+# --- from beginning to end ---
+
+
+def check_whole(folder, kind):
+    """Every stage has said something, nothing has failed, and no bit is different."""
+    found = records(folder)
+    assert list(found) == list(stages.NAMES)
+    assert {name for name, stage in found.items() if stage["status"] == LEFT_OUT} == NEEDS_GPU
+    assert {stage["status"] for stage in found.values()} == {DONE, LEFT_OUT}
+    for name in NEEDS_GPU:
+        assert found[name]["left_out"] == [f"not on the {kind}"]
+    total = found["bits"]["rows"][-1]
+    assert (
+        total["cases"] >= (15 if kind == "emulation" else 200)
+        and total["different_cases"] == total["failed_cases"] == 0
+    )
+    assert {row["kind"] for row in found["graphs"]["rows"] if row["different"] == 0} >= {"launch"}
+    assert all(row["different"] == 0 for row in found["graphs"]["rows"])
+    for name in ("kernels", "queries", "broad phases", "reserve", "static body"):
+        assert found[name]["rows"], name
+    touching = {row["what"]: row["share_touching"] for row in found["queries"]["rows"]}
+    assert touching == {"colliding": 1.0, "culled": 0.0}
+    text = (folder / "gpu_check.md").read_text()
+    assert "| bits as on the CPU | all |" in text and text.count("| met |") == 1
+    assert "This is a rehearsal" in text and "not known" in text
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_rehearsal_on_the_cpu(tmp_path, capsys):
+    assert rehearse(tmp_path, "--device", "cpu") == 0
+    check_whole(tmp_path, "CPU")
+    said = capsys.readouterr().out
+    assert "== bits: done in" in said and "## Goals" in said
+
+
+def test_emulated_from_beginning_to_end(tmp_path, capsys):
+    build = pytest.importorskip("emulated.build", reason="the emulation is not at hand")
+    if build.compiler() is None:
+        pytest.skip("no C++ compiler was found")
+    assert rehearse(tmp_path, "--emulated", "--tests", str(TESTS)) == 0, capsys.readouterr().out[-3000:]
+    check_whole(tmp_path, "emulation")
+
+
+# --- what goes wrong ---
+
+
+def stage(run, name="newton", **options):
+    return stages.Stage(name, "what it does", run, 1.0, **options)
+
+
+def run_in(folder, chosen, monkeypatch, *, is_anew=False, settings=None, kind=CPU, seconds=20.0):
+    monkeypatch.setattr(runner, "STAGES", tuple(chosen))
+    said = []
+    journal = Journal(folder, settings or {"code": "1"}, is_anew=is_anew)
+    target = Target("cpu", kind, is_short=True)
+    run_all(target, {}, journal, [each.name for each in chosen], seconds, said.append)
+    return said, journal
+
+
+def raise_error(target, record, **_):
+    record.add("before", number=1)
+    raise RuntimeError("illegal address")
+
+
+def test_stage_that_raises_keeps_its_rows_and_the_next_one_runs(tmp_path, monkeypatch):
+    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: record.add("after", number=2), "queries")]
+    said, _ = run_in(tmp_path, chosen, monkeypatch)
+    found = records(tmp_path)
+    assert found["bits"]["status"] == FAILED and found["bits"]["rows"] == [{"number": 1}]
+    assert "RuntimeError: illegal address" in found["bits"]["error"]
+    assert found["queries"] == {
+        "status": DONE,
+        "seconds": found["queries"]["seconds"],
+        "rows": [{"number": 2}],
+        "left_out": [],
+    }
+    assert any("illegal address" in line for line in said)
+
+
+def test_second_run_keeps_what_is_done_and_repeats_what_failed(tmp_path, monkeypatch):
+    calls = []
+    good = stage(lambda target, record, **_: calls.append("good"), "queries")
+    run_in(tmp_path, [stage(raise_error, "bits"), good], monkeypatch)
+    repaired = stage(lambda target, record, **_: calls.append("repaired"), "bits")
+    _, journal = run_in(tmp_path, [repaired, good], monkeypatch)
+    assert calls == ["good", "repaired"]
+    assert "1 stages are kept" in journal.note
+    run_in(tmp_path, [repaired, good], monkeypatch, is_anew=True)
+    assert calls == ["good", "repaired", "repaired", "good"]
+
+
+def test_records_of_other_code_are_set_aside(tmp_path, monkeypatch):
+    good = stage(lambda target, record, **_: None, "queries")
+    run_in(tmp_path, [good], monkeypatch)
+    _, journal = run_in(tmp_path, [good], monkeypatch, settings={"code": "2"})
+    assert "gpu_check.old.json" in journal.note
+    assert json.loads((tmp_path / "gpu_check.old.json").read_text())["settings"] == {"code": "1"}
+
+
+def test_stage_whose_process_hangs_is_ended_and_keeps_its_rows(tmp_path, monkeypatch):
+    """The process is another program here, which writes a row and then never ends."""
+    program = (
+        "import json, sys, time; order = json.loads(sys.argv[-1]);"
+        "open(order['record'], 'w').write(json.dumps({'status': 'stopped', 'rows': [{'n': 1}], 'left_out': []}));"
+        "time.sleep(600)"
+    )
+    popen = subprocess.Popen
+    monkeypatch.setattr(
+        runner.subprocess,
+        "Popen",
+        lambda command, **options: popen([sys.executable, "-c", program, command[-1]], **options),
+    )
+    monkeypatch.setattr(runner, "_GRACE", 1.0)
+    after = stage(lambda target, record, **_: None, "queries")
+    hanging = stage(raise_error, "bits")
+    run_in(tmp_path, [hanging, after], monkeypatch, kind=CUDA, seconds=2.0)
+    found = records(tmp_path)["bits"]
+    assert found["status"] == STOPPED and found["rows"] == [{"n": 1}]
+    assert "was ended" in found["error"]
+    assert not (tmp_path / "gpu_check.stage.json").exists()
+
+
+def test_stage_runs_in_a_process_of_its_own(tmp_path):
+    """As on a GPU: the process is ordered to run a stage on the CPU, and leaves its record in a file."""
+    target = Target("cpu", CPU, is_short=True)
+    chosen = next(each for each in stages.STAGES if each.name == "machine")
+    record = runner._run_apart(chosen, target, {"tests": None, "examples": TESTS}, tmp_path, 30.0)
+    assert record["status"] == DONE, record
+    assert any("versions" in row for row in record["rows"])
+
+
+def test_file_that_is_not_whole_is_no_record(tmp_path):
+    (tmp_path / "gpu_check.json").write_text('{"stages": {"bits"')
+    assert read_json(tmp_path / "gpu_check.json") is None
+    assert Journal(tmp_path, {}, is_anew=False).raw["stages"] == {}
+
+
+def test_what_there_is_no_time_for_is_said():
+    said = []
+    record = Record(None, 0.0, said.append)
+    bits.run(Target("cpu", CPU, is_short=True), record)
+    assert "no time was left" in record.left_out[0] and said
+    raw = {"settings": {"kind": CUDA}, "stages": {"bits": record.as_json(DONE)}}
+    assert "| bits as on the CPU | all | 0 arrays of 0 calls, 0 calls differ | not known |" in summary.goal_table(raw)
+
+
+def test_difference_in_one_bit_is_found_and_described():
+    expected = {"toi": np.array([0.5, np.inf, np.nan]), "status": np.arange(3), "only": np.zeros(1)}
+    found = {"toi": np.array([np.nextafter(0.5, 1), np.inf, np.nan]), "status": np.arange(3)}
+    differing = bits.differences(expected, found)
+    assert set(differing) == {"toi", "only"}
+    assert differing["toi"].startswith("1 of 3, first at (0,)")
+    assert "float64 (1,) on the CPU" in bits.differences({"a": np.zeros(1)}, {"a": np.zeros(2)})["a"]
+    assert bits.differences({"a": np.array([0.0])}, {"a": np.array([-0.0])})  # equal numbers, other bits
+
+
+# --- what other programs say ---
+
+
+def test_outcomes_of_pytest_are_counted_also_where_it_was_cut_off():
+    said = (
+        "tests/test_a.py::test_x[cuda:0-float64] PASSED [ 1%]\n"
+        "tests/test_a.py::test_y[cuda:0] FAILED [ 2%]\n"
+        "tests/test_b.py::test_z[cuda:0] SKIPPED (no) [ 3%]\n"
+        "ERROR tests/test_c.py - ModuleNotFoundError\n"
+        "tests/test_b.py::test_late[cuda:0] "
+    )
+    counts, failed = suite.outcomes(said)
+    assert counts == {"PASSED": 1, "FAILED": 1, "SKIPPED": 1, "ERROR": 1}
+    assert failed == ["tests/test_a.py::test_y[cuda:0]"]
+
+
+def test_summary_of_the_sanitizer():
+    assert sanitizer.summary_of("========= x\n========= ERROR SUMMARY: 0 errors\n") == "ERROR SUMMARY: 0 errors"
+    assert "not come to an end" in sanitizer.summary_of("killed")
+
+
+def test_broad_phases_are_those_that_the_options_name(monkeypatch):
+    from typing import Literal, TypedDict
+
+    class WithOption(TypedDict, total=False):
+        broad_phase: Literal["tree", "hash"] | None
+
+    class Without(TypedDict, total=False):
+        tolerance: float
+
+    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=WithOption))
+    assert broad_phases.choices() == ("tree", "hash")
+    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=Without))
+    assert broad_phases.choices() == ("tree",)
+
+
+def test_threads_a_block_are_set_for_every_launch_within(monkeypatch):
+    asked = []
+    monkeypatch.setattr(wp, "launch", lambda *_, **options: asked.append(options.get("block_dim")))
+    with launched_with(None):
+        wp.launch("kernel", dim=1)
+    with launched_with(64):
+        wp.launch("kernel", dim=1)
+        wp.launch("kernel", dim=1, block_dim=128)
+    wp.launch("kernel", dim=1)
+    assert asked == [None, 64, 64, None]
+
+
+@pytest.mark.parametrize(
+    "arguments, error",
+    [
+        ([], "output is not given"),
+        (["--output", "x", "--minutes", "0"], "minutes is 0.0; expected a positive number"),
+        (["--output", "x", "--only", "bit"], "only holds 'bit'; expected some of machine"),
+        (["--output", "x", "--emulated", "--device", "cuda:0"], "emulated is given with device 'cuda:0'"),
+        (["--output", "x", "--tests", "nowhere"], "tests is nowhere; expected a folder"),
+        (["--output", "x", "--device", "cuda:9"], "device is 'cuda:9'; expected one of cpu"),
+        (["--output", "x", "--precompiled", "nowhere"], "precompiled is nowhere; expected a folder that --precompile"),
+    ],
+)
+def test_bad_arguments_are_named_in_a_line(arguments, error, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert command.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {error}") and said.count("\n") == 1
+
+
+# --- cubins made without a GPU ---
+
+_LOAD = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
+import warp as wp
+from warp._src import build, context
+from ccd_warp.benchmarks.gpu_check import modules, precompile
+
+folder, arch = Path(sys.argv[1]), int(sys.argv[2])
+wp.config.log_level = wp.LOG_ERROR
+print(precompile.check_folder(folder))
+precompile.use_in_all_processes(folder)
+wp.init()
+
+
+def refuse(*arguments, **options):
+    raise AssertionError("something was compiled")
+
+
+class Gpu(context.Device):
+    '''A GPU of a compute capability as far as loading a module asks for one.'''
+
+    def __init__(self):
+        self.ordinal, self.arch, self.runtime, self._context = 0, arch, context.runtime, 1
+        self.is_cubin_supported, self.alias, self.name = True, "cuda:0", "none"
+
+    is_cpu, is_cuda, context = False, True, 1
+
+
+gpu = Gpu()
+context.runtime.driver_version = (99, 0)  # new enough that Warp would choose PTX
+loaded = []
+with (
+    mock.patch.object(build, "build_cuda", refuse),
+    mock.patch.object(build, "load_cuda", lambda path, device: loaded.append(Path(path).name) or 1),
+    mock.patch.object(context.runtime, "get_device", lambda device=None: gpu),
+):
+    for name, module, block_dim in modules.variants():
+        if name == sys.argv[3]:
+            assert modules.cached(Path(wp.config.kernel_cache_dir), module, gpu, block_dim)
+            module.load(gpu, block_dim=block_dim)
+print(*loaded)
+"""
+
+
+def test_cubins_made_without_a_gpu_are_what_warp_loads_on_one(tmp_path):
+    """Warp's own `Module.load` on a stand-in for a GPU finds the file, and compiles nothing."""
+    name = "contact_place points float32 2"
+    folder = tmp_path / "cubins"
+    make = ["--precompile", str(folder), "--arch", "80", "90", "120", "--modules", name]
+    program = [sys.executable, "-P", "-m", "ccd_warp.benchmarks.gpu_check"]
+    made = subprocess.run([*program, *make], capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    assert "3 cubins" in made.stdout
+    files = json.loads((folder / precompile.MANIFEST).read_text())["files"]
+    assert all((folder / file).stat().st_size > 1000 for file in files)
+    for arch in (80, 90, 120):
+        command = [sys.executable, "-P", "-c", _LOAD, str(folder), str(arch), name]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        (file,) = (Path(each).name for each in files if f".sm{arch}." in each)
+        assert done.stdout.splitlines() == [f"1 modules for sm_80, sm_90, sm_120 in {folder}", file]
+
+
+def test_cubins_of_another_version_of_warp_are_refused(tmp_path):
+    (tmp_path / precompile.MANIFEST).write_text(json.dumps({"warp": "1.0", "archs": [90], "modules": 1}))
+    with pytest.raises(ValueError, match=r"made with Warp 1.0; expected cubins of Warp 1\."):
+        precompile.check_folder(tmp_path)
+
+
+def test_stage_on_the_device_is_told_its_folders():
+    seen = {}
+    chosen = stage(lambda target, record, **folders: seen.update(folders))
+    run_stage(chosen, Target("cpu", CPU), {"tests": TESTS, "examples": None}, Record(None, 1.0, print))
+    assert seen == {"tests": TESTS, "examples": None}
