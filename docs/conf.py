@@ -26,6 +26,7 @@ _GUIDES = [
     "docs/choosing",
     "docs/coming_from_ipc_toolkit",
     "docs/coming_from_engines",
+    "docs/cuda",
     "docs/newton",
     "docs/examples",
 ]

@@ -36,7 +36,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
             lambda: pile(1_000, 100),
             lambda: bodies_through_each_other(300, 100),
             lambda: ground_under_cloth(100_000),
-            lambda: long_step(50_000),
+            lambda: long_step(20_000),
         ]
     )
     for make in made:

@@ -61,6 +61,9 @@ def measure(target: Target, record: Record, scene: Scene, repeats: int) -> None:
         pipeline.reserve(max_pairs=max(2 * pairs, 1), max_contacts=max(2 * contacts, 1))
         result = pipeline.launch(start, end)
     launch = middle(target.seconds_on_device(lambda: pipeline.launch(start, end), repeats))
+    with wp.ScopedCapture(device=target.device) as capture:
+        pipeline.launch(start, end)
+    replay = middle(target.seconds_on_device(lambda: wp.capture_launch(capture.graph), repeats))
     kernels = target.kernel_seconds(lambda: pipeline.launch(start, end))
     frames = (scene.vertices_t0, scene.vertices_t1)
     host, stages = {}, {}
@@ -72,7 +75,7 @@ def measure(target: Target, record: Record, scene: Scene, repeats: int) -> None:
         stages[name] = dict(pipeline.timings)
     slowest = ", ".join(f"{name} {seconds * 1e3:.3f}" for name, seconds in list(kernels.items())[:3])
     record.add(
-        f"{scene.name}: launch {launch['median'] * 1e3:.3f} ms"
+        f"{scene.name}: launch {launch['median'] * 1e3:.3f} ms, replay {replay['median'] * 1e3:.3f}"
         + "".join(f", {name} {seconds * 1e3:.2f}" for name, seconds in host.items())
         + (f"; slowest kernels (ms): {slowest}" if slowest else ""),
         scene=scene.name,
@@ -83,6 +86,7 @@ def measure(target: Target, record: Record, scene: Scene, repeats: int) -> None:
         flags=int(result.flags.numpy()[0]),
         reserve=reserve,
         launch=launch,
+        replay=replay,
         kernels=kernels,
         host=host,
         stages=stages,

@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.small_scene import run_small_scene
 from ccd_warp.benchmarks.gpu_check.target import Target
 from ccd_warp.kernels.search_types import BOXES, CULL
 
@@ -50,6 +51,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
     if not target.is_real:
         record.add(f"{len(cuda_modules())} modules; they are compiled as they are used", modules=len(cuda_modules()))
         return
+    total = int(device.total_memory)
     before = target.free_memory()
     wanted = variants()
     folder = Path(wp.config.kernel_cache_dir)
@@ -72,7 +74,15 @@ def run(target: Target, record: Record, **_: Any) -> None:
         f"loaded in {whole:.1f} s; the slowest took {slowest:.1f} s, and {slowest_on_cpu:.1f} s on the CPU",
         seconds=whole,
         slowest={"seconds": slowest, "name": name, "on the CPU": slowest_on_cpu},
-        bytes=before - after if before is not None and after is not None else None,
+        bytes=(before or 0) - (after or 0),
+    )
+    run_small_scene(target.device)
+    launched = target.free_memory()
+    record.add(
+        f"the context, modules and stacks take {(total - (launched or 0)) / 2**20:,.0f} MiB of {total / 2**30:.1f} GiB, "
+        f"of which the first launches of all kernels have taken {((after or 0) - (launched or 0)) / 2**20:,.0f}",
+        bytes_of_first_launches=(after or 0) - (launched or 0),
+        bytes_in_use=total - (launched or 0),
     )
 
 

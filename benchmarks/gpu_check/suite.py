@@ -30,7 +30,19 @@ def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None
     if importlib.util.find_spec("pytest") is None:
         record.leave_out("the tests", "pytest is not installed")
         return
-    command = [sys.executable, "-m", "pytest", str(tests), "-v", "--tb=short", "-p", "no:cacheprovider", "-k", _CHOSEN]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "pytest",
+        str(tests),
+        "-v",
+        "--tb=short",
+        "-p",
+        "no:cacheprovider",
+        "-k",
+        _CHOSEN,
+    ]
     command += ["-p", _PLUGIN]
     command += ["--continue-on-collection-errors", *(f"--ignore={tests / name}" for name in _WITHOUT)]
     process = subprocess.Popen(command, cwd=tests.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
