@@ -260,7 +260,7 @@ from types import SimpleNamespace
 from unittest import mock
 import warp as wp
 from warp._src import build, context
-from ccd_warp.benchmarks.gpu_check import modules, precompile
+from ccd_warp.benchmarks.gpu_check import precompile, variants
 
 folder, arch = Path(sys.argv[1]), int(sys.argv[2])
 wp.config.log_level = wp.LOG_ERROR
@@ -291,9 +291,9 @@ with (
     mock.patch.object(build, "load_cuda", lambda path, device: loaded.append(Path(path).name) or 1),
     mock.patch.object(context.runtime, "get_device", lambda device=None: gpu),
 ):
-    for name, module, block_dim in modules.variants():
+    for name, module, block_dim in variants.variants():
         if name == sys.argv[3]:
-            assert modules.cached(Path(wp.config.kernel_cache_dir), module, gpu, block_dim)
+            assert variants.is_compiled(Path(wp.config.kernel_cache_dir), module, gpu, block_dim)
             module.load(gpu, block_dim=block_dim)
 print(*loaded)
 """

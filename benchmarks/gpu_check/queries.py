@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.gpu_check.cases import PAIRS, PRECISIONS
-from ccd_warp.benchmarks.gpu_check.modules import BLOCK_DIMS
 from ccd_warp.benchmarks.gpu_check.record import Record
 from ccd_warp.benchmarks.gpu_check.target import Target, launched_with, middle
+from ccd_warp.benchmarks.gpu_check.variants import BLOCK_DIMS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 
 COLLIDING, CULLED = "colliding", "culled"

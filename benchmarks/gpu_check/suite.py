@@ -43,7 +43,7 @@ def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None
         "-k",
         _CHOSEN,
     ]
-    command += ["-p", _PLUGIN]
+    command += ["-p", "no:cacheprovider", "-p", _PLUGIN]
     command += ["--continue-on-collection-errors", *(f"--ignore={tests / name}" for name in _WITHOUT)]
     process = subprocess.Popen(command, cwd=tests.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     is_cut = False

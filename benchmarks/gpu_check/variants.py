@@ -1,0 +1,45 @@
+"""Every module that the check launches, on CUDA for each number of threads a block, and on the CPU beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.search_types import BOXES, CULL
+
+from ccd_warp._runtime.lanes import narrow_phase_on, pair_search_on
+
+# Threads a block that the check tries for the pair functions.
+BLOCK_DIMS = (32, 64, 128, 256)
+# In the names of modules whose kernels are launched with each of them.
+_BY_BLOCK_DIM = "points_toi"
+# Modules in whose place the CPU has others, with its lanes.
+_ONLY_CUDA = ("narrow_phase", "queued_pairs", "pair_search")
+_NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
+
+
+def variants() -> list[tuple[str, Any, int]]:
+    """Name, module and threads a block of everything that is launched on CUDA."""
+    modules = cuda_modules()
+    wanted = [(name, module, module.options["block_dim"]) for name, module in modules.items()]
+    for name, module in modules.items():
+        if _BY_BLOCK_DIM in name:
+            wanted += [(name, module, dim) for dim in BLOCK_DIMS if dim != module.options["block_dim"]]
+    return wanted
+
+
+def cpu_modules() -> list[Any]:
+    """The modules of the CPU, whose answers are compared; those of the lanes are others than on CUDA."""
+    cpu = wp.get_device("cpu")
+    modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
+    for real in (wp.float64, wp.float32):
+        modules |= {getattr(narrow_phase_on(cpu, real), kernel).module for kernel in _NARROW_PHASE}
+    return [*modules, *(pair_search_on(cpu, end, lists).module for end in (BOXES, CULL) for lists in (False, True))]
+
+
+def is_compiled(folder: Path, module: Any, device: Any, block_dim: int) -> bool:
+    """Whether a module need not be compiled: whether its file is where Warp looks for it."""
+    name = module.get_module_identifier(block_dim)
+    return (folder / name / module._get_compile_output_name(device, block_dim=block_dim)).exists()
