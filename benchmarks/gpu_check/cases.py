@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from ccd_warp.benchmarks.gpu_check.broad_phases import OPTION, choices
 from ccd_warp.benchmarks.gpu_check.steps import Step, all_steps
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 
@@ -36,13 +37,6 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "few iterations": {"max_iterations": 6},
     "length scale": {"length_scale": 3.0},
     "bisection": {"method": "bisection", "max_iterations": 3000},
-}
-# Options that only a mesh has.
-_MESH_OPTIONS: dict[str, dict[str, Any]] = {
-    **_OPTIONS,
-    "little work": {"max_work": 500},
-    "one kind": {"pair_kinds": ["vertex_face"]},
-    "little memory": {"memory_limit": 1 << 21},
 }
 
 
@@ -119,9 +113,10 @@ def on_host(step: Step, options: dict[str, Any], device: str) -> Arrays:
     return arrays
 
 
-def candidates(step: Step, inflation: float, device: str) -> Arrays:
+def candidates(step: Step, inflation: float, options: dict[str, Any], device: str) -> Arrays:
     """The candidates of a step, in order."""
-    found = ccd.find_candidates(step.mesh, step.start, step.end, inflation=inflation, device=device).sorted()
+    frames = (step.start, step.end)
+    found = ccd.find_candidates(step.mesh, *frames, inflation=inflation, device=device, **options).sorted()
     kinds = ("vertex_face", "edge_edge", "point_segment", "point_point")
     return {kind: np.asarray(getattr(found, kind)) for kind in kinds if getattr(found, kind, None) is not None}
 
@@ -202,13 +197,29 @@ def launch_line_search(step: Step, per: str, real: Any, device: str) -> Arrays:
     return {"vertices_t1": host(end), "world_toi": host(result.world_toi), "flags": host(result.flags)}
 
 
+def mesh_options(is_short: bool) -> dict[str, dict[str, Any]]:
+    """The options that a mesh may have, its own among them."""
+    return {
+        **_OPTIONS,
+        "little work": {"max_work": 500},
+        "one kind": {"pair_kinds": ["vertex_face"]},
+        "little memory": {"memory_limit": 1 << (21 if is_short else 24)},
+        **{f"the {name}": {OPTION: name} for name in choices()[1:]},
+    }
+
+
 def mesh_cases(is_short: bool) -> Iterator[Case]:
     """Every call that takes a mesh, with every option, in both precisions."""
+    others = [{OPTION: name} for name in choices()[1:]]  # broad phases beside the first
     for step in all_steps(is_short):
-        for inflation in (0.0, 0.01):
-            yield Case(f"find_candidates, {step.name}, inflation {inflation}", partial(candidates, step, inflation))
+        for inflation, options in [(0.0, {}), (0.01, {}), *((0.0, other) for other in others)]:
+            name = f"find_candidates, {step.name}, inflation {inflation}{''.join(f', {x}' for x in options.values())}"
+            yield Case(name, partial(candidates, step, inflation, options))
+        for other in others:
+            name = f"launch, {step.name}, {other[OPTION]}"
+            yield Case(name, partial(launch, step, np.float64, other, "positions"))
         for precision in PRECISIONS:
-            for name, options in _MESH_OPTIONS.items():
+            for name, options in mesh_options(is_short).items():
                 if name != "defaults" and (name == "bisection" or precision == "float32") and step.name != "crowd":
                     continue
                 call = partial(on_host, step, {**options, "precision": precision})

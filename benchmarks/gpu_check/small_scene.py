@@ -18,7 +18,7 @@ def run_small_scene(device: str) -> None:
         pipeline.launch(start, end).to_host()
         pipeline.launch_line_search(start, end, per="vertex")
         cases.on_host(step, {"precision": precision}, device)
-        cases.candidates(step, 0.0, device)
+        cases.candidates(step, 0.0, {}, device)
         for kind in cases.PAIRS:
             cases.solve_pairs(kind, cases.pair_points(kind, 60, 3), True, {"precision": precision}, device)
     wp.synchronize()
