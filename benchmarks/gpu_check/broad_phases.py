@@ -29,7 +29,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
     if len(names) < 2:
         record.leave_out("the hash", f"this version has no option {OPTION}")
     made = (
-        [lambda: cloth_over_sphere(2_000)]
+        [lambda: cloth_over_sphere(400)]
         if target.is_short
         else [
             lambda: cloth_over_sphere(200_000),

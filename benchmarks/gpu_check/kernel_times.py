@@ -33,7 +33,7 @@ _ORDER = (
 def scenes(is_short: bool) -> list[tuple[str, Any]]:
     """Names of the scenes, and the functions that make them."""
     if is_short:
-        return [("cloth 2k", lambda: cloth_over_sphere(2_000)), ("pile of 20", lambda: pile(20, 48))]
+        return [("cloth", lambda: cloth_over_sphere(400)), ("pile", lambda: pile(8, 48))]
     made = dict(all_scenes(None, quick=False))
     made["cloth 200k"] = lambda: cloth_over_sphere(200_000)
     made["pile 200k"] = lambda: pile(1_000, 200)

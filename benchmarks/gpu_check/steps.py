@@ -35,7 +35,7 @@ def sheet_over_ball(rows: int, *, static: bool = True, **options: Any) -> Step:
     """A wavy sheet that falls through a ball, which turns a little if it is not static."""
     sheet, faces = grid(rows, rows, 1.0, 1.0)
     sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    ball = trimesh.creation.icosphere(subdivisions=1 if rows < 10 else 2, radius=0.3)
     bodies = [(sheet, faces), (np.asarray(ball.vertices), ball.faces)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if static else [], **options)
     start = np.concatenate([sheet + [0.013, 0.007, 0.4], ball.vertices])

@@ -7,16 +7,17 @@ from typing import Any
 
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.pair_search import make_pair_search
 from ccd_warp.kernels.search_types import BOXES, CULL
 
-from ccd_warp._runtime.lanes import narrow_phase_on, pair_search_on
+from ccd_warp._runtime.lanes import lanes_of, narrow_phase_on
 
 # Threads a block that the check tries for the pair functions.
 BLOCK_DIMS = (32, 64, 128, 256)
 # In the names of modules whose kernels are launched with each of them.
 _BY_BLOCK_DIM = "points_toi"
 # Modules in whose place the CPU has others, with its lanes.
-_ONLY_CUDA = ("narrow_phase", "queued_pairs", "pair_search")
+_ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp_search", "candidate_cull")
 _NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
 
 
@@ -33,10 +34,13 @@ def variants() -> list[tuple[str, Any, int]]:
 def cpu_modules() -> list[Any]:
     """The modules of the CPU, whose answers are compared; those of the lanes are others than on CUDA."""
     cpu = wp.get_device("cpu")
+    widths = {BOXES: 1, CULL: lanes_of(cpu)}
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     for real in (wp.float64, wp.float32):
         modules |= {getattr(narrow_phase_on(cpu, real), kernel).module for kernel in _NARROW_PHASE}
-    return [*modules, *(pair_search_on(cpu, end, lists).module for end in (BOXES, CULL) for lists in (False, True))]
+    for end, width in widths.items():
+        modules |= {make_pair_search(end, lists, width).search_pairs.module for lists in (False, True)}
+    return list(modules)
 
 
 def is_compiled(folder: Path, module: Any, device: Any, block_dim: int) -> bool:
