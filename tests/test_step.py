@@ -10,6 +10,7 @@ import threading
 import numpy as np
 import pytest
 import trimesh
+from ccd_warp.benchmarks.gpu_check.steps import crowd as crowd_with_particles
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
 from oracles import brute_force, check_candidates, corners_of
@@ -298,6 +299,17 @@ def test_least_memory_limit_that_is_named_works():
         call(mesh, start, end, memory_limit=least)
         with pytest.raises(ValueError, match="expected at least"):
             call(mesh, start, end, memory_limit=least - 1)
+
+
+def test_kind_without_pairs_needs_no_memory():
+    """All pairs fit the limit, though not as they were divided among the kinds before, and one kind has none."""
+    excluded = {"vertex_face": [[0, 1], [2, 20], [5, 9]], "edge_edge": [[0, 9], [3, 40]], "bodies": [[0, 0]]}
+    step = crowd_with_particles(600, exclude_pairs=excluded)
+    limited = ccd.mesh_ccd(step.mesh, step.start, step.end, memory_limit=16 << 20)  # first, while nothing is allocated
+    expected = ccd.mesh_ccd(step.mesh, step.start, step.end)
+    assert expected.counts.num_after_cull[ccd.PairKind.POINT_POINT] == 0
+    np.testing.assert_array_equal(limited.vertex_toi, expected.vertex_toi)
+    np.testing.assert_array_equal(limited.contacts.primitives, expected.contacts.primitives)
 
 
 def test_contacts_beyond_the_memory_limit_are_an_error_that_names_one_that_works():

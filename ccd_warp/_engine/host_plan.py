@@ -270,10 +270,11 @@ class HostPlan:
             if all(needed[kind] <= self._capacities[kind] for kind in self._searched_kinds):
                 yield self._batch(self._num_found(), is_only=True)
                 return
-            if sum(needed.values()) > largest:
+            least = {kind: max(n, 1) for kind, n in needed.items()}  # of an array Warp takes no part of no elements
+            if sum(least.values()) > largest:
                 break
             grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in needed.items()}
-            self._set_capacities(grown if sum(grown.values()) <= largest else needed)
+            self._set_capacities(grown if sum(grown.values()) <= largest else least)
         yield from self._batches_of_parts(stride, largest, needed)
 
     def _record_search(self, stages: Stages, recording: Recording, stride: int) -> None:
