@@ -7,10 +7,11 @@ is the same in every order.
 
 import warp as wp
 
+from .atomics import claim
 from .cull import make_cull
 from .half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
 from .lanes import lowest_bit
-from .minima import CANDIDATES, FOUND, Minima, mark_overflow
+from .minima import ANY_UNLISTED, CANDIDATES, FOUND, Minima, mark_overflow
 from .pair_key import pair_key, pair_of
 from .pair_kind import EDGE_EDGE, VERTEX_FACE
 from .points import corners, points_of
@@ -89,6 +90,8 @@ def cull_candidates(
     end = end_lane(thread)
     kind = part.row
     if only_if_complete != 0 and counts[kind, CANDIDATES] > wp.int64(candidates.shape[0]):
+        if thread == 0:
+            claim(counts, 0, ANY_UNLISTED, 1)
         return
     count = wp.int32(wp.min(counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))
     for n in range(thread - thread % HALF_WARP, count, num_threads):

@@ -26,7 +26,7 @@ from ccd_warp._runtime.pair_queue import new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step
-from ccd_warp.kernels.minima import ANY_OPEN, NUM_COUNTS
+from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -153,6 +153,7 @@ class DeviceStep:
         self._is_moved, self._is_any_touched = (self._full(1, 0, wp.int32) for _ in range(2))
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._is_open = _low_half(self._counts, int(ANY_OPEN))
+        self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
         self._start = self._end = self._empty(0, wp.vec3d)
         self._last: PreparedLaunch | None = None
         if self._has_static:
@@ -408,8 +409,9 @@ class DeviceStep:
         if recording.is_cuda:
             for kind in stages.kinds:
                 stages.cull(recording, kind, marks_overflow=True, only_if_complete=True)
-            for tree_pair in stages.tree_pairs:
-                stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
+            with recording.only_if(self._is_any_unlisted):
+                for tree_pair in stages.tree_pairs:
+                    stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
         stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
         with recording.only_if(self._is_open):
             stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
