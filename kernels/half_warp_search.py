@@ -43,6 +43,8 @@ _REST = wp.constant(wp.uint64(48))
 # 28 bytes of spills. The second search, with its cull, is rare.
 _FEW_REGISTERS = 80
 _MANY_REGISTERS = 168
+# Walks differ in length, and a block keeps its place until the last of its walks has ended.
+_BLOCK_DIM = 64
 
 vec12f = wp.types.vector(length=12, dtype=wp.float32)
 
@@ -131,7 +133,8 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
     is_listing = end == LIST
     lists = ".lists" if with_lists else ""
     module = wp.get_module(f"ccd_warp.half_warp_search.{end}{lists}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+    options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
+    wp.set_module_options(options, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = overlapping if of_boxes else moving_overlapping
     column = CANDIDATES if is_listing else FOUND

@@ -53,7 +53,7 @@ def longest_axis(side: wp.vec4f, size: int) -> int:
     A short segment with several bodies is split between the bodies, since they may move apart.
     """
     axis = wp.where(side[1] > side[0], 1, 0)
-    axis = wp.where(side[2] > side[axis], 2, axis)
+    axis = wp.where(side[2] > wp.where(axis == 1, side[1], side[0]), 2, axis)
     if size <= _ONE_BODY and side[3] > wp.float32(0.0):
         axis = 3
     return axis

@@ -14,7 +14,7 @@ from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
 from ccd_warp._runtime.lanes import pair_search_on
-from ccd_warp._runtime.launch import Execution, load
+from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
 from ccd_warp.kernels.search_types import BOXES, SearchRange
@@ -201,6 +201,7 @@ class PairSearch:
             outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
             device=self.execution.device,
             record_cmd=True,
+            block_dim=block_dim_of(self._kernel, self.execution.device),
         )
 
     def _launch(self, command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
