@@ -22,6 +22,7 @@ from .once import once
 from .patch import make_patch
 from .sub_patch import make_sub_patch
 from .volume import make_volume
+from .whole_warp import first_share, latest, num_shares
 
 # Outcomes of `advance`.
 FREE = wp.constant(0)  # no contact in [t_start, t_max]
@@ -39,8 +40,8 @@ _PATIENCE = wp.constant(3)
 
 
 @once
-def make_advance(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
+def make_advance(real, on_warp: bool) -> SimpleNamespace:
+    """Functions for one floating-point type; with ``on_warp`` for a warp of CUDA that works on one pair."""
     vec3 = wp.types.vector(length=3, dtype=real)
     Corners = make_patch(real, 1).Corners
     corners_at = make_patch(real, 1).corners_at
@@ -86,6 +87,31 @@ def make_advance(real) -> SimpleNamespace:
                 s = clip_facet(patch.t0, patch.t1, separation, error, real(number), t_start, t_max, _FACET_STEPS)
                 t = wp.max(t, s)
         return t
+
+    @wp.func
+    def advance_facets_on_warp(
+        patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
+    ) -> real:
+        """The same by the threads of a warp, which share the facets; one clip in the source keeps the kernel small."""
+        t = t_start
+        number = facet.number
+        count = int(0)  # of those that are tried after the widest
+        k = first_share() - num_shares()
+        is_widest = bool(True)
+        while is_widest or k < count:
+            s = clip_facet(patch.t0, patch.t1, problem.separation, problem.error, number, t_start, t_max, _FACET_STEPS)
+            if is_widest and (thorough or s <= t_start) and facet.slack > real(0.0):
+                count = 3 + 3 * num_sides(patch.is_face)
+            t = wp.max(t, s)
+            k += num_shares()
+            number = real(k)
+            is_widest = False
+        if count > 0:
+            t = latest(t)
+        return t
+
+    if on_warp:
+        advance_facets = advance_facets_on_warp
 
     @wp.func
     def is_within(d: vec3, size: vec3) -> bool:

@@ -41,8 +41,8 @@ vec3d = wp.vec3d
 def make_narrow_phase(real, width: int) -> SimpleNamespace:
     """Kernels for one floating-point type of the iteration and a number of lanes; positions are always float64."""
     Options = make_query(real).Options
-    Outcome = make_solver(real).Outcome
-    pair_outcome = make_pair_outcome(real, width)
+    Outcome = make_solver(real, False).Outcome
+    pair_outcome = make_pair_outcome(real, width, False)
     is_set = pair_outcome.is_set
     outcome_of = pair_outcome.outcome_of
     skips_first_rounds = pair_outcome.skips_first_rounds

@@ -22,11 +22,11 @@ _ONE = wp.constant(wp.uint32(1))
 
 
 @once
-def make_pair_outcome(real, width: int) -> SimpleNamespace:
-    """Functions for one floating-point type of the iteration and a number of lanes."""
+def make_pair_outcome(real, width: int, on_warp: bool) -> SimpleNamespace:
+    """Functions for a floating-point type of the iteration and a number of lanes; ``on_warp`` as for `make_solver`."""
     Options = make_query(real).Options
     share_of_work = make_query(real).share_of_work
-    solver = make_solver(real)
+    solver = make_solver(real, on_warp)
     Outcome = solver.Outcome
     normalise = solver.normalise
     solve = solver.solve

@@ -9,6 +9,9 @@ CPU: it goes through the same functions in the same order.
 The second kernel takes the queue as it is, without gaps. It leaves open pairs in their places and marks the others as
 settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a contact within a
 separation the second kernel finds a point and not the closest one, so the last one completes it.
+
+In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less, and
+no other pair at all.
 """
 
 from types import SimpleNamespace
@@ -24,10 +27,11 @@ from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
 from .points import is_stationary, points_of, row_points
-from .query import make_query
+from .query import CLIPPING, make_query
 from .simd import fingerprint
 from .solver import make_solver
 from .status import STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
 STAGES = ("first", "later", "last")
@@ -39,8 +43,6 @@ MAX_REGISTERS = {"first": 128, "later": 255, "last": 255}
 BLOCK_DIM = 32
 # Most threads of each kernel: about what 132 multiprocessors run at once with these registers; more pairs take turns.
 MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15}
-# Lanes of a warp; the number of threads is a multiple of it.
-WARP = 32
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 _SETTLED = wp.constant(-1)
@@ -85,8 +87,8 @@ def first_of(solver: int, lanes: int, count: int) -> int:
 def make_queued_pairs(real) -> SimpleNamespace:
     """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
     Options = make_query(real).Options
-    Outcome = make_solver(real).Outcome
-    pair_outcome = make_pair_outcome(real, 1)
+    Outcome = make_solver(real, True).Outcome
+    pair_outcome = make_pair_outcome(real, 1, True)
     outcome_of = pair_outcome.outcome_of
     skips_first_rounds = pair_outcome.skips_first_rounds
     cap_of_round = pair_outcome.cap_of_round
@@ -108,7 +110,7 @@ def make_queued_pairs(real) -> SimpleNamespace:
         return module
 
     def make_points_toi(stage: str):
-        is_first, is_last = stage == "first", stage == "last"
+        is_initial, is_last = stage == "first", stage == "last"
 
         @wp.kernel(module=own_module("points_toi", stage), cuda_max_registers=MAX_REGISTERS[stage])
         def points_toi(
@@ -135,17 +137,26 @@ def make_queued_pairs(real) -> SimpleNamespace:
             cap = options.max_iterations
             skips_first = skips_first_rounds(options)
             last = count
-            if wp.static(not is_first):
+            if wp.static(not is_initial):
                 last = wp.int32(counts[0, QUEUED])
+            solver = begin + wp.tid()
             lanes = in_use(num_solvers, last)
-            following = first_of(begin + wp.tid(), lanes, last)
+            following = first_of(solver, lanes, last)
+            is_shared = bool(False)
+            if wp.static(is_last):
+                # the boxes of the bisection cannot be shared
+                is_shared = options.method == CLIPPING
+                if is_shared:
+                    lanes = 1
+                    following = item_of_warp(solver, last)
+            writes = not is_shared or is_first(solver)
             while following < last:
                 n = following
                 following += num_solvers / _LANES * lanes
                 i = n
                 t = wp.float64(0.0)
                 used = int(0)
-                if wp.static(is_first):
+                if wp.static(is_initial):
                     if skips_first:
                         enqueue(queue, counts, 0, QUEUED, i, t, used)
                         continue
@@ -160,7 +171,8 @@ def make_queued_pairs(real) -> SimpleNamespace:
                             i = _SETTLED - 1 - i
                             a = row_points(points_t0, i)
                             b = row_points(points_t1, i)
-                            parameters[i] = parameters_at(kind, toi[i], a, b, options)
+                            if writes:
+                                parameters[i] = parameters_at(kind, toi[i], a, b, options)
                             continue
                 a = row_points(points_t0, i)
                 b = row_points(points_t1, i)
@@ -169,23 +181,25 @@ def make_queued_pairs(real) -> SimpleNamespace:
                     outcome = finished(kind, t, used, False, a, b, options, cap)
                 else:
                     answer = LaneAnswer()
-                    if wp.static(is_first):
+                    if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, unbounded)
                     else:
                         answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
                     if answer.free | answer.contact == _NONE:
                         used = wp.int32(answer.iterations)
-                        if wp.static(is_first):
+                        if wp.static(is_initial):
                             enqueue(queue, counts, 0, QUEUED, i, answer.t, used)
                         else:
                             queue.t[n] = answer.t
                             queue.used[n] = wp.int8(used)
                         continue
                     outcome = outcome_of(answer, 0, options)
-                    if wp.static(not is_first):
+                    if wp.static(not is_initial):
                         queue.rows[n] = _SETTLED
                         if outcome.status != STATUS_NO_COLLISION and skips_first:
                             queue.rows[n] = _SETTLED - 1 - i
+                if not writes:
+                    continue
                 toi[i] = outcome.toi
                 status[i] = outcome.status
                 parameters[i] = outcome.parameters
@@ -219,7 +233,7 @@ def make_queued_pairs(real) -> SimpleNamespace:
         contacts.normal[place] = normal_at(kind, first, second, vertices_t0, vertices_t1, toi, parameters)
 
     def make_solve_pairs(stage: str):
-        is_first, is_last = stage == "first", stage == "last"
+        is_initial, is_last = stage == "first", stage == "last"
 
         @wp.kernel(module=own_module("solve_pairs", stage), cuda_max_registers=MAX_REGISTERS[stage])
         def solve_pairs(
@@ -248,17 +262,26 @@ def make_queued_pairs(real) -> SimpleNamespace:
                 return
             skips_first = skips_first_rounds(options)
             last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-            if wp.static(not is_first):
+            if wp.static(not is_initial):
                 last = wp.int32(counts[kind, QUEUED + is_second])
+            solver = begin + wp.tid()
             lanes = in_use(num_solvers, last)
-            following = first_of(begin + wp.tid(), lanes, last)
+            following = first_of(solver, lanes, last)
+            is_shared = bool(False)
+            if wp.static(is_last):
+                # the boxes of the bisection cannot be shared
+                is_shared = options.method == CLIPPING
+                if is_shared:
+                    lanes = 1
+                    following = item_of_warp(solver, last)
+            writes = not is_shared or is_first(solver)
             while following < last:
                 n = following
                 following += num_solvers / _LANES * lanes
                 k = n
                 t = wp.float64(0.0)
                 used = int(0)
-                if wp.static(is_first):
+                if wp.static(is_initial):
                     if is_second != 0 and pairs[k] >= wp.int64(0):
                         continue  # the second round is of the pairs that the first has left open
                     if skips_first:
@@ -271,6 +294,8 @@ def make_queued_pairs(real) -> SimpleNamespace:
                     if k == _SETTLED:
                         continue
                     if wp.static(is_last):
+                        if k < 0 and not writes:
+                            continue
                         if k < 0:
                             complete(
                                 kind,
@@ -291,13 +316,13 @@ def make_queued_pairs(real) -> SimpleNamespace:
                         outcome = finished(kind, t, used, False, a, b, options, cap)
                 else:
                     answer = LaneAnswer()
-                    if wp.static(is_first):
+                    if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, unbounded)
                     else:
                         answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
                     if is_needed and answer.free | answer.contact == _NONE:
                         used = wp.int32(answer.iterations)
-                        if wp.static(is_first):
+                        if wp.static(is_initial):
                             enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
                         else:
                             queue.t[n] = answer.t
@@ -305,9 +330,9 @@ def make_queued_pairs(real) -> SimpleNamespace:
                         continue
                     if is_needed and answer.contact != _NONE:
                         outcome = outcome_of(answer, 0, options)
-                    if wp.static(not is_first):
+                    if wp.static(not is_initial):
                         queue.rows[n] = _SETTLED
-                if outcome.status == STATUS_NO_COLLISION:
+                if outcome.status == STATUS_NO_COLLISION or not writes:
                     continue
                 key = pairs[k]
                 if is_second != 0:
@@ -331,7 +356,7 @@ def make_queued_pairs(real) -> SimpleNamespace:
         return solve_pairs
 
     def make_pairs_bound(stage: str):
-        is_first, is_last = stage == "first", stage == "last"
+        is_initial, is_last = stage == "first", stage == "last"
 
         @wp.kernel(module=own_module("pairs_bound", stage), cuda_max_registers=MAX_REGISTERS[stage])
         def pairs_bound(
@@ -358,17 +383,26 @@ def make_queued_pairs(real) -> SimpleNamespace:
                 return
             skips_first = skips_first_rounds(options)
             last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-            if wp.static(not is_first):
+            if wp.static(not is_initial):
                 last = wp.int32(counts[kind, QUEUED + is_second])
+            solver = begin + wp.tid()
             lanes = in_use(num_solvers, last)
-            following = first_of(begin + wp.tid(), lanes, last)
+            following = first_of(solver, lanes, last)
+            is_shared = bool(False)
+            if wp.static(is_last):
+                # the boxes of the bisection cannot be shared
+                is_shared = options.method == CLIPPING
+                if is_shared:
+                    lanes = 1
+                    following = item_of_warp(solver, last)
+            writes = not is_shared or is_first(solver)
             while following < last:
                 n = following
                 following += num_solvers / _LANES * lanes
                 k = n
                 t = wp.float64(0.0)
                 used = int(0)
-                if wp.static(is_first):
+                if wp.static(is_initial):
                     if is_second != 0 and pairs[k] >= wp.int64(0):
                         continue  # the second round is of the pairs that the first has left open
                     if skips_first:
@@ -379,12 +413,17 @@ def make_queued_pairs(real) -> SimpleNamespace:
                     t = queue.t[n]
                     used = wp.int32(queue.used[n])
                     # a pair that is free up to the least toi cannot lower it
-                    if k < 0 or wp.cast(t, wp.int64) >= least_bits[0]:
+                    is_done = k == _SETTLED or wp.cast(t, wp.int64) >= least_bits[0]
+                    if is_shared:
+                        is_done = agreed(is_done)
+                    if is_done:
                         continue
                 a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
                 toi = unbounded
                 if wp.static(is_last):
                     outcome = finished(kind, t, used, False, a, b, options, cap)
+                    if not writes:
+                        continue
                     toi = outcome.toi
                     if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                         pairs[k] = ~pairs[k]
@@ -395,19 +434,19 @@ def make_queued_pairs(real) -> SimpleNamespace:
                 else:
                     least = wp.cast(least_bits[0], wp.float64)
                     answer = LaneAnswer()
-                    if wp.static(is_first):
+                    if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, least)
                     else:
                         answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
                     if answer.free | answer.contact == _NONE and answer.t < least:
                         used = wp.int32(answer.iterations)
-                        if wp.static(is_first):
+                        if wp.static(is_initial):
                             enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
                         else:
                             queue.t[n] = answer.t
                             queue.used[n] = wp.int8(used)
                         continue
-                    if wp.static(not is_first):
+                    if wp.static(not is_initial):
                         queue.rows[n] = _SETTLED
                     if answer.contact != _NONE and answer.t <= options.t_max:
                         toi = answer.t

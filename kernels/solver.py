@@ -45,8 +45,11 @@ vec3d = wp.vec3d
 
 
 @once
-def make_solver(real) -> SimpleNamespace:
-    """Functions for one floating-point type of the iteration; positions are always float64."""
+def make_solver(real, on_warp: bool) -> SimpleNamespace:
+    """Functions for one floating-point type of the iteration; positions are always float64.
+
+    With ``on_warp`` all threads of a warp of CUDA call `solve` for the same pair.
+    """
     vec3 = wp.types.vector(length=3, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch
@@ -59,14 +62,14 @@ def make_solver(real) -> SimpleNamespace:
     longest_side = points.longest_side
     scaled = points.scaled
     Options = make_query(real).Options
-    advance = make_advance(real).advance
+    advance = make_advance(real, on_warp).advance
     volume_of = make_volume(real, 1).volume_of
-    point_of = make_advance(real).point_of
+    point_of = make_advance(real, on_warp).point_of
     closest_weights = make_closest_point(real).closest_weights
     corners_at = make_patch(real, 1).corners_at
     bisect = make_bisection(real).bisect
     Answer = make_answer(real).Answer
-    subdivide = make_subdivide(real).subdivide
+    subdivide = make_subdivide(real, on_warp).subdivide
     parameters = make_answer(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))

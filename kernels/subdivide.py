@@ -19,15 +19,15 @@ from .sub_patch import make_sub_patch
 
 
 @once
-def make_subdivide(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
+def make_subdivide(real, on_warp: bool) -> SimpleNamespace:
+    """Functions for one floating-point type; ``on_warp`` as for `make_advance`."""
     box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch
     Problem = types.Problem
     sub_corners = types.sub_corners
-    Reached = make_advance(real).Reached
-    advance = make_advance(real).advance
+    Reached = make_advance(real, on_warp).Reached
+    advance = make_advance(real, on_warp).advance
     Answer = make_answer(real).Answer
     parameters = make_answer(real).parameters
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))

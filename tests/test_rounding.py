@@ -74,7 +74,7 @@ def make_probe(real):
     vec4 = wp.types.vector(length=4, dtype=real)
     corners_at = make_patch(real, 1).corners_at
     Options = make_query(real).Options
-    normalise = make_solver(real).normalise
+    normalise = make_solver(real, False).normalise
     sub_corners = make_sub_patch(real).sub_corners
     # the functions for one lane; `test_lane_width` compares those for several with them
     inclusion = make_inclusion(real, 1)
@@ -82,7 +82,7 @@ def make_probe(real):
     clip_corner = inclusion.clip_corner
     offset = inclusion.offset
     volume = make_volume(real, 1)
-    advance_volume = make_advance(real).advance_volume
+    advance_volume = make_advance(real, False).advance_volume
     Hull = volume.Hull
     restrict = volume.restrict
     separation_offset = volume.separation_offset

@@ -36,5 +36,5 @@ def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs
     from ccd_warp.kernels.queued_pairs import MOST_SOLVERS, WARP
 
     for kernel, most in zip(kernels, MOST_SOLVERS.values(), strict=True):
-        solvers = min(most, -(-most_pairs // WARP) * WARP)
+        solvers = min(most, most_pairs * WARP)
         launcher.launch(kernel, solvers, inputs=[solvers, *inputs], outputs=outputs, grain=1)
