@@ -69,8 +69,9 @@ def check_whole(folder, kind):
     touching = {row["what"]: row["share_touching"] for row in found["queries"]["rows"]}
     assert touching == {"colliding": 1.0, "culled": 0.0}
     text = (folder / "gpu_check.md").read_text()
-    assert "| bits as on the CPU | all |" in text and text.count("| met |") == 1
-    assert "This is a rehearsal" in text and "not known" in text
+    assert "This is a rehearsal" in text and "0 calls differ" in text
+    # no goal is judged by times of a CPU, or by some of the cases
+    assert text.count("| not known |") == 4 and "| missed |" not in text
 
 
 @pytest.mark.filterwarnings("ignore")
