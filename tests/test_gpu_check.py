@@ -215,6 +215,12 @@ def test_outcomes_of_pytest_are_counted_also_where_it_was_cut_off():
     counts, failed = suite.outcomes(said)
     assert counts == {"PASSED": 1, "FAILED": 1, "SKIPPED": 1, "ERROR": 1}
     assert failed == ["tests/test_a.py::test_y[cuda:0]"]
+    said = (
+        "[gw0] [  1%] PASSED tests/test_a.py::test_x[cuda:0-float64] \n"
+        "[gw5] [ 12%] FAILED tests/test_a.py::test_y[cuda:0] \n"
+        "tests/test_a.py::test_z[cuda:0] \n"
+    )
+    assert suite.outcomes(said) == ({"PASSED": 1, "FAILED": 1}, ["tests/test_a.py::test_y[cuda:0]"])
 
 
 def test_summary_of_the_sanitizer():

@@ -16,7 +16,8 @@ from ccd_warp.benchmarks.gpu_check.stages import NAMES
 from ccd_warp.benchmarks.gpu_check.summary import summary
 from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, EMULATED, Target
 
-_ROOT = Path(__file__).resolve().parents[2]  # of a checkout
+# Folders of a checkout, with a file by which each is known.
+_FOLDERS = {"tests": "test_gpu_check.py", "examples": "newton_cloth.py"}
 _MINUTES = 8.0
 
 
@@ -32,8 +33,8 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--minutes", metavar="X", type=float, default=_MINUTES, help="time for all stages (8)")
     result.add_argument("--only", metavar="STAGE", nargs="+", help=f"stages to run: {', '.join(NAMES)} (all)")
     result.add_argument("--again", action="store_true", help="measure anew what an earlier run has in --output")
-    result.add_argument("--tests", metavar="DIR", type=Path, help="folder of the tests (that of the checkout)")
-    result.add_argument("--examples", metavar="DIR", type=Path, help="folder of the examples (that of the checkout)")
+    result.add_argument("--tests", metavar="DIR", type=Path, help="folder of the tests (that of a checkout)")
+    result.add_argument("--examples", metavar="DIR", type=Path, help="folder of the examples (that of a checkout)")
     result.add_argument(
         "--precompile", metavar="DIR", type=Path, help="make cubins, without a GPU, and do nothing else"
     )
@@ -61,10 +62,16 @@ def checked(given: argparse.Namespace) -> None:
             raise ValueError(f"only holds {name!r}; expected some of {', '.join(NAMES)}")
     if given.emulated and given.device not in (None, "cpu"):
         raise ValueError(f"emulated is given with device {given.device!r}; expected no device, as it runs on the CPU")
-    for name in ("tests", "examples"):
+    for name in _FOLDERS:
         folder = getattr(given, name)
         if folder is not None and not folder.is_dir():
             raise ValueError(f"{name} is {folder}; expected a folder")
+
+
+def found(name: str, file: str) -> Path | None:
+    """A folder of the checkout that this package is in, or that is the current folder; None if there is none."""
+    places = (root / name for root in (Path(__file__).resolve().parents[2], Path.cwd()))
+    return next((folder for folder in places if (folder / file).is_file()), None)
 
 
 def target_of(given: argparse.Namespace) -> Target:
@@ -99,10 +106,7 @@ def check(given: argparse.Namespace) -> int:
         print(precompile.check_folder(given.precompiled), flush=True)
         precompile.use_in_all_processes(given.precompiled)
     target = target_of(given)
-    places = {}
-    for name in ("tests", "examples"):
-        beside = _ROOT / name
-        places[name] = getattr(given, name) or (beside if beside.is_dir() else None)
+    places = {name: getattr(given, name) or found(name, file) for name, file in _FOLDERS.items()}
     settings = {"device": target.device, "kind": target.kind, "code": fingerprint(), "warp": wp.config.version}
     journal = Journal(folder, settings, is_anew=given.again)
     if journal.note:

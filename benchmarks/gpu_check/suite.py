@@ -17,7 +17,10 @@ from ccd_warp.benchmarks.gpu_check.target import Target
 # Tests with the fixture `device` have "cuda:0" in their names; the emulation and the compilation to PTX need no GPU.
 _CHOSEN = "cuda and not emulated"
 _WITHOUT = ("test_cuda.py", "test_cuda_code.py", "test_gpu_check.py")
-_OUTCOME = re.compile(r"^(\S+::.*?) (PASSED|FAILED|SKIPPED|ERROR|XFAIL|XPASS)\b", re.MULTILINE)
+_WAYS = "PASSED|FAILED|SKIPPED|ERROR|XFAIL|XPASS"
+# Of pytest itself, and of pytest-xdist, which names the process and the outcome first.
+_OUTCOME = re.compile(rf"^(\S+::.*?) ({_WAYS})\b|^\[gw\d+\] \[ *\d+%\] ({_WAYS}) (\S+::.*?) *$", re.MULTILINE)
+_PROCESSES = 6
 _PLUGIN = "ccd_warp.benchmarks.gpu_check.pytest_cubins"
 _LATE = 8.0  # seconds that pytest has to stop after an interrupt
 
@@ -45,6 +48,8 @@ def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None
     ]
     command += ["-p", "no:cacheprovider", "-p", _PLUGIN]
     command += ["--continue-on-collection-errors", *(f"--ignore={tests / name}" for name in _WITHOUT)]
+    if importlib.util.find_spec("xdist") is not None:
+        command += ["-n", str(_PROCESSES)]
     process = subprocess.Popen(command, cwd=tests.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     is_cut = False
     try:
@@ -71,7 +76,7 @@ def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None
 
 def outcomes(said: str) -> tuple[dict[str, int], list[str]]:
     """How many tests ended in which way, and the names of those that failed, in what ``pytest -v`` says."""
-    found = _OUTCOME.findall(said)
+    found = [(name or other, outcome or way) for name, outcome, way, other in _OUTCOME.findall(said)]
     counts = Counter(outcome for _, outcome in found)
     counts["ERROR"] += len(re.findall(r"^ERROR (?!.*::)\S+\.py", said, re.MULTILINE))  # files that cannot be imported
     return {k: n for k, n in counts.items() if n}, [name for name, outcome in found if outcome in ("FAILED", "ERROR")]
