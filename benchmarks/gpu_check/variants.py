@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.kernels.pair_search import make_pair_search
 from ccd_warp.kernels.search_types import BOXES, CULL
 
 from ccd_warp._runtime.lanes import lanes_of, narrow_phase_on
@@ -17,7 +18,9 @@ BLOCK_DIMS = (32, 64, 128, 256)
 # In the names of modules whose kernels are launched with each of them.
 _BY_BLOCK_DIM = "points_toi"
 # Modules in whose place the CPU has others, with its lanes.
-_ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp_search", "candidate_cull")
+_ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp", "candidate_cull")
+# The searches of the CPU, of those that this version has.
+_SEARCHES = ("pair_search", "grid_search")
 _NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
 
 
@@ -38,8 +41,11 @@ def cpu_modules() -> list[Any]:
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     for real in (wp.float64, wp.float32):
         modules |= {getattr(narrow_phase_on(cpu, real), kernel).module for kernel in _NARROW_PHASE}
-    for end, width in widths.items():
-        modules |= {make_pair_search(end, lists, width).search_pairs.module for lists in (False, True)}
+    for name in filter(lambda name: find_spec(f"ccd_warp.kernels.{name}"), _SEARCHES):
+        make = getattr(import_module(f"ccd_warp.kernels.{name}"), f"make_{name}")
+        for end, width in widths.items():
+            made = [make(end, with_lists, width) for with_lists in (False, True)]
+            modules |= {getattr(each, "search_pairs", each).module for each in made}
     return list(modules)
 
 
