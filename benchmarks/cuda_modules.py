@@ -9,13 +9,14 @@ import warp as wp
 
 # Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
 _FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
-_FILES += ["candidate_cull", "half_warp_tree"]
+_FILES += ["candidate_cull", "half_warp_tree", "hash_grid"]
 
 
 def cuda_modules() -> dict[str, Any]:
     """The modules of the files, and those that a factory makes for a precision, a dimension or an end of the search."""
     from ccd_warp.kernels.contact_place import make_contact_points
     from ccd_warp.kernels.device_step import make_input
+    from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
     from ccd_warp.kernels.half_warp_search import make_half_warp_search
     from ccd_warp.kernels.queued_pairs import STAGES, make_queued_pairs
     from ccd_warp.kernels.search_types import BOXES, CULL, LIST
@@ -36,4 +37,5 @@ def cuda_modules() -> dict[str, Any]:
         for with_lists in (False, True):
             search = make_half_warp_search(end, with_lists).search_queries
             modules[f"half_warp_search {end} {with_lists}"] = search.module
+            modules[f"half_warp_grid_search {end} {with_lists}"] = make_half_warp_grid_search(end, with_lists).module
     return {name: module for name, module in modules.items() if module.kernels}

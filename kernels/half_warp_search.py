@@ -36,6 +36,7 @@ _LANES = wp.constant(wp.uint64(0xFFFF))
 _NOTHING = wp.constant(wp.uint64(0))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
+_EVERY = wp.constant(wp.uint32(0xFFFF))
 _BITS = wp.constant(wp.uint64(16))
 _REST = wp.constant(wp.uint64(48))
 
@@ -172,6 +173,8 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         q: int,
         box: vec12f,
         block: int,
+        allowed: wp.uint32,  # lanes
+        after: int,  # place after which the partners are
         first: int,  # lane of the thread
         last: int,
         part: SearchRange,
@@ -180,7 +183,7 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         minima: Minima,
     ):
         """Write the pairs of a query and the boxes of a leaf block; each thread decides about those of its lanes."""
-        near = overlaps(target.nodes, block, box, first, last)
+        near = overlaps(target.nodes, block, box, first, last) & allowed
         lanes = wp.uint32(_NONE)
         a = box_corners(query, q)
         while near != _NONE:
@@ -188,7 +191,7 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
             near = near & (near - _ONE)
             p = block * WIDTH + lane
             # an empty place overlaps only a box that is infinite in quantized coordinates
-            if p < target.num_boxes and (tree_pair.within == 0 or p > q):
+            if p < target.num_boxes and p > after:
                 b = box_corners(target, p)
                 is_out = is_left_out(query, target, tree_pair, collision_filter, q, p, a, b)
                 if wp.static(not of_boxes and not is_listing):
@@ -304,6 +307,8 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                             q,
                             box,
                             child,
+                            _EVERY,
+                            wp.where(tree_pair.within != 0, q, -1),
                             first,
                             last,
                             part,
@@ -377,4 +382,4 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
                     minima,
                 )
 
-    return SimpleNamespace(search_queries=search_queries)
+    return SimpleNamespace(search_queries=search_queries, search_leaf=search_leaf, overlaps=overlaps)

@@ -363,4 +363,12 @@ def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
         if num_candidates > 0:
             claim(counts, part.row, CANDIDATES, num_candidates)
 
-    return SimpleNamespace(search_pairs=search_pairs)
+    return SimpleNamespace(
+        search_pairs=search_pairs,
+        overlaps=overlaps,
+        partners_of=partners_of,
+        keep=keep,
+        collect=collect,
+        cull_rest=cull_rest,
+        num_collected=num_collected,
+    )

@@ -18,6 +18,7 @@ class TreePair:
     swapped: int  # 1: the query is the second primitive of a pair
     num_query_corners: int
     num_target_corners: int
+    rise: int  # of spatial hashes: the least number of levels by which the targets are above the query
 
 
 @wp.struct

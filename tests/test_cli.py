@@ -367,6 +367,7 @@ def test_missing_file_is_refused(scene, capfd):
         (("--max-iterations", "0"), "max_iterations"),
         (("--length-scale", "-1"), "length_scale"),
         (("--precision", "float16"), "--precision"),
+        (("--broad-phase", "grid"), "--broad-phase"),
         (("--device", "abacus"), "device"),
         (("--num-threads", "0"), "num_threads"),
         (("--pair-kinds", "face-face"), "pair_kinds"),

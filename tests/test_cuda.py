@@ -18,7 +18,7 @@ import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
 
 # Files whose kernels have other versions for CUDA.
-CPU_ONLY = ["pair_search"]
+CPU_ONLY = ["pair_search", "grid_search"]
 
 
 def test_every_file_with_kernels_is_covered():

@@ -196,6 +196,7 @@ SCENARIOS = {
     "mesh_ccd after the floor has moved": moved(MESH_CCD),
     "mesh_ccd of a large sheet after the floor has moved": moved(of_mesh(ccd.mesh_ccd, LARGE), LARGE),
     "mesh_ccd of a body that comes near after the floor has moved": moved(of_mesh(ccd.mesh_ccd, ALONE), ALONE),
+    "mesh_ccd with a spatial hash after the floor has moved": moved(of_mesh(ccd.mesh_ccd, broad_phase="hash")),
     "mesh_ccd that sorts anew": Scenario(
         SMALL.mesh, lambda mesh: MESH_CCD(mesh, turned(SMALL)), before(MESH_CCD, SMALL)
     ),
@@ -213,11 +214,17 @@ SCENARIOS = {
     "collision_free_step of a large sheet": later(of_mesh(ccd.collision_free_step, LARGE), LARGE),
     "find_candidates after the floor has moved": moved(of_mesh(ccd.find_candidates)),
     "find_candidates after mesh_ccd": Scenario(STEP.mesh, of_mesh(ccd.find_candidates), before(MESH_CCD)),
+    "find_candidates of a large sheet with a spatial hash": later(
+        of_mesh(ccd.find_candidates, LARGE, broad_phase="hash"), LARGE
+    ),
     "line_search after the floor has moved": moved(of_mesh(ccd.line_search, per="vertex")),
     "first launch": Scenario(OnDevice, launch),
     "first launch of float32": Scenario(lambda: OnDevice(dtype=wp.vec3f), launch),
     "launch again": Scenario(OnDevice, launch, launch),
     "launch after the floor has moved": Scenario(OnDevice, launch, before(launch)),
+    "launch with a spatial hash after the floor has moved": Scenario(
+        lambda: OnDevice(broad_phase="hash"), launch, before(launch)
+    ),
     "launch of a large sheet after the floor has moved": Scenario(
         lambda: OnDevice(LARGE), launch, before(launch, LARGE)
     ),

@@ -45,7 +45,7 @@ OPTIONS = {
     "device": "cpu",
     "num_threads": 1,
 }
-MESH_OPTIONS = OPTIONS | {"max_work": 1000, "pair_kinds": None, "memory_limit": None}
+MESH_OPTIONS = OPTIONS | {"max_work": 1000, "broad_phase": "tree", "pair_kinds": None, "memory_limit": None}
 FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
 SEARCH = {"per": "scene", "safety": 0.5, "max_rounds": 16}
 BODIES = {
@@ -117,7 +117,7 @@ def _calls(folder):
         "point_point_ccd": (ccd.point_point_ccd, _points(0, 1)),
         "find_candidates": (
             ccd.find_candidates,
-            FRAMES | {"inflation": 0.0, "pair_kinds": None, "device": "cpu", "num_threads": 1},
+            FRAMES | {"inflation": 0.0, "broad_phase": "hash", "pair_kinds": None, "device": "cpu", "num_threads": 1},
         ),
         "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),

@@ -12,13 +12,14 @@ import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp import _small_batch
-from ccd_warp._input.option_types import Method, PairKindName, Precision
+from ccd_warp._input.option_types import BroadPhase, Method, PairKindName, Precision
 from ccd_warp._input.options import Options
 
 FACES = np.array([[0, 1, 2], [3, 4, 5]])
 START = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 0], [1, 0, 0], [0, 1, 0]])
 END = START * [1, 1, -1]
 MESH = ccd.CollisionMesh.from_arrays([(START[:3], FACES[:1]), (START[3:], FACES[:1])])
+MESH_ONLY = {"max_work", "broad_phase", "pair_kinds", "memory_limit"}
 PAIR_FUNCTIONS = {
     ccd.vertex_face_ccd: 4,
     ccd.edge_edge_ccd: 4,
@@ -69,7 +70,7 @@ def test_a_misspelled_argument_beside_the_options_is_told_too(name, misspelled, 
 @pytest.mark.parametrize(
     ("name", "option"),
     [
-        *((f.__name__, option) for f in PAIR_FUNCTIONS for option in ("max_work", "pair_kinds", "memory_limit")),
+        *((f.__name__, option) for f in PAIR_FUNCTIONS for option in MESH_ONLY),
         ("line_search", "t_max"),
         ("find_candidates", "tolerance"),
     ],
@@ -145,7 +146,7 @@ def test_what_functions_take_is_among_what_mesh_ccd_takes():
         assert part == {name: whole[name] for name in part}
         assert not kind.__required_keys__
     assert set(whole) - set(typing.get_type_hints(ccd.LineSearchOptions)) == {"t_max"}
-    assert set(whole) - set(typing.get_type_hints(ccd.PairOptions)) == {"max_work", "memory_limit", "pair_kinds"}
+    assert set(whole) - set(typing.get_type_hints(ccd.PairOptions)) == MESH_ONLY
     names = set(re.findall(r"``(\w+)``", inspect.getdoc(ccd.PairOptions)))
     assert names == ccd.PairOptions.__optional_keys__
 
@@ -155,6 +156,8 @@ def test_the_words_that_a_type_checker_knows_are_those_that_are_taken():
         call("vertex_face_ccd", precision=precision)
     for method in typing.get_args(Method):
         call("vertex_face_ccd", method=method)
+    for broad_phase in typing.get_args(BroadPhase):
+        call("mesh_ccd", broad_phase=broad_phase)
     assert typing.get_args(PairKindName) == tuple(kind.name.lower() for kind in ccd.PairKind)
 
 

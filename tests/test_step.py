@@ -525,6 +525,8 @@ def test_shuffled_mesh_is_sorted_by_place():
     [
         ({"memory_limit": 0}, "memory_limit is 0; expected a positive integer"),
         ({"memory_limit": 1.5}, "memory_limit is 1.5"),
+        ({"broad_phase": "grid"}, "broad_phase is 'grid'; expected 'tree' or 'hash'"),
+        ({"broad_phase": None}, "broad_phase is None; expected 'tree' or 'hash'"),
         ({"pair_kinds": []}, r"pair_kinds is \[\]; expected a list of 'vertex_face', 'edge_edge'"),
         ({"pair_kinds": "vertex_face"}, "pair_kinds is 'vertex_face'; expected a list"),
         ({"pair_kinds": ["vertex"]}, r"pair_kinds is \['vertex'\]"),

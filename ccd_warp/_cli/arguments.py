@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._input.option_types import MeshOptions, Method, PairKindName, Precision
+from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp._input.options import Options
 
 _DEFAULTS: dict[str, Any] = {field.name: field.default for field in fields(Options)}
@@ -42,6 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("precision", "arithmetic of the kernels", choices=get_args(Precision))
     add("method", "the bisection is the literature's, for comparison", choices=get_args(Method))
+    add("broad_phase", "how pairs that may touch are found; both give the same answer", choices=get_args(BroadPhase))
     names = [name.replace("_", "-") for name in get_args(PairKindName)]
     add(
         "pair_kinds",

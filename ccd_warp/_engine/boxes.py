@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.grids import Grid, choose_cell, fill_grids
 from ccd_warp._engine.rest_order import apply_order, rest_order
 from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
@@ -53,7 +54,8 @@ class StepBoxes:
     """Boxes of a mesh, kept between steps and recomputed by each.
 
     Attributes:
-        trees: The trees that calls have asked for so far, by name of the set; see ``search.tree_pairs_of``.
+        trees: The trees that calls have asked for so far, by name of the set; see ``trees.tree_pairs_of``.
+        grids: The spatial hashes, likewise.
         vertex_aabbs: AABBs of the vertices of this step.
         quantization: The map to quantized coordinates of this step.
         num_boxes: Boxes computed in this step; those of static bodies count only in the step that computes them.
@@ -64,10 +66,13 @@ class StepBoxes:
         self.topology = topology
         self.buffers = buffers
         self.trees: dict[str, Tree] = {}
+        self.grids: dict[str, Grid] = {}
         self.num_boxes = self.num_sorted = 0
         self._num_aabbs = 0
-        self._rest: dict[str, Any] = {}  # the arrays of each tree in the order of the rest configuration
-        self._filled: set[str] = set()  # trees of static bodies whose boxes are those of `_static_key`
+        # the arrays of each tree in the order of the rest configuration, and those of spatial hashes
+        self._rest: dict[str, Any] = {}
+        # trees and spatial hashes of static bodies whose boxes are those of `_static_key`
+        self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
         self._static_quantization: Any = None
 
@@ -77,15 +82,17 @@ class StepBoxes:
         inflation: float,
         num_aabbs: int,
         trees: Sequence[Tree],
+        grids: Sequence[Grid],
         execution: Execution,
     ) -> None:
-        """Start a step: choose its quantization, and build the trees of static bodies where they are not up to date.
+        """Start a step: choose its quantization, and build what static bodies need where it is not up to date.
 
         Args:
             positions: Start and end positions.
             inflation: Enlargement of every box, a length.
             num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
             trees: The trees that the step needs.
+            grids: The spatial hashes that it needs.
             execution: Where to build them.
         """
         start = positions[0]
@@ -99,6 +106,9 @@ class StepBoxes:
             self.vertex_aabbs = self.buffers.get("vertex_aabbs", size, wp.float32)
         for tree in trees:
             self._lay_out(tree, execution)
+        cell = choose_cell(self.topology, positions, self.quantization) if grids else 0.0
+        for grid in grids:
+            self._lay_out_grid(grid, cell)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
             for tree in trees:
@@ -108,6 +118,11 @@ class StepBoxes:
                     fill_trees([tree], self.vertex_aabbs, execution)
                     self.keep_in_order(tree, execution)
                     self._filled.add(name)
+            for grid in grids:
+                if grid.primitives.is_static and grid.name not in self._filled:
+                    fill_grids([grid], self.vertex_aabbs, execution)
+                    self.num_boxes += grid.primitives.count
+                    self._filled.add(grid.name)
 
     def _lay_out(self, tree: Tree, execution: Execution) -> None:
         """Give a tree its arrays; that of moving bodies begins every step in the order of the rest configuration."""
@@ -120,6 +135,18 @@ class StepBoxes:
         if not tree.primitives.is_static:
             tree.arrays = self._rest[name]
             self.num_boxes += tree.primitives.count
+
+    def _lay_out_grid(self, grid: Grid, cell: float) -> None:
+        """Give a spatial hash its arrays and cells of a size; one of moving bodies is filled in every step."""
+        if grid.name not in self._rest:
+            grid.lay_out(self._num_aabbs, cell, self.buffers.get)
+            self._rest[grid.name] = grid.arrays
+            self._filled.discard(grid.name)
+        elif grid.cell != cell:
+            self._filled.discard(grid.name)
+            grid.set_cell(cell)
+        if not grid.primitives.is_static:
+            self.num_boxes += grid.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
@@ -151,9 +178,9 @@ class StepBoxes:
         )
         self._static_key = replace(key, positions=[positions.copy() for positions in static_positions])
 
-    def may_meet(self, a: Tree, b: Tree) -> bool:
-        """Whether the boxes around two trees overlap; on CUDA the search has to find this out."""
-        if a is b or self.topology.device.is_cuda:
+    def may_meet(self, a: Tree | Grid, b: Tree | Grid) -> bool:
+        """Whether the boxes around two trees overlap; on CUDA, and of spatial hashes, the search has to find out."""
+        if a is b or self.topology.device.is_cuda or isinstance(a, Grid) or isinstance(b, Grid):
             return True
         low_a, high_a = a.bounds()
         low_b, high_b = b.bounds()

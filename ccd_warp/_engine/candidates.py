@@ -32,7 +32,7 @@ class Candidates:
     On the CPU pairs are in the order of the search: by the position of the first box and then of the second in trees
     that group neighbouring boxes in blocks of sixteen. This order depends only on the mesh, the positions, the
     inflation and the version of this library, not on the number of threads, the memory limit or earlier calls. On CUDA
-    pairs are in lexicographic order.
+    and with ``broad_phase="hash"`` pairs are in lexicographic order.
 
     Attributes:
         vertex_face: Vertex and face indices, int32, shape [m, 2].
@@ -65,10 +65,11 @@ class _Piece:
 
 
 class Collector:
-    """Collects the pairs of a search batch by batch, and puts them in the order of the trees."""
+    """Collects the pairs of a search batch by batch, and puts them in the order of the trees, or sorts them."""
 
-    def __init__(self, execution: Execution) -> None:
+    def __init__(self, execution: Execution, *, is_sorted: bool) -> None:
         self._execution = execution
+        self._is_sorted = is_sorted
         self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
         self._pieces: dict[PairKind, list[_Piece]] = {kind: [] for kind in PairKind}
 
@@ -91,8 +92,7 @@ class Collector:
     def candidates(self) -> Candidates:
         """All collected pairs, in order."""
         found = Candidates(*map(self._pairs_of, PairKind))
-        # the threads of a GPU write in arbitrary order
-        return found.sorted() if self._execution.is_cuda else found
+        return found.sorted() if self._is_sorted else found
 
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
         batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: _place(piece.found))
@@ -106,7 +106,7 @@ class Collector:
         for (is_cut, *_), group in itertools.groupby(pieces, key=lambda p: (p.found.is_cut, *_place(p.found)[:2])):
             blocks = list(group)
             begin, end = end, end + sum(len(piece.pairs) for piece in blocks)
-            if is_cut and not self._execution.is_cuda:
+            if is_cut and not self._is_sorted:
                 pairs[begin:end] = _as_one_block(blocks[0].found.tree_pair, pairs[begin:end])
         return pairs
 

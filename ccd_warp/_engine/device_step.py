@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
+from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
-from ccd_warp._engine.trees import fill_trees, search_options, tree_pairs_of, trees_of
+from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
 from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -158,12 +159,21 @@ class DeviceStep:
         self._last: PreparedLaunch | None = None
         if self._has_static:
             self._place_static(static_positions)
-        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {})
+        quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
+        self._has_grids = options.broad_phase == "hash"
+        make = Grid if self._has_grids else Tree
+        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {}, make)
+        if self._has_grids:
+            tree_pairs = with_reverses(tree_pairs)
         trees = trees_of(tree_pairs)
         self._static_trees = [tree for tree in trees if tree.primitives.is_static]
         self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
         for tree in trees:
-            tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))
+            if self._has_grids:
+                cell = choose_cell(topology, (vertices, vertices), quantization)
+                tree.lay_out(_NUM_AABBS, cell, lambda _, n, dtype: self._empty(n, dtype))
+            else:
+                tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
@@ -189,9 +199,10 @@ class DeviceStep:
             vertices_t1=self._end,
             vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
             trees={tree.primitives.name: tree.arrays for tree in trees},
+            grids={tree.primitives.name: tree.cells for tree in trees if self._has_grids},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
             candidates={kind: self._empty(max_candidates, wp.int64) for kind in kinds},
-            quantization=choose_quantization(topology, (vertices, vertices), _NUM_AABBS),
+            quantization=quantization,
             t_end=options.t_max,
             inflation=inflation,
             search_options=search_options(options.t_max, inflation, separation, self._flag),
@@ -202,7 +213,7 @@ class DeviceStep:
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
-            self._stages.fill_trees(execution, self._static_trees)
+            self._fill(self._stages, execution, self._static_trees)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -402,7 +413,7 @@ class DeviceStep:
         self._record_input(recording, form, stages, is_copied, is_first)
         is_line_search = form.line_search is not None
         stages.fill_vertex_aabbs(recording, topology.moving_vertices, self._touched if is_line_search else self._active)
-        stages.fill_trees(recording, self._moving_trees)
+        self._fill(stages, recording, self._moving_trees)
         with recording.at_once():
             for tree_pair in stages.tree_pairs:
                 stages.search(recording, tree_pair, marks_overflow=True)
@@ -449,6 +460,13 @@ class DeviceStep:
             with recording.only_if(self._is_moved):
                 self._record_refresh(recording)
 
+    def _fill(self, stages: Stages, launcher: Execution | Recording, trees: list[Any]) -> None:
+        """Compute the boxes of trees, or of spatial hashes."""
+        if self._has_grids:
+            stages.fill_grids(launcher, trees)
+        else:
+            stages.fill_trees(launcher, trees)
+
     def _record_refresh(self, recording: Recording) -> None:
         """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
         topology, stages, trees = self.topology, self._stages, self._static_trees
@@ -469,9 +487,11 @@ class DeviceStep:
             outputs=[stages.vertex_aabbs],
             grain=64,
         )
-        if recording.is_cuda:
+        if self._has_grids:
+            stages.fill_grids(recording, trees, self._is_moved)
+        elif recording.is_cuda:
             fill_trees(trees, stages.vertex_aabbs, recording, only_if=self._is_moved)
-        for tree in () if recording.is_cuda else trees:
+        for tree in () if self._has_grids or recording.is_cuda else trees:
             recording.launch(
                 device_step.refresh_blocks,
                 -(-tree.levels[0] // _CHUNK),

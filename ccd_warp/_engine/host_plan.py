@@ -11,11 +11,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.grids import Grid
 from ccd_warp._engine.scene import moves_alone, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
-from ccd_warp._engine.trees import TreePair, search_options, tree_pairs_of, trees_of
+from ccd_warp._engine.trees import Tree, TreePair, search_options, tree_pairs_of, trees_of, with_reverses
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
@@ -82,7 +83,7 @@ class HostPlan:
     Attributes:
         execution: Where its stages run.
         kinds: Kinds of pairs that the mesh can form and the options select.
-        tree_pairs: The tree pairs that are searched.
+        tree_pairs: The tree pairs, or the pairs of spatial hashes, that are searched.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
@@ -91,7 +92,7 @@ class HostPlan:
     @staticmethod
     def of(workspace: "Workspace", options: "Options", goal: Goal) -> "HostPlan":
         """The plan of a workspace for such calls."""
-        key = (goal, options.pair_kinds, options.precision, options.threads)
+        key = (goal, options.pair_kinds, options.precision, options.threads, options.broad_phase)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
@@ -106,8 +107,14 @@ class HostPlan:
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self.kinds = possible_kinds(mesh, options)
-        self.tree_pairs = tree_pairs_of(topology, self.kinds, moves_alone(mesh), self._boxes.trees)
+        sought = topology, self.kinds, moves_alone(mesh)
+        self._has_grids = options.broad_phase == "hash"
+        if self._has_grids:
+            self.tree_pairs = with_reverses(tree_pairs_of(*sought, self._boxes.grids, Grid))
+        else:
+            self.tree_pairs = tree_pairs_of(*sought, self._boxes.trees, Tree)
         self.trees = trees_of(self.tree_pairs)
+        self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         self._num_aabbs = 1 if goal == "candidates" else 2
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
@@ -127,10 +134,11 @@ class HostPlan:
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
         names += ["search options", "options", "contacts", "queue"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
+        grids = {name: Slot(f"{name} cells") for name in trees if self._has_grids}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
-        slots = [*trees.values(), *keys.values(), *candidates.values(), *open_toi.values()]
+        slots = [*trees.values(), *grids.values(), *keys.values(), *candidates.values(), *open_toi.values()]
         self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
         self._stages = Stages(
             topology,
@@ -140,6 +148,7 @@ class HostPlan:
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,
+            grids=grids,
             keys=keys,
             candidates=candidates,
             minima=workspace.contacts.minima if goal == "contacts" else Minima(),
@@ -201,17 +210,20 @@ class HostPlan:
     def fill_boxes(self, positions: Positions, t_end: float, inflation: float, active: wp.array) -> None:
         """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
         boxes, recording = self._boxes, self._recording
-        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution)
+        trees, grids = ([], self.trees) if self._has_grids else (self.trees, [])
+        boxes.begin(positions, inflation, self._num_aabbs, trees, grids, self.execution)
         recording.bind("quantization", boxes.quantization)
         recording.bind("vertex_aabbs", boxes.vertex_aabbs)
         recording.bind("inflation", inflation)
         self._active = active
         self._bind_trees()
         self._fill_vertex_aabbs(t_end)
-        moving = [tree for tree in self.trees if not tree.primitives.is_static]
+        if self._has_grids:
+            self._fill_trees()
+            return
         if not self.execution.is_cuda:
             self._fill_trees()
-        for tree in moving:
+        for tree in self._moving:
             boxes.keep_in_order(tree, self.execution)
         self._bind_trees()
 
@@ -226,12 +238,16 @@ class HostPlan:
         self.play("vertex AABBs", lambda stages, recording: stages.fill_vertex_aabbs(recording, moving, self._active))
 
     def _fill_trees(self) -> None:
-        moving = [tree for tree in self.trees if not tree.primitives.is_static]
-        self.play("boxes", lambda stages, recording: stages.fill_trees(recording, moving))
+        if self._has_grids:
+            self.play("boxes", lambda stages, recording: stages.fill_grids(recording, self._moving))
+        else:
+            self.play("boxes", lambda stages, recording: stages.fill_trees(recording, self._moving))
 
     def _bind_trees(self) -> None:
         for tree in self.trees:
             self._recording.bind(tree.primitives.name, tree.arrays)
+            if self._has_grids:
+                self._recording.bind(f"{tree.primitives.name} cells", tree.cells)
 
     def may_meet(self, tree_pair: TreePair) -> bool:
         """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""

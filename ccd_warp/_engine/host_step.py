@@ -175,7 +175,9 @@ class Step:
     def candidates(self, inflation: float) -> Candidates:
         """All pairs whose boxes, enlarged by ``inflation``, overlap."""
         plan = self.begin("candidates", 1.0, inflation)
-        collector = Collector(self.execution)
+        # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
+        is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
+        collector = Collector(self.execution, is_sorted=is_sorted)
         with self.timed("pairs"):
             search = PairSearch(
                 self.topology,

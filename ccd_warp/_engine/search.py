@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
-from ccd_warp._runtime.lanes import pair_search_on
+from ccd_warp._runtime.lanes import grid_search_on, pair_search_on
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
@@ -135,7 +135,6 @@ class PairSearch:
         self._positions, self._options = positions, options
         assert execution.flag
         self._flag = execution.flag
-        self._kernel = pair_search_on(topology.device, BOXES, topology.has_lists, is_cuda=execution.is_cuda)
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
@@ -153,6 +152,9 @@ class PairSearch:
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
+        search_on = grid_search_on if tree_pairs[0].query.cells is not None else pair_search_on
+        is_cuda = self.execution.is_cuda
+        self._kernel = search_on(self._topology.device, BOXES, self._topology.has_lists, is_cuda=is_cuda)
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
@@ -185,14 +187,15 @@ class PairSearch:
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
         """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
+        sets = (tree_pair.query, tree_pair.target)
         return wp.launch(
             self._kernel,
             dim=1,
             inputs=[
                 0,
                 SearchRange(),
-                tree_pair.query.arrays,
-                tree_pair.target.arrays,
+                *(each.arrays for each in sets),
+                *(each.cells for each in sets if each.cells is not None),
                 tree_pair.packed,
                 self._options,
                 self._topology.collision_filter,

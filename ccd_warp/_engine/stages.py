@@ -7,9 +7,10 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._engine.grids import Grid, fill_grids
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, Tree, TreePair, fill_trees, search_range
-from ccd_warp._runtime.lanes import pair_search_on, queued_pairs_in
+from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
@@ -50,7 +51,8 @@ class Stages:
         vertices_t0: Start positions, wp.vec3d, shape [V].
         vertices_t1: End positions.
         vertex_aabbs: AABBs of the vertices.
-        trees: The boxes of each tree, by name of its set.
+        trees: The boxes of each tree or spatial hash, by name of its set.
+        grids: The cells of each spatial hash, likewise; empty where trees are searched.
         keys: Keys of the pairs that the search finds, by kind.
         candidates: On CUDA, keys of the candidates that the search lists for the cull, by kind.
         quantization: The map to quantized coordinates.
@@ -74,6 +76,7 @@ class Stages:
     vertices_t1: Any
     vertex_aabbs: Any
     trees: dict[str, Any]
+    grids: dict[str, Any]
     keys: dict[PairKind, Any]
     candidates: dict[PairKind, Any]
     quantization: Any
@@ -124,6 +127,17 @@ class Stages:
         """Compute the boxes of trees from the AABBs of the vertices."""
         fill_trees(trees, self.vertex_aabbs, launcher, lambda tree: self.trees[tree.primitives.name])
 
+    def fill_grids(self, launcher: Launcher, grids: Iterable[Grid], is_changed: wp.array | None = None) -> None:
+        """Compute and sort the boxes of spatial hashes likewise, those with a flag only where it is set."""
+        fill_grids(
+            grids,
+            self.vertex_aabbs,
+            launcher,
+            lambda grid: self.trees[grid.primitives.name],
+            lambda grid: self.grids[grid.primitives.name],
+            is_changed,
+        )
+
     def reset(self, launcher: Launcher, num_contacts: wp.array, stop: wp.array, kept_flags: int = 0) -> None:
         """Set every toi but those of the vertices to infinity, and all counts to 0; see also ``reset_vertices``."""
         mesh = self.topology.mesh
@@ -155,7 +169,7 @@ class Stages:
 
         Args:
             launcher: Where to launch, or to record.
-            tree_pair: The trees.
+            tree_pair: The trees, or the spatial hashes.
             items: The items to search; all by default.
             level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as always on CUDA.
             marks_overflow: Whether a pair for which there is no capacity gets toi 0.
@@ -177,7 +191,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            pair_search_on(self.topology.device, CULL, self.topology.has_lists, is_cuda=False),
+            self._search_on(CULL, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
@@ -190,11 +204,17 @@ class Stages:
             is_long=lambda: is_long,
         )
 
+    def _search_on(self, end: str, *, is_cuda: bool) -> Any:
+        """The kernel of a search that ends at a stage."""
+        search_on = grid_search_on if self.grids else pair_search_on
+        return search_on(self.topology.device, end, self.topology.has_lists, is_cuda=is_cuda)
+
     def _searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
+        names = [tree_pair.query.primitives.name, tree_pair.target.primitives.name]
         return [
-            self.trees[tree_pair.query.primitives.name],
-            self.trees[tree_pair.target.primitives.name],
+            *(self.trees[name] for name in names),
+            *(self.grids[name] for name in names if self.grids),
             tree_pair.packed,
             self.search_options,
             self.topology.collision_filter,
@@ -207,7 +227,7 @@ class Stages:
     ) -> None:
         """Search a tree pair on CUDA, with sixteen threads for each query."""
         launcher.launch(
-            pair_search_on(self.topology.device, end, self.topology.has_lists, is_cuda=True),
+            self._search_on(end, is_cuda=True),
             num_queries * WIDTH,
             inputs=[part, *self._searched(tree_pair)],
             outputs=[self.counts, keys, self.minima],

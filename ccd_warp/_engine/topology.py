@@ -299,6 +299,19 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     return quantization
 
 
+def large_half_side(topology: Topology, positions: Positions, quantile: float) -> float:
+    """Half the length that this share of the primitives' boxes over the whole step do not exceed, from samples."""
+    start, end = positions
+    if len(start) == 0:
+        return 0.0
+    _, primitives = topology.samples
+    points = np.stack([start[primitives], end[primitives]])  # axes: end of the step, vertex, primitive, coordinate
+    with np.errstate(under="ignore"):
+        points *= 0.5
+    sides = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
+    return float(np.quantile(sides, quantile))
+
+
 def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64], quantization: Any) -> Any:
     """The same map, with the typical extent of the primitives of static bodies only."""
     among = mesh.edges[mesh.static[mesh.edge_body]]

@@ -32,7 +32,10 @@ class Tree:
         primitives: The set.
         levels: Number of blocks of each level; there are at least two levels.
         arrays: The boxes and their order, a ``kernels.BoxTree``; None before the first step.
+        cells: Always None, which tells a tree from a spatial hash.
     """
+
+    cells = None
 
     def __init__(self, primitives: PrimitiveSet) -> None:
         self.primitives = primitives
@@ -149,12 +152,13 @@ def _fill_in_half_warps(
 
 @dataclass(frozen=True)
 class TreePair:
-    """Two trees whose boxes may overlap; the same tree twice for pairs within a set."""
+    """Two trees, or two spatial hashes, whose boxes may overlap; the same one twice for pairs within a set."""
 
     kind: PairKind
-    query: Tree
-    target: Tree
+    query: Any
+    target: Any
     swapped: bool = False
+    rise: int = 0  # of spatial hashes: the least number of levels by which the targets are above the query
 
     @property
     def within(self) -> bool:
@@ -176,6 +180,7 @@ class TreePair:
         packed.swapped = int(self.swapped)
         packed.num_query_corners = self.query.primitives.num_corners
         packed.num_target_corners = self.target.primitives.num_corners
+        packed.rise = self.rise
         return packed
 
 
@@ -204,17 +209,21 @@ def search_range(
 
 
 def tree_pairs_of(
-    topology: Topology, kinds: tuple[PairKind, ...], skip_moving: bool, trees: dict[str, Tree]
+    topology: Topology,
+    kinds: tuple[PairKind, ...],
+    skip_moving: bool,
+    trees: dict[str, Any],
+    make: Callable[[PrimitiveSet], Any] = Tree,
 ) -> list[TreePair]:
     """The tree pairs to search: never two static trees, and two moving ones unless ``skip_moving`` is set.
 
-    Trees that are not in ``trees`` yet, by name of their sets, are added to it.
+    Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
     """
 
-    def tree(kind: str, is_static: bool) -> Tree:
+    def tree(kind: str, is_static: bool) -> Any:
         primitives = topology.primitives(kind, is_static)
         if primitives.name not in trees:
-            trees[primitives.name] = Tree(primitives)
+            trees[primitives.name] = make(primitives)
         return trees[primitives.name]
 
     tree_pairs = []
@@ -231,6 +240,19 @@ def tree_pairs_of(
     return tree_pairs
 
 
-def trees_of(tree_pairs: list[TreePair]) -> list[Tree]:
+def with_reverses(tree_pairs: list[TreePair]) -> list[TreePair]:
+    """The searches of grids for these pairs of sets: a box looks up only boxes that are no smaller.
+
+    So two different sets are searched in both directions, the second time for pairs of different levels alone.
+    """
+    searches = []
+    for pair in tree_pairs:
+        searches.append(pair)
+        if not pair.within:
+            searches.append(TreePair(pair.kind, pair.target, pair.query, swapped=not pair.swapped, rise=1))
+    return searches
+
+
+def trees_of(tree_pairs: list[TreePair]) -> list[Any]:
     """The trees of the pairs, each once."""
     return list(dict.fromkeys(tree for pair in tree_pairs for tree in (pair.query, pair.target)))

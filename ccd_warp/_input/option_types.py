@@ -9,6 +9,7 @@ from ccd_warp._status import PairKind
 
 Precision = Literal["float64", "float32"]
 Method = Literal["clipping", "bisection"]
+BroadPhase = Literal["tree", "hash"]
 PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point"]
 
 
@@ -28,6 +29,7 @@ class _End(TypedDict, total=False):
 
 
 class _Search(TypedDict, total=False):
+    broad_phase: BroadPhase
     pair_kinds: Iterable[PairKind | PairKindName] | None
 
 
@@ -72,6 +74,8 @@ class MeshOptions(_Solver, _End, _Search, _Limits, _Place, total=False):
             Default: ``"float64"``.
         method: ``"clipping"``, or for comparison ``"bisection"``, the plain inclusion bisection of the literature.
             Default: ``"clipping"``.
+        broad_phase: How pairs whose boxes overlap are found: with ``"tree"``, a tree of boxes, or ``"hash"``, a spatial
+            hash. No result depends on it but the order of candidates. Default: ``"tree"``.
         pair_kinds: Kinds of pairs to check (:class:`PairKind` or their names, as ``["vertex_face"]``); None stands for
             all that the mesh can form. Default: ``None``.
         memory_limit: Bytes that the step may take besides its input, including its contacts. Pairs that do not fit are
@@ -97,4 +101,7 @@ class LineSearchOptions(_Solver, _Search, _Limits, _Place, total=False):
 
 
 class CandidateOptions(_Search, _Place, total=False):
-    """Options of :func:`find_candidates`: ``pair_kinds``, ``device`` and ``num_threads`` of :class:`MeshOptions`."""
+    """Options of :func:`find_candidates`: some of :class:`MeshOptions`.
+
+    They are ``broad_phase``, ``pair_kinds``, ``device`` and ``num_threads``.
+    """

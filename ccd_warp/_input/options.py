@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 import warp as wp
 
 from ccd_warp._input.arguments import check_choice, check_count, check_items, check_real, shown
-from ccd_warp._input.option_types import MeshOptions, Method, PairKindName, Precision
+from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
@@ -22,6 +22,7 @@ MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than ther
 
 _PRECISIONS: dict[Precision, Any] = {"float64": wp.float64, "float32": wp.float32}
 _METHODS: dict[Method, int] = {"clipping": int(query.CLIPPING), "bisection": int(query.BISECTION)}
+_BROAD_PHASES = get_args(BroadPhase)
 # Fields of the struct that the kernels take.
 _FIELDS = (
     "tolerance",
@@ -55,6 +56,7 @@ class Options:
     length_scale: float | None = None
     precision: Precision = "float64"
     method: Method = "clipping"
+    broad_phase: BroadPhase = "tree"
     pair_kinds: Iterable[PairKind | PairKindName] | None = None
     memory_limit: int | None = None
     device: Any = None
@@ -70,6 +72,7 @@ class Options:
         self._keep_real("length_scale", "a finite length above 0, or None", lambda x: x > 0)
         check_choice("precision", self.precision, _PRECISIONS)
         check_choice("method", self.method, _METHODS)
+        check_choice("broad_phase", self.broad_phase, _BROAD_PHASES)
         if self.memory_limit is not None:
             check_count("memory_limit", self.memory_limit, 2**63 - 1)
         if self.pair_kinds is not None:

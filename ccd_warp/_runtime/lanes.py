@@ -64,6 +64,17 @@ def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) ->
     return make_pair_search(end, with_lists, lanes_of(device) if end == CULL else 1).search_pairs
 
 
+def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
+    """The kernel of a search of spatial hashes; the arguments are those of :func:`pair_search_on`."""
+    from ccd_warp.kernels.grid_search import make_grid_search
+    from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
+    from ccd_warp.kernels.search_types import CULL
+
+    if is_cuda:
+        return make_half_warp_grid_search(end, with_lists)
+    return make_grid_search(end, with_lists, lanes_of(device) if end == CULL else 1)
+
+
 @cache
 def cpu_lanes() -> int:
     """The lanes of this processor, or as many as the environment variable ``CCD_WARP_LANES`` says.

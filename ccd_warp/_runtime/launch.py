@@ -119,6 +119,10 @@ class Execution:
         tasks = [lambda b=b, e=e: part(b, e) for b, e in needed]  # type: ignore[misc]
         self.run(tasks, is_long=is_long is not None and is_long())
 
+    def call(self, function: Callable[[], None]) -> None:
+        """Call a function that launches kernels of Warp's own."""
+        function()
+
     @contextmanager
     def at_once(self) -> Iterator[None]:
         """As for a recording; launches that run now do so one after another."""
@@ -154,10 +158,17 @@ class Slot:
 
 
 @dataclass(frozen=True)
+class _Call:
+    """A function that launches kernels of Warp's own, in place of a launch."""
+
+    launch: Callable[[], None]
+
+
+@dataclass(frozen=True)
 class _Launch:
     """The parts of a launch, with how many of them are needed, and whether they may take long."""
 
-    commands: list[wp.Launch]
+    commands: Sequence[wp.Launch | _Call]
     is_large: bool  # at least as many items as are worth a part
     num_needed: Callable[[], int] | None
     is_long: Callable[[], bool] | None
@@ -198,6 +209,11 @@ class Recording:
         self._groups: list[_Group] = []  # of the section that is recorded
         self._is_at_once = False
         self._uses: dict[str, list[tuple[wp.Launch, int]]] = {name: [] for name in values}
+
+    @property
+    def device(self) -> Any:
+        """Warp device."""
+        return self.execution.device
 
     @property
     def is_cuda(self) -> bool:
@@ -278,6 +294,14 @@ class Recording:
         assert isinstance(group, list)
         group.append(_Launch(commands, count >= grain > 1, num_needed, is_long))
 
+    def call(self, function: Callable[[], None]) -> None:
+        """Record a call of a function that launches kernels of Warp's own."""
+        if not self._is_at_once:
+            self._groups.append([])
+        group = self._groups[-1]
+        assert isinstance(group, list)
+        group.append(_Launch([_Call(function)], False, None, None))
+
     def bind(self, name: str, value: Any) -> None:
         """Set a slot to an array, a struct or a number."""
         before = self.values[name]
@@ -324,7 +348,7 @@ class Recording:
 
     def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
         """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
-        commands: list[wp.Launch] = []
+        commands: list[wp.Launch | _Call] = []
         is_long = is_worth_threads = False
         for each in group:
             needed = each.commands if each.num_needed is None else each.commands[: each.num_needed()]
@@ -338,7 +362,7 @@ class Recording:
         progress = self.execution.progress
         progress.begin(section, len(commands))
 
-        def run(command: wp.Launch) -> None:
+        def run(command: wp.Launch | _Call) -> None:
             command.launch()
             progress.done += 1
 

@@ -8,7 +8,6 @@ import scenes
 import warp as wp
 
 import ccd_warp as ccd
-
 from emulated.outputs import Outputs, outputs_of
 from emulated.steps import StepCase
 
