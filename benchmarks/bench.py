@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import scaling, small_scenes, whole_step
+from ccd_warp.benchmarks import broad_phases, scaling, small_scenes, whole_step
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal, fingerprint
@@ -23,7 +23,7 @@ from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
 from ccd_warp.benchmarks.scenes import small_scenes as all_small_scenes
 from tqdm import tqdm
 
-SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "small", "pairs", "growth")
+SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "broad", "small", "pairs", "growth")
 JOURNAL = "bench.journal"
 RAW = "bench.json"
 
@@ -199,6 +199,14 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
                     f"steps|{name}|{device}",
                     settings.step_seconds + 5.0,
                     lambda m=make, d=device: whole_step.measure(m(), d, settings.step_seconds, settings.step_rounds),
+                )
+    if "broad" in settings.sections:
+        for name, make in all_scenes(folder, settings.quick):
+            for device in settings.devices:
+                yield Task(
+                    f"broad|{name}|{device}",
+                    settings.step_seconds + 5.0,
+                    lambda m=make, d=device: broad_phases.measure(m(), d, settings.step_seconds, settings.step_rounds),
                 )
     rounds = settings.small_rounds
     if "small" in settings.sections:

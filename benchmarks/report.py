@@ -127,6 +127,18 @@ def document(raw: dict, figures: str = "figures") -> str:
             "",
             *picture("steps", "Time by stage"),
         ]
+    if raw.get("broad"):
+        lines += [
+            "### Broad phases",
+            "",
+            "Milliseconds on all cores: candidates by ipc-toolkit's LBVH and by ours with a tree and with a spatial "
+            "hash, and the stages of `mesh_ccd` that differ between these two: the boxes, which the hash sorts in "
+            "every step, and the search with the cull. Candidates of the hash are sorted, those of the tree stay in "
+            "the order of the search. The answers of both are equal in every bit.",
+            "",
+            *sections.broad(raw),
+            "",
+        ]
     if raw.get("small"):
         lines += [
             "### Small scenes",

@@ -310,6 +310,26 @@ def steps(raw: dict) -> list[str]:
     return [*lines, "", *table([*header, "other than the peer's", "rounds"], ratios)]
 
 
+def broad(raw: dict) -> list[str]:
+    """Times of both broad phases and of the peer's."""
+    names = ("LBVH", "tree find_candidates", "hash find_candidates")
+    names += ("tree boxes", "hash boxes", "tree pairs", "hash pairs", "tree mesh_ccd", "hash mesh_ccd")
+    rows = (
+        [
+            scene_name(row),
+            *(f"{1e3 * row['seconds'][name]:.1f}" for name in names),
+            f"{sum(row['candidates']):,}",
+            "yes" if row["are_equal"] else "no",
+            row["disagreements"],
+            row["rounds"],
+        ]
+        for row in raw["broad"]
+    )
+    header = ["scene, faces", "LBVH", "`find_candidates`: tree", "hash", "boxes: tree", "hash", "pairs: tree", "hash"]
+    header += ["`mesh_ccd`: tree", "hash", "candidates", "equal", "other than the peer's", "rounds"]
+    return [*table(header, rows), *apart(raw, "broad")]
+
+
 # Calls of the table of small scenes; `small_scenes.measure` names them.
 SMALL_PEERS = ("LBVH, Tight-Inclusion", "LBVH, additive")
 SMALL_CALLS = ("collision_free_step", "mesh_ccd", "pipeline.collision_free_step", "pipeline.mesh_ccd", "launch")
