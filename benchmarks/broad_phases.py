@@ -42,8 +42,9 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
             seconds.setdefault(f"{name} mesh_ccd", []).append(t)
             for stage in STAGES:
                 seconds.setdefault(f"{name} {stage}", []).append(pipeline.timings[stage])
-            results[name] = (found.sorted(), result)
+            results[name] = (found, result)
     (tree, tree_result), (hashed, hash_result) = results.values()
+    tree = tree.sorted()
     return {
         "scene": scene.name,
         "device": device,

@@ -21,7 +21,19 @@ pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
 import ipctk
-from ccd_warp.benchmarks import bench, compare, device_step, figures, raw_file, report, scenes, separation, small_scenes
+from ccd_warp.benchmarks import (
+    bench,
+    broad_phases,
+    compare,
+    device_step,
+    figures,
+    raw_file,
+    report,
+    scenes,
+    separation,
+    small_scenes,
+)
+from ccd_warp.benchmarks import sections as report_sections
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
@@ -502,6 +514,14 @@ def test_a_row_of_a_small_scene(monkeypatch):
     assert row["step"] == row["toi"] == pytest.approx(row["launch_toi"], abs=1e-5)
     assert 0.8 * row["toi"] < row["additive_step"] < row["toi"] > row["peer_step"] > 0.99 * row["toi"]
     assert set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 7
+
+
+def test_a_row_of_both_broad_phases_is_told_beside_the_peer():
+    row = broad_phases.measure(scenes.two_small_spheres(1), "cpu", 0.0, 1)
+    assert row["are_equal"] and row["disagreements"] == 0 and sum(row["candidates"]) > 0
+    assert row["rounds"] == 1 and set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 9
+    (line,) = report_sections.broad({"broad": [row]})[2:]
+    assert line.startswith(f"| {row['scene']} |") and line.endswith("| yes | 0 | 1 |")
 
 
 def test_a_part_that_is_measured_apart_replaces_itself_alone(settings, tmp_path, monkeypatch):
