@@ -55,9 +55,9 @@ def find_candidates(
         **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
-        The pairs, in an order that depends only on the mesh, the positions and ``inflation``. On CUDA and with
-        ``broad_phase="hash"`` this is the lexicographic order of the indices, which :meth:`ccd_warp.Candidates.sorted`
-        gives in any case.
+        The pairs, in an order that depends only on the mesh, the positions and ``inflation``. On CUDA
+        and with ``broad_phase="hash"`` this is the lexicographic order of the indices, which
+        :meth:`ccd_warp.Candidates.sorted` gives in any case.
 
     Raises:
         ValueError: If the positions do not match the mesh, a value that is read is not finite, or ``inflation`` or an
@@ -66,8 +66,8 @@ def find_candidates(
 
     References:
         Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (boxes along a
-        space-filling curve); Ericson 2005, "Real-time collision detection", sections 6 (bounding volume hierarchies) and
-        7 (grids); Eitz and Lixu 2007, "Hierarchical spatial hashing for real-time collision detection".
+        space-filling curve); Ericson 2005, "Real-time collision detection", section 6 (bounding volume hierarchies)
+        and section 7 (grids); Eitz and Lixu 2007, "Hierarchical spatial hashing for real-time collision detection".
 
     Guarantee: every pair that passes the filter and whose boxes overlap is found, exactly once, and no other pair. The
     boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap.

@@ -22,6 +22,7 @@ from .pair_search import lanes_before
 from .search_types import BOXES, LIST, SearchOptions, SearchRange, TreePair
 
 _NONE = wp.constant(wp.uint32(0))
+_BLOCK_DIM = 64  # as few as in `half_warp_search`, as the searches of queries differ in length
 
 
 @wp.func
@@ -39,7 +40,8 @@ def make_half_warp_grid_search(end: str, with_lists: bool) -> Any:
     """The kernel of a search that ends at a given stage; with or without lists of excluded pairs."""
     lists = ".lists" if with_lists else ""
     module = wp.get_module(f"ccd_warp.half_warp_grid_search.{end}{lists}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+    options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
+    wp.set_module_options(options, module=module)
     functions = make_half_warp_search(end, with_lists)
     search_leaf, overlaps = functions.search_leaf, functions.overlaps
     is_second = end not in (BOXES, LIST)
