@@ -36,7 +36,7 @@ def compiled(tmp_path_factory, request):
     wanted = [
         item.callspec.params["name"]
         for item in request.session.items
-        if item.fspath == request.fspath and hasattr(item, "callspec")
+        if item.fspath == request.fspath and hasattr(item, "callspec") and "name" in item.callspec.params
     ]
     folder = tmp_path_factory.mktemp("ptx")
     count = min(os.cpu_count() or 1, 8)
@@ -59,13 +59,39 @@ def test_compiles_to_ptx(name, compiled):
     assert not re.search(r"\b(fma\.rn|(add|sub|mul))\.f(32|64)", ptx)
 
 
+@pytest.fixture(scope="module")
+def optimized(tmp_path_factory):
+    """A function that gives the PTX of a module as it is compiled for a user."""
+    names = ["half_warp_search list False", "half_warp_search boxes False", "half_warp_tree"]
+    folder = tmp_path_factory.mktemp("optimized")
+    command = [sys.executable, __file__, "--optimization-level", "3", "--compile", str(folder), *names]
+    subprocess.run(command, check=True, capture_output=True)
+    return lambda name: next((folder / name).glob("*.ptx")).read_text()
+
+
+@pytest.mark.parametrize(("end", "number"), [("list", 12), ("boxes", 6)])
+def test_a_search_loads_a_box_without_a_branch_and_keeps_its_way_in_registers(end, number, optimized):
+    """All numbers of a box are on their way before the first is needed: at the top, at inner blocks, at leaves."""
+    ptx = optimized(f"half_warp_search {end} False")
+    stretches = re.split(r"\bbra\b|^\$L", ptx, flags=re.MULTILINE)
+    assert sum(len(re.findall(r"\bld\.global\S*32\b", stretch)) >= number for stretch in stretches) >= 3
+    assert ".local" not in ptx
+    assert "vote.sync.ballot" in ptx and "shfl.sync.idx" in ptx
+
+
+def test_boxes_are_loaded_four_numbers_at_a_time(optimized):
+    assert len(re.findall(r"\bld\.global\S*\.v4\.", optimized("half_warp_tree"))) >= 6
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--compile", nargs="+", metavar=("FOLDER", "NAME"), required=True)
-    folder, *names = parser.parse_args().compile
+    # 1 takes half as long as Warp's own 3, and answers most questions as well
+    parser.add_argument("--optimization-level", type=int, default=1)
+    given = parser.parse_args()
+    folder, *names = given.compile
     wp.config.log_level = wp.LOG_ERROR
-    # takes half as long as the default, 3, and answers the same questions
-    wp.config.optimization_level = 1
+    wp.config.optimization_level = given.optimization_level
     modules = cuda_modules()
     for name in names or modules:
         wp.compile_aot_module(modules[name], device=None, arch=80, module_dir=str(Path(folder, name)), use_ptx=True)
