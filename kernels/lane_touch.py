@@ -70,7 +70,7 @@ def make_lane_touch(real, width: int) -> SimpleNamespace:
         nothing = spread(zero)
         d = direction(number, c)
         d = select(is_less(dot(d, c.w00), nothing), minus(d), d)
-        e = chosen_side(number, c)
+        side = chosen_side(number, c)  # not `e`, Warp's number e, on whose value the hash of a module would depend
         start = select(is_third_side(number), c.w01, lower_end(d, c.w00, c.w01))
         start = select(is_first_side(number), lower_end(d, c.w00, c.w10), start)
         b = vec(toward(d.x, separation.x, near.x), toward(d.y, separation.y, near.y), toward(d.z, separation.z, near.z))
@@ -79,10 +79,12 @@ def make_lane_touch(real, width: int) -> SimpleNamespace:
         along_x = is_at_most(m.x, nothing)
         along_y = both(opposite(along_x), is_at_most(m.y, nothing))
         along_z = both(opposite(either(along_x, along_y)), is_at_most(m.z, nothing))
-        across = vec(select(along_x, nothing, e.x), select(along_y, nothing, e.y), select(along_z, nothing, e.z))
+        across = vec(
+            select(along_x, nothing, side.x), select(along_y, nothing, side.y), select(along_z, nothing, side.z)
+        )
         w = unit_interval(dot(b - start, across) / (dot(across, across) + spread(tiny)))
         corner = lower_end(d, lower_end(d, c.w00, c.w01), lower_end(d, c.w10, c.w11))
-        return select(is_axis(number), corner, start + w * e)
+        return select(is_axis(number), corner, start + w * side)
 
     @simd.rare
     def touching_point(separation: Vec3, c: Corners, number: Lanes, near: Vec3, size: Vec3, is_triangle: bool) -> Vec3:
