@@ -201,6 +201,62 @@ def test_difference_in_one_bit_is_found_and_described():
     assert bits.differences({"a": np.array([0.0])}, {"a": np.array([-0.0])})  # equal numbers, other bits
 
 
+def test_what_is_wrong_is_told_and_is_the_exit_status():
+    good = {
+        "status": DONE,
+        "seconds": 1.0,
+        "left_out": [],
+        "rows": [{"kind": "launch", "different": 0, "where": "here"}],
+    }
+    raw = {"settings": {"kind": CUDA}, "stages": {"graphs": good}}
+    assert summary.complaints(raw) == []
+    rows = [
+        {"kind": "launch", "where": "a second stream", "different": 3},
+        {"case": "mesh_ccd", "failed": {"on the device": "X"}},
+    ]
+    raw["stages"]["graphs"] = {**good, "rows": rows}
+    raw["stages"]["sanitizer"] = {
+        **good,
+        "rows": [{"tool": "memcheck", "status": 3, "summary": "ERROR SUMMARY: 2 errors"}],
+    }
+    raw["stages"]["queries"] = {**good, "status": FAILED, "error": "Traceback\nRuntimeError: no memory\n", "rows": []}
+    assert summary.complaints(raw) == [
+        "graphs: launch, a second stream: different: 3",
+        "graphs: mesh_ccd: failed: {'on the device': 'X'}",
+        "sanitizer: memcheck: ERROR SUMMARY: 2 errors",
+        "queries: failed, RuntimeError: no memory",
+    ]
+
+
+# --- times on a device, which is not there ---
+
+
+@pytest.fixture
+def fake_gpu(monkeypatch):
+    """A device whose stream notes what is recorded, and whose events are 2 ms apart."""
+    noted = []
+    device = SimpleNamespace(stream=SimpleNamespace(record_event=lambda event: noted.append("event")))
+    monkeypatch.setattr(wp, "get_device", lambda name: device)
+    monkeypatch.setattr(wp, "Event", lambda device, enable_timing: SimpleNamespace(enable_timing=enable_timing))
+    monkeypatch.setattr(wp, "synchronize_device", lambda name: noted.append("wait"))
+    monkeypatch.setattr(wp, "get_event_elapsed_time", lambda begin, end: 2.0)
+    return noted
+
+
+def test_calls_on_a_device_are_timed_between_events_without_waiting(fake_gpu):
+    seconds = Target("cuda:0", CUDA).seconds_on_device(lambda: fake_gpu.append("call"), 2)
+    assert seconds == [0.002, 0.002]
+    assert fake_gpu == ["call", "wait", *["event", "call", "event"] * 2, "wait"]
+
+
+def test_times_of_a_kernel_are_added_up(monkeypatch):
+    results = [("forward kernel solve", 1.0), ("memset", 0.25), ("forward kernel solve", 2.0)]
+    monkeypatch.setattr(wp, "timing_begin", lambda cuda_filter: None)
+    monkeypatch.setattr(wp, "timing_end", lambda: [SimpleNamespace(name=n, elapsed=t) for n, t in results])
+    assert Target("cuda:0", CUDA).kernel_seconds(lambda: None) == {"solve": 0.003, "memset": 0.00025}
+    assert Target("cpu", CPU).kernel_seconds(lambda: None) == {}
+
+
 # --- what other programs say ---
 
 

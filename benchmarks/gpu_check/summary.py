@@ -13,6 +13,9 @@ from ccd_warp.benchmarks.gpu_check.target import CUDA
 # The goals on a GPU: queries a second in float64, and seconds of a launch of a mesh of some 200,000 faces.
 GOAL_COLLIDING, GOAL_CULLED = 1e9, 5e9
 GOAL_LAUNCH, GOAL_FACES = 1e-3, 190_000
+_MOST_COMPLAINTS = 30
+# Keys of a row that say what it is about.
+_NAMING = ("case", "kind", "where", "scene", "broad_phase", "tool")
 
 
 def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
@@ -34,6 +37,11 @@ def summary(raw: dict) -> list[str]:
     if kind != CUDA:
         lines += [f"This is a rehearsal ({kind}): no time below is one of a GPU.", ""]
     lines += ["## Stages", "", *stage_table(raw), "", "## Goals", "", *goal_table(raw), ""]
+    wrong = complaints(raw)
+    if wrong:
+        lines += ["## What is wrong", "", *(f"- {line}" for line in wrong[:_MOST_COMPLAINTS])]
+        lines += [f"- {len(wrong) - _MOST_COMPLAINTS} more"] if len(wrong) > _MOST_COMPLAINTS else []
+        lines += [""]
     for title, part in (
         ("Whole steps", kernel_table(raw)),
         ("Queries", query_table(raw)),
@@ -45,9 +53,27 @@ def summary(raw: dict) -> list[str]:
             lines += [f"## {title}", "", *part, ""]
     failed = [(name, stage["error"]) for name, stage in raw["stages"].items() if "error" in stage]
     if failed:
-        lines += ["## What failed", ""]
+        lines += ["## Errors of stages", ""]
         for name, error in failed:
             lines += [f"{name}:", "", "```text", error.strip(), "```", ""]
+    return lines
+
+
+def complaints(raw: dict) -> list[str]:
+    """A line for each stage that did not end well, and for each row that failed or differs from the CPU."""
+    lines = []
+    for name, stage in raw["stages"].items():
+        if "error" in stage:
+            lines.append(f"{name}: {stage['status']}, {stage['error'].strip().splitlines()[-1]}")
+        for row in stage["rows"]:
+            what = ", ".join(str(row[key]) for key in _NAMING if key in row) or name
+            for key in ("failed", "different"):
+                if row.get(key):
+                    lines.append(f"{name}: {what}: {key}: {str(row[key])[:300]}")
+            if "tool" in row and row["status"] != 0:
+                lines.append(f"{name}: {what}: {row['summary']}")
+            if row.get("below"):
+                lines.append(f"{name}: {row['below']} vertices got below the plate")
     return lines
 
 
