@@ -10,8 +10,8 @@ The second kernel takes the queue as it is, without gaps. It leaves open pairs i
 settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a contact within a
 separation the second kernel finds a point and not the closest one, so the last one completes it.
 
-In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less, and
-no other pair at all.
+In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less,
+and no other pair at all.
 """
 
 from types import SimpleNamespace

@@ -37,6 +37,15 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def pytest_terminal_summary(terminalreporter):
+    """Say what ran on the emulated device."""
+    if "emulated.comparison" in sys.modules:
+        from emulated.comparison import shared, summary
+
+        if shared().num_kernels:
+            terminalreporter.write_line(summary(shared()))
+
+
 def _devices() -> list[str]:
     return ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 

@@ -3,7 +3,6 @@
 import argparse
 import os
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,8 +10,9 @@ sys.path[0] = str(Path(__file__).resolve().parent.parent)
 
 import warp as wp  # noqa: E402
 
-from emulated.build import compiler  # noqa: E402
-from emulated.device import emulation  # noqa: E402
+from emulated.build import sanitizer_library  # noqa: E402
+from emulated.device import Emulation, emulation  # noqa: E402
+from emulated.sanitized import environment  # noqa: E402
 
 
 def main() -> int:
@@ -23,19 +23,11 @@ def main() -> int:
     parser.add_argument("program", metavar="PROGRAM")
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args()
-    library = subprocess.run(
-        [str(compiler()), "-print-file-name=libasan.so"], capture_output=True, text=True
-    ).stdout.strip()
-    if given.sanitize and os.environ.get("LD_PRELOAD") != library:
-        options = "detect_leaks=0:detect_stack_use_after_return=0"
-        os.execve(
-            sys.executable,
-            [sys.executable, *sys.orig_argv[1:]],
-            os.environ | {"LD_PRELOAD": library, "ASAN_OPTIONS": options},
-        )
+    if given.sanitize and os.environ.get("LD_PRELOAD") != sanitizer_library():
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment())
     wp.config.log_level = wp.LOG_WARNING
     sys.argv[1:] = given.arguments
-    with emulation(given.sanitize) as emulated:
+    with emulation(Emulation(given.sanitize)) as emulated:
         if given.is_module:
             runpy.run_module(given.program, run_name="__main__", alter_sys=True)
         else:

@@ -35,6 +35,12 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CXX") or "g++")
 
 
+def sanitizer_library() -> str:
+    """The library that a process has to load first if programs are compiled with AddressSanitizer."""
+    command = [str(compiler()), "-print-file-name=libasan.so"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def cache_folder() -> Path:
     """Where programs and headers stay from one run to the next."""
     return Path(wp.config.kernel_cache_dir, "ccd_warp_emulated")
@@ -58,8 +64,8 @@ def _version() -> str:
 def device_folder(is_sanitized: bool = False) -> Path:
     """A folder with the compiled device, `device.so`, and the headers of it and of Warp, parsed once.
 
-    Warp's are links, but for a copy of `builtin.h` in which the branches for CUDA (of atomics, fmin, block_dim) are those
-    of EMULATED_CUDA_ARCH.
+    Warp's are links, but for a copy of `builtin.h` in which the branches for CUDA (of atomics, fmin, block_dim) are
+    those of EMULATED_CUDA_ARCH.
     """
     own = sorted([*_FOLDER.glob("*.h"), *_FOLDER.glob("*.cpp")])
     builtin = (_NATIVE / "builtin.h").read_text(encoding="utf-8").replace("__CUDA_ARCH__", "EMULATED_CUDA_ARCH")

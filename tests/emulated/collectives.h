@@ -35,16 +35,17 @@ inline unsigned __activemask() { return 1u << lane_id(); }
 inline void __syncthreads() { wait_for_block("__syncthreads"); }
 inline void __syncwarp(unsigned mask = FULL_WARP) { exchange("__syncwarp", mask, 0); }
 
-inline unsigned __ballot_sync(unsigned mask, int predicate)
+inline unsigned lanes_for_which(const char* name, unsigned mask, int predicate)
 {
-    const uint64_t* all = exchange("__ballot_sync", mask, predicate != 0);
+    const uint64_t* all = exchange(name, mask, predicate != 0);
     unsigned result = 0;
     for (int k = 0; k < 32; ++k)
         result |= (mask >> k & 1u && all[k]) ? 1u << k : 0u;
     return result;
 }
-inline int __any_sync(unsigned mask, int predicate) { return __ballot_sync(mask, predicate) != 0; }
-inline int __all_sync(unsigned mask, int predicate) { return __ballot_sync(mask, predicate) == mask; }
+inline unsigned __ballot_sync(unsigned mask, int predicate) { return lanes_for_which("__ballot_sync", mask, predicate); }
+inline int __any_sync(unsigned mask, int predicate) { return lanes_for_which("__any_sync", mask, predicate) != 0; }
+inline int __all_sync(unsigned mask, int predicate) { return lanes_for_which("__all_sync", mask, predicate) == mask; }
 
 // The number of a lane: garbage if the mask does not name it, as a device leaves it undefined.
 template <class T> inline T number_of(const uint64_t* all, unsigned mask, int lane)

@@ -19,12 +19,11 @@ from unittest import mock
 import warp as wp
 from warp._src import context
 
-from ccd_warp._runtime import launch
 from emulated.build import build
-from emulated.source import BLOCK_DIMS, MODULE_BLOCK_DIM, cuda_source, emulated_source, entry_point
+from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_point
 
-# Where a launch leaves the size of a block to Warp, which takes 256: less, so that a few hundred items are several blocks.
-_DEFAULT_BLOCK_DIM = 64
+# What Warp takes where a launch leaves the size of a block to it.
+_DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
 
@@ -39,14 +38,14 @@ class Emulation:
 
     def __init__(self, is_sanitized: bool = False) -> None:
         self.is_sanitized = is_sanitized
-        self.launches: Counter[str] = Counter()
+        self.launches: Counter[tuple[str, str]] = Counter()
         self._libraries: dict[tuple[Any, bytes], ctypes.CDLL] = {}
         self._executables: dict[tuple[Any, bytes, int], _Executable] = {}
         self._lock = Lock()
 
     def library_of(self, module: Any) -> ctypes.CDLL:
         """The compiled program of a Warp module."""
-        key = (module, module.get_module_hash(MODULE_BLOCK_DIM))
+        key = (module, _hash_of(module))
         with self._lock:
             if key not in self._libraries:
                 self._libraries[key] = self._load(build(emulated_source(cuda_source(module)), self.is_sanitized))
@@ -59,12 +58,12 @@ class Emulation:
         with ThreadPoolExecutor(2) as pool:
             paths = list(pool.map(lambda source: build(source, self.is_sanitized), sources))
         for module, path in zip(modules, paths, strict=True):
-            self._libraries[module, module.get_module_hash(MODULE_BLOCK_DIM)] = self._load(path)
+            self._libraries[module, _hash_of(module)] = self._load(path)
 
     def executable_of(self, module: Any, device: Any, block_dim: int) -> "_Executable":
         """What Warp launches of a module, for a size of blocks."""
         library = self.library_of(module)
-        key = (module, module.get_module_hash(MODULE_BLOCK_DIM), block_dim)
+        key = (module, _hash_of(module), block_dim)
         if key not in self._executables:
             self._executables[key] = _Executable(self, library, module, device, block_dim)
         return self._executables[key]
@@ -82,13 +81,18 @@ class Emulation:
         return library
 
 
+def _hash_of(module: Any) -> bytes:
+    """What the source of a module depends on; for launches in blocks of any size it is that of its own."""
+    return module.get_module_hash(module.options["block_dim"])
+
+
 class _Executable(context.ModuleExec):
     """The kernels of a module; takes the place of what Warp loads for the CPU."""
 
     def __init__(self, emulation: Emulation, library: ctypes.CDLL, module: Any, device: Any, block_dim: int) -> None:
-        module_hash = module.get_module_hash(MODULE_BLOCK_DIM)
-        hashes = module.hashers[MODULE_BLOCK_DIM].kernel_hashes
-        super().__init__(None, module_hash, device, {}, MODULE_BLOCK_DIM, kernel_hashes=hashes)
+        module_hash, own_block_dim = _hash_of(module), module.options["block_dim"]
+        hashes = module.hashers[own_block_dim].kernel_hashes
+        super().__init__(None, module_hash, device, {}, own_block_dim, kernel_hashes=hashes)
         self._emulation, self._library, self._launch_block_dim = emulation, library, block_dim
 
     def get_kernel_hooks(self, kernel: Any) -> context.KernelHooks:
@@ -104,7 +108,7 @@ class _Executable(context.ModuleExec):
 
     def _checked(self, kernel: Any) -> Any:
         """What ctypes calls after each launch: counts it, and raises its error."""
-        name, launches, library = f"{kernel.module.name}:{kernel.key}", self._emulation.launches, self._library
+        name, launches, library = (kernel.module.name, kernel.key), self._emulation.launches, self._library
 
         def check(failed: int, _function: Any, _arguments: Any) -> None:
             launches[name] += 1
@@ -122,10 +126,16 @@ class _Event:
 
 
 class _Stream:
-    """Stands for a stream of CUDA."""
+    """Stands for the only stream of a device."""
 
     def __init__(self, device: Any = None) -> None:
         self.device = wp.get_device(device)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Stream) and self.device == other.device
+
+    def __hash__(self) -> int:
+        return hash(str(self.device))
 
     def record_event(self, event: _Event) -> _Event:
         """Remember the time."""
@@ -139,17 +149,31 @@ def _is_asked_by_library() -> bool:
 
 
 @contextmanager
-def emulation(is_sanitized: bool = False) -> Iterator[Emulation]:
+def emulation(emulated: Emulation | None = None) -> Iterator[Emulation]:
     """Run the kernels of the CPU as on a CUDA device, until the end of the block.
 
     Meshes and pipelines keep what they have recorded for a device: those of the block and others must not be mixed.
 
+    Args:
+        emulated: The emulated modules, which may be those of an earlier block.
+
     Raises:
         RuntimeError: If a launch of a graph failed.
     """
-    emulated = Emulation(is_sanitized)
+    emulated = emulated or Emulation()
     load, resolve = context.Module.load, context._resolve_launch_block_dim
     numpy, allocate = wp.array.numpy, context.CpuDefaultAllocator.allocate
+
+    stream = context.Device.stream
+
+    def stream_of(device: Any) -> Any:
+        return _Stream(device) if _is_asked_by_library() and device.ordinal < 0 else stream.fget(device)
+
+    def captures_of(device: Any) -> Any:
+        """Streams that are captured: on the CPU that is the whole device."""
+        if _is_asked_by_library() and device.ordinal < 0:
+            return [_Stream(device)] if device.is_capturing else []
+        return vars(device)["captures"]
 
     def block_dim_of(device: Any, block_dim: int | None) -> int:
         if not device.is_cpu:
@@ -179,15 +203,17 @@ def emulation(is_sanitized: bool = False) -> Iterator[Emulation]:
         for target, name, value in (
             (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
             (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
+            (context.Device, "stream", property(stream_of)),
+            (context.Device, "captures", property(captures_of)),
             (context, "_resolve_launch_block_dim", block_dim_of),
             (context.Module, "load", load_emulated),
             (context.CpuDefaultAllocator, "allocate", allocate_garbage),
             (wp.array, "numpy", copied),
             (wp, "Event", _Event),
             (wp, "get_stream", _Stream),
-            (launch, "leaves_out_launches", lambda device: True),  # as the graphs of the CPU can
+            (wp, "is_conditional_graph_supported", lambda: True),
             (wp, "get_event_elapsed_time", lambda begin, end, *_: 1e3 * (end.time - begin.time)),
         ):
-            stack.enter_context(mock.patch.object(target, name, value))
+            stack.enter_context(mock.patch.object(target, name, value, create=True))
         yield emulated
     emulated.check()

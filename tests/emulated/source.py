@@ -11,15 +11,17 @@ from warp._src import build as warp_build
 
 # Sizes of a block for which a kernel has an entry point.
 BLOCK_DIMS = (32, 64, 128, 256, 512, 1024)
-# The size of a block of the module itself; a kernel asks for that of its launch.
-MODULE_BLOCK_DIM = 256
+# What a block is at most where no kernel depends on it: a few hundred items are several blocks then, for both threads.
+_SMALL_BLOCK_DIM = 64
 
 _KERNEL = re.compile(
-    r'extern "C" __global__ void (?:\w+\([^)]*\)\s*)*(\w+)_cuda_kernel_forward\(\s*(wp::launch_bounds_t<\d>) dim(.*?)\)\s*\{',
+    r'extern "C" __global__ void (?:\w+\([^)]*\)\s*)*'
+    r"(\w+)_cuda_kernel_forward\(\s*(wp::launch_bounds_t<\d>) dim(.*?)\)\s*\{",
     re.DOTALL,
 )
 # Calls of a warp or of a block, which threads make together.
 _COLLECTIVE = re.compile(r"__\w+_sync\s*\(|__sync(warp|threads)\s*\(")
+_BLOCK = re.compile(r"__shared__|__syncthreads\s*\(")
 _TILE = re.compile(r"wp::tile_(?!shared_storage_t)")
 
 
@@ -55,6 +57,7 @@ def emulated_source(source: str) -> str:
         raise NotImplementedError("a kernel uses tiles of Warp; expected none, as they are not emulated")
     parts = ['#include "device.h"', source]
     is_cooperative = int(_COLLECTIVE.search(source) is not None)
+    most = max(BLOCK_DIMS) if _BLOCK.search(source) else _SMALL_BLOCK_DIM
     for match in _KERNEL.finditer(source):
         kernel, bounds, declared = match.groups()
         fields = [field.strip() for field in declared.split(",\n") if field.strip()]
@@ -68,7 +71,7 @@ def emulated_source(source: str) -> str:
         parts += [
             f'extern "C" int {entry_point(kernel, block_dim)}({bounds}* bounds, {kernel}_arguments* given)\n'
             f"{{ {kernel}_launch launch {{ bounds, given }}; "
-            f"return run_grid(bounds->size, {block_dim}, {is_cooperative}, {kernel}_thread, &launch); }}"
+            f"return run_grid(bounds->size, {min(block_dim, most)}, {is_cooperative}, {kernel}_thread, &launch); }}"
             for block_dim in BLOCK_DIMS
         ]
     return "\n".join(parts)

@@ -6,10 +6,15 @@ from typing import Any
 
 import numpy as np
 import scenes
+from ccd_warp.benchmarks.hard_cases import FAMILIES
 
 import ccd_warp as ccd
 
 Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
+
+
+# Options with which needles are hard.
+_NEEDLES: dict[str, Any] = {"tolerance": 1e-15, "length_scale": 1.0}
 
 
 @dataclass(frozen=True)
@@ -25,14 +30,14 @@ class StepCase:
     options: dict[str, Any]
 
 
-def _crowd(num_faces: int = 300, **arguments: Any) -> Made:
-    return scenes.crowd(np.random.default_rng(21), num_faces, **arguments)
+def _crowd(num_faces: int = 150, size: float = 0.1) -> Made:
+    return scenes.crowd(np.random.default_rng(21), num_faces, size)
 
 
 def _every_kind(**arguments: Any) -> Made:
     """Faces, cables and particles, which form pairs of all kinds, in three bodies."""
     rng = np.random.default_rng(22)
-    vertices, faces, edges = scenes.cables_and_particles(rng, 40, 0.1)
+    vertices, faces, edges = scenes.cables_and_particles(rng, 14, 0.1)
     bodies = [(vertices + 0.05 * k, faces, edges) for k in range(3)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **arguments)
     start = mesh.vertices
@@ -73,12 +78,12 @@ def _excluding() -> Made:
     mesh, start, end = _every_kind(exclusion_rings=2)
     pairs = ccd.find_candidates(mesh, start, end, num_threads=1).sorted()
     every_third = {name: values[::3] for name, values in vars(pairs).items() if len(values)}
-    return mesh.excluding({**every_third, "bodies": [(0, 2)], "vertices": [(0, 130), (7, 250)]}), start, end
+    return mesh.excluding({**every_third, "bodies": [(0, 2)], "vertices": [(0, 130), (7, 250), (3, 20)]}), start, end
 
 
 def _with_a_giant(**arguments: Any) -> Made:
     """A face a thousand times as large as the others, among them."""
-    mesh, start, end = _crowd(200)
+    mesh, start, end = _crowd(120)
     giant = 1000 * scenes.TRIANGLE + [0.1, 0.2, 0.5]
     both = ccd.CollisionMesh.from_arrays([(start, mesh.faces), (giant, scenes.FACE)], **arguments)
     return both, both.vertices, np.concatenate([end, giant + [0, 0, 0.01]])
@@ -99,15 +104,23 @@ def _pile_at_rest() -> Made:
     return mesh, start, start + 1e-3 * np.random.default_rng(27).standard_normal(start.shape)
 
 
-def _bent(make: Callable[[], Made]) -> Callable[[], Made]:
-    """Pairs that stay close for the whole step, on which the solver takes many iterations."""
+def _needles() -> Made:
+    """Needles that cross each other, each in a world of its own: most take more iterations than a first round has."""
+    start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
+    solved = ccd.edge_edge_ccd(start, end, **_NEEDLES)
+    chosen = np.argsort(-solved.iterations)[:40]
+    start, end = (x[chosen].reshape(-1, 3) for x in (start, end))
+    edges = np.arange(len(start)).reshape(-1, 2)
+    mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(len(start)) // 4)
+    return mesh, start, end
 
-    def bent() -> Made:
-        mesh, start, _ = make()
-        turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
-        return mesh, start, start @ turn.T
 
-    return bent
+def _in_a_plane_at_rest() -> Made:
+    """Faces that slide over each other without a gap, and a body that does not move at all."""
+    vertices, faces = scenes.sheet(4)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices + [0, 0, z], faces) for z in (0.0, 0.0, 0.3)])
+    moves = np.repeat([[0.3, 0.1, 0.0], [0, 0, 0], [0, 0, -0.6]], len(vertices), axis=0)
+    return mesh, mesh.vertices, mesh.vertices + moves
 
 
 _BODY_PAIRS = ~np.eye(3, dtype=bool)
@@ -131,13 +144,14 @@ STEPS = {
     "a giant face": StepCase(_with_a_giant, {}),
     "a static giant face": StepCase(lambda: _with_a_giant(static=[1]), {}),
     "contact at the start": StepCase(_pile_at_rest, {"start_gap_fraction": 0.5, "minimum_separation": 0.02}),
-    "a turn without contact": StepCase(_bent(_crowd), {"length_scale": 1.0}),
+    "sheets that slide over each other": StepCase(_in_a_plane_at_rest, {}),
     "t_max": StepCase(_crowd, {"t_max": 0.37}),
     "t_max of 0": StepCase(_every_kind, {"t_max": 0.0}),
     "tolerance, length_scale": StepCase(_crowd, {"tolerance": 1e-3, "length_scale": 0.3, "minimum_separation": 0.01}),
-    "bisection": StepCase(lambda: _crowd(100), {"method": "bisection"}),
+    "bisection": StepCase(lambda: _crowd(60, 0.15), {"method": "bisection"}),
     "few iterations": StepCase(_crowd, {"max_iterations": 3}),
-    "little work": StepCase(_bent(_pile_at_rest), {"max_work": 100, "method": "bisection"}),
+    "little work": StepCase(_needles, {**_NEEDLES, "max_work": 20_000}),
+    "little work for the bisection": StepCase(_needles, {**_NEEDLES, "max_work": 200_000, "method": "bisection"}),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }

@@ -1,0 +1,146 @@
+"""The same calls on the CPU and on the emulated device, and whether they return the same bits."""
+
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from ccd_warp.benchmarks.cuda_modules import cuda_modules
+
+from emulated import calls
+from emulated.device import Emulation, emulation
+from emulated.outputs import different
+from emulated.steps import STEPS
+
+PRECISIONS = ("float64", "float32")
+# Scenes for what takes longer, and for both precisions: with worlds, bodies and every kind of pair.
+_SOME = ("crowd", "every kind, one body static", "in the plane, one body static", "worlds in one place")
+_PLAN = {
+    "on_the_host": tuple(STEPS),
+    "launches": tuple(STEPS),
+    "batches": ("crowd", "excluded pairs", "in the plane"),
+    "line_searches": _SOME,
+    "launched_line_searches": (*_SOME, "little work"),
+    "replays": ("sheet over a static ball", "worlds"),
+}
+
+
+def _plan() -> Iterator[tuple[str, str, str]]:
+    """A call, a step and a precision: both for the calls that most others build on, by turns for the others."""
+    for call, steps in _PLAN.items():
+        for k, step in enumerate(steps):
+            is_both = step in _SOME and call in ("on_the_host", "launches")
+            for precision in PRECISIONS if is_both else (PRECISIONS[k % 2],):
+                yield call, step, precision
+
+
+PLAN = list(_plan())
+# What options of the pair functions do to a pair: where it ends, what counts as contact, how much is done.
+PAIR_OPTIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "separation": {"minimum_separation": 0.02, "start_gap_fraction": 0.5, "t_max": 0.6},
+    "scale": {"length_scale": 2.0, "tolerance": 1e-3},
+    "bisection": {"method": "bisection", "max_iterations": 500},
+    "limit": {"max_iterations": 2},
+}
+PAIRS = [
+    (kind, dimension, options, precision)
+    for kind, dimensions in (
+        ("vertex_face", [3]),
+        ("edge_edge", [3]),
+        ("point_segment", [2, 3]),
+        ("point_point", [2, 3]),
+    )
+    for dimension in dimensions
+    for k, options in enumerate(PAIR_OPTIONS)
+    for precision in (PRECISIONS if k == 0 else (PRECISIONS[(k + dimension) % 2],))
+]
+# Kernels of modules for CUDA that the CPU alone launches.
+CPU_ALONE = {
+    "unite_levels": "the upper levels of a tree by one thread; CUDA takes a launch for each level",
+}
+
+
+class Comparison:
+    """Runs calls on both devices, each once.
+
+    Attributes:
+        emulated: The emulated device.
+        num_arrays: Arrays that were compared.
+    """
+
+    def __init__(self, is_sanitized: bool = False) -> None:
+        self.emulated = Emulation(is_sanitized)
+        self.num_arrays = 0
+        self._found: dict[Any, list[str]] = {}
+        self._is_built = False
+
+    def of_step(self, call: str, step: str, precision: str) -> list[str]:
+        """What a call of `emulated.calls` does not return in the same bits."""
+        return self._of((call, step, precision), getattr(calls, call), STEPS[step], precision)
+
+    def of_pairs(self, kind: str, dimension: int, options: str, precision: str) -> list[str]:
+        """What a pair function does not return in the same bits."""
+        case = (kind, dimension, options, precision)
+        return self._of(case, calls.pairs, kind, dimension, precision, PAIR_OPTIONS[options])
+
+    def of_everything(self) -> list[str]:
+        """What any call of the plan does not return in the same bits."""
+        lines = [f"{case}: {line}" for case in PLAN for line in self.of_step(*case)]
+        return lines + [f"{case}: {line}" for case in PAIRS for line in self.of_pairs(*case)]
+
+    def build(self) -> None:
+        """Compile all modules at once."""
+        if not self._is_built:
+            self.emulated.build_all(cuda_modules().values())
+        self._is_built = True
+
+    def not_run(self) -> list[str]:
+        """The kernels for CUDA that no call so far has launched, with the names of their modules."""
+        return [
+            f"{name}: {key}"
+            for name, module in cuda_modules().items()
+            for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
+            if key not in CPU_ALONE and not self._num_launches[module.name, key]
+        ]
+
+    @property
+    def num_kernels(self) -> int:
+        """Kernels that were launched."""
+        return len(self._num_launches)
+
+    @property
+    def num_launches(self) -> int:
+        """How often, in all."""
+        return sum(self._num_launches.values())
+
+    @property
+    def _num_launches(self) -> Counter[tuple[str, str]]:
+        counts: Counter[tuple[str, str]] = Counter()
+        for (module, key), count in self.emulated.launches.items():
+            counts[module, key.split("__")[-1]] += count
+        return counts
+
+    def _of(self, case: tuple[Any, ...], call: Any, *arguments: Any) -> list[str]:
+        if case not in self._found:
+            expected = call(*arguments)
+            self.build()
+            with emulation(self.emulated):
+                found = call(*arguments)
+            self.num_arrays += len(found)
+            self._found[case] = different(found, expected)
+        return self._found[case]
+
+
+@cache
+def shared() -> Comparison:
+    """The comparison of this process."""
+    return Comparison()
+
+
+def summary(comparison: Comparison) -> str:
+    """What was run and compared, in a line."""
+    return (
+        f"emulated CUDA: {comparison.num_kernels} kernels launched {comparison.num_launches:,} times, "
+        f"{comparison.num_arrays:,} arrays compared with those of the CPU"
+    )

@@ -1,0 +1,133 @@
+"""The CUDA side of the library, run without a GPU: every call gives on an emulated device what it gives on the CPU.
+
+`tests/emulated` compiles the CUDA source that Warp generates with the C++ compiler and runs it on threads of the CPU,
+in scrambled order, and the host takes its path for CUDA. Arrays are compared in every bit.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scenes
+import warp as wp
+from emulated.build import compiler
+from emulated.comparison import PAIRS, PLAN, shared
+from emulated.device import emulation
+from emulated.outputs import different, outputs_of
+from launches import host, on_device
+
+import ccd_warp as ccd
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
+
+
+def on_both(call):
+    """What a call returns on the CPU and on the emulated device."""
+    expected = call()
+    shared().build()
+    with emulation(shared().emulated):
+        return expected, call()
+
+
+@pytest.mark.parametrize(("call", "step", "precision"), PLAN)
+def test_calls_on_a_step_return_the_bits_of_the_cpu(call, step, precision):
+    assert shared().of_step(call, step, precision) == []
+
+
+@pytest.mark.parametrize(("kind", "dimension", "options", "precision"), PAIRS)
+def test_pair_functions_return_the_bits_of_the_cpu(kind, dimension, options, precision):
+    assert shared().of_pairs(kind, dimension, options, precision) == []
+
+
+def test_every_kernel_for_cuda_is_run():
+    """Otherwise a kernel would be missed above; what is not run yet, when this test runs alone, is run now."""
+    assert shared().of_everything() == []
+    assert shared().not_run() == []
+
+
+@pytest.mark.parametrize("max_pairs", [1, 37, 300])
+def test_pairs_beyond_the_capacity_stop_the_scene(max_pairs):
+    """Which pairs find a place depends on the order of threads, and with it whose toi is 0; nothing is late."""
+
+    def launch():
+        _, mesh, start, end = scenes.cloth_and_ball_in_worlds(4)
+        pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs)
+        return pipeline.launch(*(on_device(x.reshape(-1, 3)) for x in (start, end))), mesh, start, end
+
+    (expected, *_), (result, mesh, start, end) = on_both(launch)
+    truth = ccd.mesh_ccd(mesh.replicate(1), start.reshape(-1, 3), end.reshape(-1, 3))
+    ours, theirs = host(result), host(expected)
+    assert ours["flags"] == theirs["flags"] == ccd.LaunchFlag.PAIRS_OVERFLOW
+    assert ours["toi"] == theirs["toi"] == 0
+    assert np.array_equal(result.num_pairs.numpy(), expected.num_pairs.numpy())
+    for name in ("vertex_toi", "body_toi", "world_toi"):
+        assert (ours[name] <= getattr(truth, name)).all()
+    stopped = ours["world_flags"] == ccd.LaunchFlag.PAIRS_OVERFLOW
+    assert stopped.any() and (ours["world_toi"][stopped] == 0).all()
+    assert np.array_equal(ours["world_toi"][~stopped], truth.world_toi[~stopped])
+
+
+def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
+    def launch(max_contacts=5):
+        mesh, start, end = scenes.sheet_over_ball()
+        return ccd.CollisionPipeline(mesh, max_contacts=max_contacts).launch(on_device(start), on_device(end))
+
+    expected, result = on_both(launch)
+    ours, theirs = host(result), host(expected)
+    for name in ours:
+        assert np.array_equal(ours[name], theirs[name])
+    assert ours["flags"] == ccd.LaunchFlag.CONTACTS_OVERFLOW
+    everything = {tuple(map(bytes, row)) for row in rows_of(launch(10_000).contacts.to_host())}
+    stored = [tuple(map(bytes, row)) for row in rows_of(result.contacts.to_host())]
+    assert len(set(stored)) == len(stored) == 5 and set(stored) <= everything
+
+
+def rows_of(contacts):
+    """The fields of each contact."""
+    return zip(*vars(contacts).values(), strict=True)
+
+
+@pytest.mark.parametrize("per", [None, "scene", "world", "body", "vertex"])
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
+def test_coordinate_that_is_no_number_stops_its_world(per, dtype):
+    def launch():
+        _, mesh, start, end = scenes.cloth_and_ball_in_worlds(5)
+        start, end = start.reshape(-1, 3).copy(), end.reshape(-1, 3).copy()
+        count = mesh.num_vertices // 5
+        end[3, 1], start[count + 1, 0], start[2 * count - 1, 2] = np.nan, np.inf, -np.inf
+        pipeline = ccd.CollisionPipeline(mesh)
+        t0, t1 = (on_device(x, dtype=dtype) for x in (start, end))
+        result = pipeline.launch(t0, t1) if per is None else pipeline.launch_line_search(t0, t1, per=per)
+        return outputs_of(result, "result") | outputs_of(t1, "positions")
+
+    expected, found = on_both(launch)
+    assert different(found, expected) == []
+    assert (found["result.world_flags"][:2] == ccd.LaunchFlag.INVALID_INPUT).all()
+    assert (found["result.world_toi"][:2] == 0).all()
+
+
+def test_steps_of_a_pipeline_whose_capacities_grow():
+    """Each step finds more pairs than the one before, and searches again."""
+
+    def steps():
+        mesh, start, end = scenes.crowd(np.random.default_rng(41), 150, 0.05)
+        pipeline = ccd.CollisionPipeline(mesh)
+        found = {}
+        for k, share in enumerate((0.05, 1.0, 4.0, 0.5)):
+            result = pipeline.mesh_ccd(start, start + share * (end - start))
+            found |= outputs_of(result, f"step {k}")
+        return found
+
+    expected, found = on_both(steps)
+    assert different(found, expected) == []
+
+
+def test_no_access_out_of_bounds():
+    """One pass with AddressSanitizer, in a process of its own that loads it first."""
+    from emulated.sanitized import environment
+
+    script = Path(__file__).parent / "emulated" / "sanitized.py"
+    done = subprocess.run([sys.executable, script], env=environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
