@@ -15,6 +15,9 @@ import warp as wp  # noqa: E402
 from emulated.build import sanitizer_library  # noqa: E402
 from emulated.comparison import PAIRS, PLAN, Comparison, summary  # noqa: E402
 
+# Small ones, with and without worlds, static bodies, codimensional primitives and lists of excluded pairs.
+_STEPS = ("contact at the start", "in the plane, one body static", "worlds", "bodies far apart", "excluded pairs")
+
 
 def environment() -> dict[str, str]:
     """The variables with which a process of Python finds the sanitizer; what Python itself never frees is no matter."""
@@ -22,11 +25,11 @@ def environment() -> dict[str, str]:
 
 
 def main() -> int:
-    """Run a part of the plan in which every kernel has its turn, as instrumented code is slow."""
+    """Run the smaller steps of the plan, as instrumented code is slow."""
     wp.config.log_level = wp.LOG_ERROR
     comparison = Comparison(is_sanitized=True)
-    found = [f"{case}: {line}" for case in PLAN[:: len(PLAN) // 24] for line in comparison.of_step(*case)]
-    found += [f"{case}: {line}" for case in PAIRS[::5] for line in comparison.of_pairs(*case)]
+    found = [f"{case}: {line}" for case in PLAN if case[1] in _STEPS for line in comparison.of_step(*case)]
+    found += [f"{case}: {line}" for case in PAIRS[::4] for line in comparison.of_pairs(*case)]
     print(*found, summary(comparison), sep="\n")
     return 1 if found else 0
 

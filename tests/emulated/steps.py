@@ -108,7 +108,7 @@ def _needles() -> Made:
     """Needles that cross each other, each in a world of its own: most take more iterations than a first round has."""
     start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
     solved = ccd.edge_edge_ccd(start, end, **_NEEDLES)
-    chosen = np.argsort(-solved.iterations)[:40]
+    chosen = np.argsort(-solved.iterations)[:20]
     start, end = (x[chosen].reshape(-1, 3) for x in (start, end))
     edges = np.arange(len(start)).reshape(-1, 2)
     mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(len(start)) // 4)
@@ -150,8 +150,8 @@ STEPS = {
     "tolerance, length_scale": StepCase(_crowd, {"tolerance": 1e-3, "length_scale": 0.3, "minimum_separation": 0.01}),
     "bisection": StepCase(lambda: _crowd(60, 0.15), {"method": "bisection"}),
     "few iterations": StepCase(_crowd, {"max_iterations": 3}),
-    "little work": StepCase(_needles, {**_NEEDLES, "max_work": 20_000}),
-    "little work for the bisection": StepCase(_needles, {**_NEEDLES, "max_work": 200_000, "method": "bisection"}),
+    "little work": StepCase(_needles, {**_NEEDLES, "max_work": 10_000}),
+    "little work for the bisection": StepCase(_needles, {**_NEEDLES, "max_work": 100_000, "method": "bisection"}),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
