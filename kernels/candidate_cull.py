@@ -17,7 +17,8 @@ from .pair_kind import EDGE_EDGE, VERTEX_FACE
 from .points import corners, points_of
 from .search_types import SearchOptions, SearchRange
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+# 128 registers: sixteen warps fit on a multiprocessor, and small blocks bring few candidates to all of them
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "block_dim": 64})
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
