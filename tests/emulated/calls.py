@@ -25,7 +25,7 @@ def on_the_host(case: StepCase, precision: str) -> Outputs:
     found |= outputs_of(ccd.collision_free_step(mesh, start, end, **options), "collision_free_step")
     found |= outputs_of(ccd.is_step_collision_free(mesh, start, end, **options), "is_step_collision_free")
     for inflation in (0.0, 0.02):
-        of_search = {name: options[name] for name in ("pair_kinds", "num_threads") if name in options}
+        of_search = {name: options[name] for name in ("broad_phase", "pair_kinds", "num_threads") if name in options}
         candidates = ccd.find_candidates(mesh, start, end, inflation, **of_search)
         found |= outputs_of(candidates, f"find_candidates {inflation}")
     pipeline = ccd.CollisionPipeline(mesh, **options)

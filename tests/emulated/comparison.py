@@ -21,7 +21,7 @@ _PLAN = {
     "batches": ("crowd", "excluded pairs", "in the plane"),
     "line_searches": _SOME,
     "launched_line_searches": (*_SOME, "little work"),
-    "replays": ("sheet over a static ball", "worlds"),
+    "replays": ("sheet over a static ball", "worlds", "spatial hash"),
 }
 
 
@@ -57,6 +57,7 @@ PAIRS = [
 ]
 # Kernels of modules for CUDA that the CPU alone launches.
 CPU_ALONE = {
+    "sort_range": "a counting sort by threads of the CPU; CUDA takes Warp's radix sort",
     "unite_levels": "the upper levels of a tree by one thread; CUDA takes a launch for each level",
 }
 

@@ -152,6 +152,8 @@ STEPS = {
     "few iterations": StepCase(_crowd, {"max_iterations": 3}),
     "little work": StepCase(_needles, {**_NEEDLES, "max_work": 10_000}),
     "little work for the bisection": StepCase(_needles, {**_NEEDLES, "max_work": 100_000, "method": "bisection"}),
+    "spatial hash": StepCase(lambda: _every_kind(static=[1]), {"broad_phase": "hash", "minimum_separation": 0.004}),
+    "spatial hash, excluded pairs": StepCase(_excluding, {"broad_phase": "hash"}),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
