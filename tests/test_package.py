@@ -170,7 +170,7 @@ def test_wheel_holds_the_kernels_the_types_and_the_page_and_no_path_of_this_mach
         contents = {name: archive.read(name) for name in names}
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp").rglob("*.py")}
     for name in ("benchmarks", "kernels"):
-        modules |= {f"ccd_warp/{name}/{path.name}" for path in (ROOT / name).glob("*.py")}
+        modules |= {f"ccd_warp/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / name).rglob("*.py")}
     pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp" / "_cli" / "page").iterdir()}
     assert len(pages) > 5
     assert modules | pages | {"ccd_warp/py.typed"} == {name for name in names if ".dist-info/" not in name}
@@ -189,5 +189,5 @@ def test_version_is_stated_once():
 def test_the_host_package_never_imports_kernels_by_a_second_name():
     """`import kernels` from the root would register every Warp module twice; the benchmarks have one name, too."""
     second_name = re.compile(r"^\s*(from|import) (kernels|benchmarks)\b", flags=re.MULTILINE)
-    for path in [path for name in ("ccd_warp", "benchmarks", "kernels") for path in (ROOT / name).glob("*.py")]:
+    for path in [path for name in ("ccd_warp", "benchmarks", "kernels") for path in (ROOT / name).rglob("*.py")]:
         assert not second_name.search(path.read_text(encoding="utf-8")), path
