@@ -174,19 +174,23 @@ def launch(step: Step, real: Any, options: dict[str, Any], how: str, device: str
 
 
 def overflow(step: Step, device: str) -> Arrays:
-    """A launch with capacities that are too small: what is certain of it whatever the order of the threads.
+    """Launches with a capacity that is too small: what is certain of them whatever the order of the threads.
 
-    Which pairs find no place depends on the order; that the flags are set, that the numbers counted are those of all
-    pairs, and that no toi is late, does not.
+    Which pairs find no place depends on the order; that the flag is set, that all pairs are counted, and that no toi is
+    late, does not. Contacts that find no place leave every toi as it is.
     """
     expected = ccd.mesh_ccd(step.mesh, step.start, step.end, device="cpu")
-    pipeline = ccd.CollisionPipeline(step.mesh, device=device, max_pairs=4, max_contacts=2)
-    result = pipeline.launch(*positions(step, np.float64, device))
-    return {
-        "flags": host(result.flags),
+    frames = positions(step, np.float64, device)
+    few_pairs = {**step.capacities, "max_pairs": 4}
+    result = ccd.CollisionPipeline(step.mesh, device=device, **few_pairs).launch(*frames)
+    arrays = {
+        "flags of few pairs": host(result.flags),
         "num_pairs": host(result.num_pairs),
         "is late": np.array([(host(result.vertex_toi) > expected.vertex_toi).any()]),
     }
+    few_contacts = {**step.capacities, "max_contacts": 2}
+    result = ccd.CollisionPipeline(step.mesh, device=device, **few_contacts).launch(*frames)
+    return arrays | {"flags of few contacts": host(result.flags), "vertex_toi": host(result.vertex_toi)}
 
 
 def launch_line_search(step: Step, per: str, real: Any, device: str) -> Arrays:
