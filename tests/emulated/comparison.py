@@ -58,7 +58,11 @@ PAIRS = [
 # Kernels of modules for CUDA that the CPU alone launches.
 CPU_ALONE = {
     "sort_range": "a counting sort by threads of the CPU; CUDA takes Warp's radix sort",
-    "unite_levels": "the upper levels of a tree by one thread; CUDA takes a launch for each level",
+    **dict.fromkeys(["fill_blocks", "refresh_blocks", "apply_order"], "a block in an item; CUDA takes a thread a box"),
+    **dict.fromkeys(
+        ["unite_blocks", "unite_levels", "refresh_levels"], "a box or all levels; CUDA takes a thread a row"
+    ),
+    "split_segments": "the order at rest by selection; CUDA sorts keys",
 }
 
 
