@@ -15,8 +15,8 @@ import warp as wp  # noqa: E402
 from emulated.build import sanitizer_library  # noqa: E402
 from emulated.comparison import PAIRS, PLAN, Comparison, summary  # noqa: E402
 
-# Small ones, with and without worlds, static bodies, codimensional primitives and lists of excluded pairs.
-_STEPS = ("contact at the start", "in the plane, one body static", "worlds", "bodies far apart", "excluded pairs")
+# Small ones, with and without worlds, static bodies, codimensional primitives, lists of excluded pairs and a hash.
+_STEPS = ("contact at the start", "in the plane, one body static", "worlds", "excluded pairs", "spatial hash")
 
 
 def environment() -> dict[str, str]:
