@@ -16,11 +16,19 @@ from typing import TYPE_CHECKING, Any
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
-from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions, PairOptions
+from ccd_warp._input.option_types import (
+    CandidateOptions,
+    IntersectionOptions,
+    LineSearchOptions,
+    MeshOptions,
+    PairOptions,
+)
+from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._one_shot import (
     collision_free_step,
     find_candidates,
+    find_intersections,
     is_step_collision_free,
     line_search,
     mesh_ccd,
@@ -29,7 +37,7 @@ from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
-from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
+from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._version import __version__
 
 keep_warp_quiet()
@@ -46,6 +54,9 @@ __all__ = [
     "DeviceContacts",
     "Frames",
     "HostLaunchResult",
+    "IntersectionKind",
+    "IntersectionOptions",
+    "Intersections",
     "LaunchFlag",
     "LaunchResult",
     "LineSearchOptions",
@@ -60,6 +71,7 @@ __all__ = [
     "datasets",
     "edge_edge_ccd",
     "find_candidates",
+    "find_intersections",
     "is_step_collision_free",
     "line_search",
     "mesh_ccd",

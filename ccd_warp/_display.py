@@ -1,12 +1,17 @@
 """How objects show themselves: in a line or two as text, and as a table in a notebook."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 _MOST_LISTED = 4
 _MOST_LETTERS = 32  # of a name
 MOST_ROWS = 30
+_MOST_PAIRS = 5  # pairs of bodies that a sentence names
 
 
 def counted(count: int, singular: str, plural: str) -> str:
@@ -23,6 +28,32 @@ def listed(words: Sequence[str]) -> str:
 def shortened(word: str) -> str:
     """A name, cut where it is long."""
     return word if len(word) <= _MOST_LETTERS else f"{word[: _MOST_LETTERS - 1]}…"
+
+
+def pairs_of_bodies(names: Sequence[str], bodies: NDArray[np.int32]) -> Counter[tuple[str, str]]:
+    """Number of pairs by the names of their bodies, given by index, shape [m, 2]; the lower index comes first."""
+    both, counts = np.unique(np.sort(bodies, axis=1), axis=0, return_counts=True)
+    return Counter({(names[a], names[b]): n for (a, b), n in zip(both.tolist(), counts.tolist(), strict=True)})
+
+
+def named_counts(pairs: Counter[tuple[str, str]]) -> list[str]:
+    """How many pairs there are of the bodies that have the most, and how many of all others."""
+    most = pairs.most_common(_MOST_PAIRS)
+    parts = [
+        f"{n:,} within {shortened(a)}" if a == b else f"{n:,} of {shortened(a)} and {shortened(b)}"
+        for (a, b), n in most
+    ]
+    rest = pairs.total() - sum(n for _, n in most)
+    return [*parts, f"and {rest:,} of other bodies"] if rest else parts
+
+
+def start_sentence(pairs: Counter[tuple[str, str]]) -> str:
+    """A sentence on the pairs that are in contact at the start, empty if there are none."""
+    if not pairs:
+        return ""
+    total = pairs.total()
+    verb, named = "is" if total == 1 else "are", ", ".join(named_counts(pairs))
+    return f"{counted(total, 'pair', 'pairs')} {verb} in contact at the start already, with toi 0: {named}"
 
 
 def point_text(point: Iterable[float]) -> str:

@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
-from ccd_warp._input.option_types import CandidateOptions, LineSearchOptions, MeshOptions
+from ccd_warp._input.option_types import CandidateOptions, IntersectionOptions, LineSearchOptions, MeshOptions
 from ccd_warp._input.options import options_of
+from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._results import MeshResult
@@ -77,10 +78,60 @@ def find_candidates(
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
 
 
+def find_intersections(
+    mesh: CollisionMesh, positions: ArrayLike, **options: Unpack[IntersectionOptions]
+) -> Intersections:
+    """Find the pairs of primitives that touch or pass through each other at one time, exactly.
+
+    Continuous collision detection finds surfaces that meet in a step. Where they meet at its start already, it reports
+    toi 0, and where an edge is through the inside of a face, neither end near it, nothing at all. This function says
+    whether a start is sound.
+
+    All primitives are closed: what touches in a point counts. In space the pairs are, as :class:`IntersectionKind` has
+    them, vertices in faces and edges that meet, in any position (surfaces that overlap in a plane have such pairs); a
+    codimensional point on a codimensional edge, and two codimensional points in one place; and edges that pass through
+    the inside of a face, from one side to the other. In the plane they are vertices on edges, points in one place, and
+    edges that cross. The pairs of the first kinds are those that CCD has at toi 0; ``is_crossing`` of the result tells
+    the others.
+
+    Pairs that share a vertex are left out, and so are those that the collision filter of the mesh excludes, as in
+    :func:`find_candidates`; ``exclude_pairs`` excludes an edge through a face by its bodies or vertices. Nothing is
+    lost by the first: two faces that share vertices, and where they meet have anything else in common than these
+    vertices and the edge between them, have a pair of other primitives that is found. So a mesh without intersections
+    and with no pairs excluded is embedded. Of two codimensional edges with a common vertex only their ends in the plane
+    are tested. One body inside another, with surfaces apart, is no intersection.
+
+    Args:
+        mesh: The bodies.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        **options: Options of :class:`ccd_warp.IntersectionOptions`.
+
+    Returns:
+        The pairs with their common points, by kind and then in lexicographic order.
+
+    Raises:
+        ValueError: If the positions do not match the mesh or are not finite, an option is out of its range, or
+            ``memory_limit`` is too small; the message then says the least that suffices.
+        TypeError: If there is no such option.
+
+    References:
+        Shewchuk 1997, "Adaptive precision floating-point arithmetic and fast robust geometric predicates" (the
+        filter); Guigue, Devillers 2003, "Fast and robust triangle-triangle overlap test using orientation predicates".
+
+    Guarantee: every pair that passes the filter and intersects is found, exactly once, and no other pair, for all
+    finite positions. Float64 decides where a bound on its errors allows it, and integer arithmetic everything else.
+    """
+    chosen = options_of("find_intersections", IntersectionOptions, options)
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+        return pipeline.find_intersections(positions)
+
+
 def mesh_ccd(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
+    *,
+    check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
     """Earliest times of impact in a step: of the scene, per vertex, per body, and of every contact.
@@ -90,10 +141,15 @@ def mesh_ccd(
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
             vertices only, shape [V_moving, 3].
+        check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
+            ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
+            through faces.
         **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
-        The result, NumPy arrays.
+        The result, NumPy arrays. Where pairs touch at the start already, with toi 0 and the status ``INITIAL_CONTACT``,
+        its ``pairs_at_start`` has their number and bodies, and its text says so. Where surfaces cross at the start, an
+        edge through the inside of a face, there is no contact: ``check_start``, or :func:`find_intersections`, tells.
 
     Raises:
         ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
@@ -107,9 +163,9 @@ def mesh_ccd(
     the mesh has codimensional primitives, point-segment and point-point): no toi that covers the pair is late, and
     ``inf`` is certain.
     """
-    chosen = options_of("mesh_ccd", MeshOptions, options)
+    chosen = options_of("mesh_ccd", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.mesh_ccd(vertices_t0, vertices_t1)
+        return pipeline.mesh_ccd(vertices_t0, vertices_t1, check_start=check_start)
 
 
 def collision_free_step(

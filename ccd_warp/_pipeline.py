@@ -4,6 +4,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -20,7 +21,7 @@ from ccd_warp._engine.device_step import (
     DeviceStep,
     LineSearch,
 )
-from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -32,10 +33,11 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_choice, check_count, check_instance, check_real, shown
+from ccd_warp._input.arguments import check_choice, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
+from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
@@ -45,6 +47,7 @@ _MOST_ROUNDS = 100
 
 
 _T = TypeVar("_T")
+_StepT = TypeVar("_StepT", bound=Step)
 
 
 class CollisionPipeline:
@@ -143,15 +146,24 @@ class CollisionPipeline:
 
     def _on_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, work: Callable[[Step], _T]) -> _T:
         """Run ``work`` on a step and return its result."""
+        return self._run(Step, lambda: self.mesh.frames(vertices_t0, vertices_t1), work)
+
+    def _run(
+        self,
+        kind: type[_StepT],
+        frames: Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]],
+        work: Callable[[_StepT], _T],
+    ) -> _T:
+        """Run ``work`` on a step of a kind between validated positions."""
         if self._topology.device.is_capturing:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
             begin = time.perf_counter()
-            start, end = map(self.mesh._in_space, self.mesh.frames(vertices_t0, vertices_t1))
+            start, end = map(self.mesh._in_space, frames())
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
-            step = Step(workspace, (start, end), self._options, time.perf_counter() - begin, self._show_progress)
+            step = kind(workspace, (start, end), self._options, time.perf_counter() - begin, self._show_progress)
             result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
@@ -368,12 +380,36 @@ class CollisionPipeline:
             inflation = validated_inflation(inflation)
         return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation))
 
-    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> MeshResult:
+    def find_intersections(self, positions: ArrayLike) -> Intersections:
+        """Like :func:`ccd_warp.find_intersections`.
+
+        Args:
+            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
+
+        Returns:
+            The pairs that touch or pass through each other, by kind and then in lexicographic order.
+
+        Raises:
+            ValueError: As in that function.
+
+        Guarantee: as for that function; every such pair that passes the filter is found, and no other.
+        """
+
+        from ccd_warp._engine.intersection_step import IntersectionStep  # few programs need it
+
+        def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            frame = self.mesh.frame(positions, "positions")
+            return frame, frame
+
+        return self._run(IntersectionStep, frames, IntersectionStep.intersections)
+
+    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False) -> MeshResult:
         """Like :func:`ccd_warp.mesh_ccd`.
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: End positions, as in that function.
+            check_start: Whether to look for surfaces that cross at the start, too.
 
         Returns:
             The result, NumPy arrays.
@@ -383,7 +419,23 @@ class CollisionPipeline:
 
         Guarantee: as for that function; no toi is late and no contact is missed.
         """
-        return self._on_step(vertices_t0, vertices_t1, Step.contacts)
+        with naming("mesh_ccd"):
+            check_start = check_flag("check_start", check_start)
+        result = self._on_step(vertices_t0, vertices_t1, Step.contacts)
+        if not check_start:
+            return result
+        counts, timings = self.counts, self.timings
+        start = self.find_intersections(vertices_t0)
+        timings["intersections at start"] = self.timings["total"]
+        timings["total"] += self.timings["total"]
+        self.counts, self.timings = counts, timings
+        if start.num_crossing:
+            warnings.warn(
+                f"at the start {start[start.is_crossing].describe()}; what crosses already is not seen in the step",
+                RuntimeWarning,
+                stacklevel=level_of_caller(),
+            )
+        return replace(result, start=start)
 
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
         """Like :func:`ccd_warp.collision_free_step`.

@@ -1,5 +1,6 @@
 """Results of the mesh functions."""
 
+from collections import Counter
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -7,8 +8,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contact, Contacts, outcome
 from ccd_warp._device_results import DeviceContacts, HostLaunchResult, LaunchResult
-from ccd_warp._display import counted, html_table
-from ccd_warp._status import PairKind
+from ccd_warp._display import counted, html_table, pairs_of_bodies, start_sentence
+from ccd_warp._intersections import Intersections
+from ccd_warp._status import CCDStatus, PairKind
 
 __all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
 
@@ -93,6 +95,7 @@ class MeshResult:
             there is none, int32, shape [V].
         body_contact: The same for each body, int32, shape [B].
         world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
+        start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
     """
 
     toi: float
@@ -104,6 +107,7 @@ class MeshResult:
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]
     world_toi: NDArray[np.float64]
+    start: Intersections | None = None
 
     @property
     def hit(self) -> bool:
@@ -115,8 +119,25 @@ class MeshResult:
         """The earliest contact, the first where several have the same toi; None if there is certainly none."""
         return self.contacts._first()
 
+    @property
+    def pairs_at_start(self) -> Counter[tuple[str, str]]:
+        """Number of pairs in contact at the start already, by the names of their bodies, lower index first.
+
+        These have the status ``INITIAL_CONTACT`` and toi 0. Surfaces that cross at the start are not among them where
+        an edge is through the inside of a face; :func:`ccd_warp.find_intersections` has all.
+        """
+        if self.counts.num_contacts_at_start == 0:
+            return Counter()
+        at_start = self.contacts.status == int(CCDStatus.INITIAL_CONTACT)
+        return pairs_of_bodies(self.contacts._known().mesh.names, self.contacts.bodies[at_start])
+
     def __repr__(self) -> str:
-        return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)})"
+        at_start = start_sentence(self.pairs_at_start)
+        if self.start is not None and self.start.num_crossing:
+            crossing = self.start[self.start.is_crossing].describe()
+            at_start = "; ".join(filter(None, [at_start, f"at the start {crossing}"]))
+        at_start = f";\n{at_start}" if at_start else ""
+        return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)}{at_start})"
 
     def _repr_html_(self) -> str:
         return self.contacts._table(repr(self))

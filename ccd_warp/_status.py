@@ -1,4 +1,4 @@
-"""Enumerations of the results: pair kinds, statuses and flags."""
+"""Enumerations of the results: kinds of pairs, statuses and flags."""
 
 from enum import IntEnum, IntFlag
 
@@ -12,6 +12,25 @@ class PairKind(IntEnum):
     EDGE_EDGE = int(pair_kind.EDGE_EDGE)
     POINT_SEGMENT = int(pair_kind.POINT_SEGMENT)
     POINT_POINT = int(pair_kind.POINT_POINT)
+
+
+class IntersectionKind(IntEnum):
+    """Kind of a pair of primitives that intersect at one time; the first four are those of :class:`PairKind`."""
+
+    VERTEX_FACE = int(pair_kind.VERTEX_FACE)
+    """A vertex is in a face, or on its boundary."""
+
+    EDGE_EDGE = int(pair_kind.EDGE_EDGE)
+    """Two edges have a common point; of a mesh in the plane the inside of one crosses that of the other."""
+
+    POINT_SEGMENT = int(pair_kind.POINT_SEGMENT)
+    """A codimensional point is on a codimensional edge; of a mesh in the plane any vertex on any edge."""
+
+    POINT_POINT = int(pair_kind.POINT_POINT)
+    """Two codimensional points are in one place."""
+
+    EDGE_FACE = 4
+    """The inside of an edge passes through the inside of a face, from one side to the other."""
 
 
 class CCDStatus(IntEnum):

@@ -27,7 +27,7 @@ from .lanes import lowest_bit, moving_overlap_mask, number_of_bits, overlap_mask
 from .minima import CANDIDATES, FOUND, Minima
 from .once import once
 from .pair_lanes import append_keys, separated_mask
-from .search_types import BOXES, SearchOptions, SearchRange, TreePair, is_turned
+from .search_types import BOXES, CULL, SearchOptions, SearchRange, TreePair, is_turned
 from .simd import fingerprint
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
@@ -103,7 +103,7 @@ def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
     module = wp.get_module(f"ccd_warp.pair_search.{end}{lists}.{width}.{fingerprint()}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
-    overlaps = moving_overlap_mask if with_cull else overlap_mask
+    overlaps = moving_overlap_mask if end == CULL else overlap_mask
     collected_candidates = make_collected(width, make_cull(width).free_lanes)
     collect = collected_candidates.collect
     cull_rest = collected_candidates.cull_rest

@@ -6,6 +6,7 @@ import warp as wp
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
 LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
+CULL_OF_BOXES = "cull_of_boxes"  # the same, in trees that hold one box and not those of both ends of a step
 
 
 @wp.struct

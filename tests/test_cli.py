@@ -245,8 +245,8 @@ def test_report_gives_the_lengths_in_the_unit_of_the_files(scene, capfd):
     assert "length scale 2" in lines and "minimum separation 0.02" in lines
 
 
-def test_no_report_is_certain_of_surfaces_that_cross_at_the_start(tmp_path, capfd):
-    """An edge through the inside of a face, and both at rest: no contact in CCD, which the report says."""
+def test_report_says_where_surfaces_cross_at_the_start(tmp_path, capfd):
+    """An edge through the inside of a face, and both at rest: no contact in CCD, and a start that is not sound."""
     face = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]])
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     write_mesh(tmp_path / "start.ply", face, faces)
@@ -254,7 +254,18 @@ def test_no_report_is_certain_of_surfaces_that_cross_at_the_start(tmp_path, capf
     assert _run(tmp_path) == 0
     out = capfd.readouterr().out
     assert "scene toi  none   (certain for the pairs looked at: " in out
-    assert "not seen  surfaces that cross, or lie one inside the other, at the start already" in out
+    assert "at the start  2 edges pass through a face, so surfaces cross: 2 within start.ply\n" in out
+    assert "not seen  what surfaces that cross at the start already do after it" in out
+    assert _run(tmp_path, "--fail-on-contact", "--output", tmp_path / "out.json") == 1
+    expected = [{"bodies": ["start.ply", "start.ply"], "edges_through_faces": 2}]
+    assert json.loads((tmp_path / "out.json").read_text())["crossing_at_start"] == expected
+
+
+def test_report_says_where_no_edge_passes_through_a_face(scene, capfd):
+    assert _run(scene, "--static", scene / "floor.ply", "--output", scene / "out.npz") == 0
+    assert "at the start  no edge passes through a face\n" in capfd.readouterr().out
+    with np.load(scene / "out.npz") as data:
+        assert data["crossing_at_start"].shape == (0, 2)
 
 
 def test_frames_in_different_units_are_warned_of(scene, capfd):

@@ -56,6 +56,23 @@ def test_a_point_meets_a_face_in_both_and_a_cable_or_a_point_here_where_it_is_as
         assert steps(obstacle, edges, [], True) == pytest.approx((0.5, 0.5), abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("small", "is_touching", "is_crossing"),
+    [
+        ([[0, 0, -1], [0, 0, 1], [3, 3, 1]], True, True),
+        ([[0, 0, 0], [0, 0, 1], [3, 3, 1]], True, False),
+        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], True, False),
+        ([[0, 0, 1], [0, 0, 2], [3, 3, 1]], False, False),
+    ],
+)
+def test_both_say_where_surfaces_intersect(small, is_touching, is_crossing):
+    x = np.vstack([FACE, np.array(small, dtype=float)])
+    theirs = ipctk.CollisionMesh(x, ipctk.edges(FACES), FACES)
+    found = ccd.find_intersections(ccd.CollisionMesh.from_arrays([(x, FACES)]), x)
+    assert ipctk.has_intersections(theirs, x) == (len(found) > 0) == is_touching
+    assert found.is_crossing.any() == is_crossing
+
+
 def test_static_obstacles_are_left_out_alike():
     theirs, _, start, end = _falling_face(1.0)
     theirs.can_collide = ipctk.make_static_obstacle_filter(0)

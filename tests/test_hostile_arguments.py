@@ -119,7 +119,11 @@ def _calls(folder):
             ccd.find_candidates,
             FRAMES | {"inflation": 0.0, "broad_phase": "hash", "pair_kinds": None, "device": "cpu", "num_threads": 1},
         ),
-        "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS),
+        "find_intersections": (
+            ccd.find_intersections,
+            {"mesh": MESH, "positions": START, "memory_limit": None, "device": "cpu", "num_threads": 1},
+        ),
+        "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"check_start": False}),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
         "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS),
         "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS),
@@ -152,7 +156,8 @@ def _calls(folder):
             PIPELINE.find_candidates,
             {"vertices_t0": START, "vertices_t1": END, "inflation": 0.0},
         ),
-        "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END}),
+        "pipeline.find_intersections": (PIPELINE.find_intersections, {"positions": START}),
+        "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "check_start": False}),
         "pipeline.collision_free_step": (PIPELINE.collision_free_step, {"vertices_t0": START, "vertices_t1": END}),
         "pipeline.is_step_collision_free": (
             PIPELINE.is_step_collision_free,
@@ -231,7 +236,7 @@ OPTIONAL = {
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 PATHS = {"path", "folder", "start_path", "end_path"}
 # What is no mistake: the value has the meaning that the documentation gives it.
-FLAGS = {"self_collision", "codimensional_points", "progress"}
+FLAGS = {"check_start", "self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
     "negative zero": {"minimum_separation", "t_max", "inflation", "t"},
@@ -243,7 +248,7 @@ TAKEN = {
     "empty dict": {"static", "exclude_pairs"},
     "bool": FLAGS,
     "numpy bool": FLAGS,
-    "0-d bool array": FLAGS - {"progress"},
+    "0-d bool array": FLAGS - {"progress", "check_start"},
     "int beyond float64": {"memory_limit", "exclusion_rings", "max_work", "max_bytes"},
     "minus one": {"i"},
     "text": {"name"},
@@ -359,6 +364,9 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.DeviceContacts,
         ccd.Frames,
         ccd.HostLaunchResult,
+        ccd.IntersectionKind,
+        ccd.IntersectionOptions,
+        ccd.Intersections,
         ccd.LaunchResult,
         ccd.LineSearchOptions,
         ccd.LineSearchResult,

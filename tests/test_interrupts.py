@@ -119,6 +119,11 @@ def interrupted(sender, call, delay, gap):
 _LONG = {"method": "bisection", "tolerance": 1e-15, "max_iterations": 100_000, "minimum_separation": 1e-3}
 
 
+def _intersections(mesh, start, end, **options):
+    found = ccd.find_intersections(mesh, end, **options)
+    return [found.kind, found.primitives, found.parameters, found.points]
+
+
 class Steps:
     """Calls on a sphere that flies into a static one, on the host and on the device.
 
@@ -169,6 +174,7 @@ class Steps:
             "mesh_ccd": self.of_mesh(ccd.mesh_ccd),
             "collision_free_step": self.of_mesh(ccd.collision_free_step),
             "find_candidates": self.of_mesh(ccd.find_candidates),
+            "find_intersections": self.of_mesh(_intersections),
             "line_search": self.of_mesh(ccd.line_search, per="vertex"),
             "launch": lambda: self.launch(self.pipeline),
             "launch_line_search": self.launch_line_search,

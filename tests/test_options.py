@@ -32,6 +32,7 @@ MESH_FUNCTIONS = (
     ccd.is_step_collision_free,
     ccd.line_search,
     ccd.find_candidates,
+    ccd.find_intersections,
 )
 NAMES = ["CollisionPipeline", *(f.__name__ for f in (*PAIR_FUNCTIONS, *MESH_FUNCTIONS))]
 
@@ -42,6 +43,8 @@ def call(name, **options):
     if function in PAIR_FUNCTIONS:
         points = np.random.default_rng(0).uniform(size=(2, 1, PAIR_FUNCTIONS[function], 3))
         return function(*points, **options)
+    if function is ccd.find_intersections:
+        return function(MESH, START, **options)
     return function(MESH, **options) if name == "CollisionPipeline" else function(MESH, START, END, **options)
 
 
@@ -73,6 +76,7 @@ def test_a_misspelled_argument_beside_the_options_is_told_too(name, misspelled, 
         *((f.__name__, option) for f in PAIR_FUNCTIONS for option in MESH_ONLY),
         ("line_search", "t_max"),
         ("find_candidates", "tolerance"),
+        ("find_intersections", "pair_kinds"),
     ],
 )
 def test_an_option_of_another_function_is_told_from_a_misspelled_one(name, option):

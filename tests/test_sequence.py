@@ -170,7 +170,8 @@ def test_report_names_the_steps_with_contacts_and_the_first(ball, capfd):
     assert "steps with contacts  5 of 10: 5-9\n" in out
     (first,) = [line for line in out.splitlines() if line.startswith("the first")]
     assert first.startswith("the first  step 5, ball_5.ply -> ball_6.ply, toi 0.4999")
-    assert "of ball" in out and "of floor.ply" in out and "not seen  surfaces that cross" in out
+    assert "of ball" in out and "of floor.ply" in out and "not seen  what surfaces that cross" in out
+    assert "surfaces cross at the start of  4 of 10 steps: 6-9\n" in out
     rows = _rows(ball / "out" / "steps.csv")
     assert [row["start"] for row in rows] == [f"ball_{k}.ply" for k in range(10)]
     # The ball comes down half a unit a step from a gap of 2.75, and is still passing through the box at the end.

@@ -23,6 +23,8 @@ ccd.collision_free_step(mesh, x[0], x[0], start_gap_fraction=0.5, length_scale=1
 free: bool = ccd.is_step_collision_free(mesh, x[0], x[0], t_max=0.5)
 ccd.line_search(mesh, x[0], x[0], per="vertex", safety=0.5, minimum_separation=0.1)
 ccd.find_candidates(mesh, x[0], x[0], 0.1, pair_kinds=("edge_edge",), broad_phase="hash", num_threads=1)
+found = ccd.find_intersections(mesh, x[0], num_threads=1, memory_limit=None)
+through: int = len(found[found.is_crossing]) + found.by_bodies()["a", "b"]
 ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0], per="world")
 ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
 ccd.datasets.find_queries("folder")[0].points_t0
@@ -48,6 +50,8 @@ ccd.line_search(mesh, x[0], x[0], t_max=0.5)
 ccd.line_search(mesh, x[0], x[0], broad_phase="grid")
 ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
+ccd.find_intersections(mesh, x[0], tolerance=0.1)
+ccd.find_intersections(mesh, x[0], x[0])
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)

@@ -126,6 +126,7 @@ def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
         "vertex_source_index": np.concatenate([body.source_index for body in step.bodies]),
         "faces": mesh.faces,
         "edges": mesh.edges,
+        "crossing_at_start": step.start.primitives[step.start.is_crossing],
         "contact_kind": contacts.kind,
         "contact_bodies": contacts.bodies,
         "contact_point": contacts.points,
@@ -189,6 +190,10 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
                 "toi": finite_or_none(result.body_toi[k]),
             }
             for k, (name, body) in enumerate(zip(mesh.names, step.bodies, strict=True))
+        ],
+        "crossing_at_start": [
+            {"bodies": list(names), "edges_through_faces": count}
+            for names, count in step.start[step.start.is_crossing].by_bodies().most_common()
         ],
         "counts": plain_counts(result.counts),
         "timings": {name: float(seconds) for name, seconds in result.timings.items()},

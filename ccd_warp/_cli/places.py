@@ -1,6 +1,5 @@
 """Contacts as a person reads them: by ascending toi, with names of bodies and numbers within these."""
 
-from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
-from ccd_warp._display import counted, point_text
+from ccd_warp._display import point_text
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._status import CCDStatus, PairKind
-
-_MOST_PAIRS = 5  # pairs of bodies that a sentence names
+from ccd_warp._status import PairKind
 
 
 def kind_name(kind: PairKind) -> str:
@@ -99,26 +96,3 @@ class ContactTable:
         u, v = self.contacts.parameters[k].tolist()
         normal = point_text(self.contacts.normal[k])
         return f"at {point_text(self.contacts.points[k])}, (u, v) = ({u:.6g}, {v:.6g}), normal {normal}"
-
-
-def pairs_at_start(mesh: CollisionMesh, contacts: Contacts) -> Counter[tuple[str, str]]:
-    """Number of pairs in contact at the start already, by the names of their bodies."""
-    bodies = np.sort(contacts.bodies[contacts.status == int(CCDStatus.INITIAL_CONTACT)], axis=1)
-    both, counts = np.unique(bodies, axis=0, return_counts=True)
-    names = mesh.names
-    return Counter({(names[a], names[b]): n for (a, b), n in zip(both.tolist(), counts.tolist(), strict=True)})
-
-
-def start_sentence(pairs: Counter[tuple[str, str]]) -> str:
-    """A sentence on the pairs that are in contact at the start, empty if there are none."""
-    if not pairs:
-        return ""
-    total = pairs.total()
-    parts = [
-        f"{count:,} within {a}" if a == b else f"{count:,} of {a} and {b}"
-        for (a, b), count in pairs.most_common(_MOST_PAIRS)
-    ]
-    if len(pairs) > _MOST_PAIRS:
-        parts.append(f"and {total - sum(n for _, n in pairs.most_common(_MOST_PAIRS)):,} of other bodies")
-    verb = "is" if total == 1 else "are"
-    return f"{counted(total, 'pair', 'pairs')} {verb} in contact at the start already, with toi 0: {', '.join(parts)}"

@@ -1,15 +1,17 @@
 """The text that the command line prints on a step: bodies and their toi, the first contact, lengths, times."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields
 
 import warp as wp
 
 from ccd_warp._cli.motion import Lengths, largest_displacement
-from ccd_warp._cli.places import ContactTable, kind_name, pairs_at_start, start_sentence
+from ccd_warp._cli.places import ContactTable, kind_name
 from ccd_warp._cli.scope import NOT_SEEN, left_out, looked_at
 from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._display import counted, named_counts, start_sentence
 from ccd_warp._files.frames import Body
 from ccd_warp._input.messages import printable
 from ccd_warp._input.options import Options
@@ -120,7 +122,8 @@ def _outcome(step: SolvedStep) -> list[str]:
     result, contacts = step.result, step.result.contacts
     if not result.hit:
         pairs = looked_at(step.mesh, step.options)
-        return [f"scene toi  none   (certain for the pairs looked at: {pairs})", *scope_lines(step.mesh, step.options)]
+        line = f"scene toi  none   (certain for the pairs looked at: {pairs})"
+        return [line, *_at_start(step), *scope_lines(step.mesh, step.options)]
     lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
     if len(contacts):
         first = ContactTable.of(step.mesh, contacts, 1)
@@ -128,8 +131,7 @@ def _outcome(step: SolvedStep) -> list[str]:
         by_kind = result.counts.num_contacts.items()
         counts = ", ".join(f"{count:,} {kind_name(kind)}" for kind, count in by_kind if count)
         lines.append(f"contacts  {len(contacts):,}: {counts}")
-    sentence = start_sentence(pairs_at_start(step.mesh, contacts))
-    lines += [f"at the start  {sentence}"] if sentence else []
+    lines += _at_start(step)
     num_capped = int((contacts.status == int(CCDStatus.ITERATION_LIMIT)).sum())
     if num_capped:
         lines.append(
@@ -137,6 +139,21 @@ def _outcome(step: SolvedStep) -> list[str]:
             "late; raise --max-iterations or --max-work to refine them"
         )
     return [*lines, *scope_lines(step.mesh, step.options)]
+
+
+def crossing_sentence(pairs: Counter[tuple[str, str]]) -> str:
+    """A sentence on the edges that pass through faces at the start."""
+    if not pairs:
+        return "no edge passes through a face"
+    edges = counted(pairs.total(), "edge passes", "edges pass")
+    return f"{edges} through a face, so surfaces cross: {', '.join(named_counts(pairs))}"
+
+
+def _at_start(step: SolvedStep) -> list[str]:
+    """What touches, and what crosses, at the start."""
+    sentence = start_sentence(step.result.pairs_at_start)
+    crossing = crossing_sentence(step.start[step.start.is_crossing].by_bodies())
+    return [f"at the start  {each}" for each in (sentence, crossing) if each]
 
 
 def count_rows(counts: Counts) -> list[tuple[str, int]]:

@@ -20,7 +20,7 @@ def run_step(arguments: argparse.Namespace) -> int:
     """Read, solve, write and report one step.
 
     Returns:
-        1 if there is a contact and ``--fail-on-contact`` is given, else 0.
+        1 if there is a contact, or surfaces cross at the start, and ``--fail-on-contact`` is given; else 0.
     """
     start_quietly(arguments.device)
     if arguments.output is not None:
@@ -57,4 +57,4 @@ def run_step(arguments: argparse.Namespace) -> int:
         print(format_report(title, step, timings, is_verbose=arguments.verbose), file=report)
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)
-    return int(arguments.fail_on_contact and step.result.hit)
+    return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))

@@ -10,7 +10,8 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 
 NOT_SEEN = (
-    "surfaces that cross, or lie one inside the other, at the start already: CCD finds surfaces that meet in the step"
+    "what surfaces that cross at the start already do after it, and bodies that lie one inside the other: CCD finds "
+    "surfaces that meet in the step"
 )
 
 

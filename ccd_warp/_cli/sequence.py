@@ -15,7 +15,7 @@ from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
 from ccd_warp._cli.process import INTERRUPTED, say, start_quietly, warn
 from ccd_warp._cli.progress import ItemsLine
-from ccd_warp._cli.sequence_records import StepRecord, csv_text, draw_plot
+from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_plot
 from ccd_warp._cli.sequence_report import format_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
 from ccd_warp._files.frames import InputError, read_static
@@ -33,7 +33,8 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     """Solve every step that an earlier run has not solved, and write and report all.
 
     Returns:
-        0; 1 if a step has a contact and ``--fail-on-contact`` is given; 130 after Ctrl-C, with what was computed kept.
+        0; 1 if a step has a contact, or surfaces that cross at its start, and ``--fail-on-contact`` is given; 130 after
+        Ctrl-C, with what was computed kept.
     """
     start_quietly(arguments.device)
     if arguments.picture is not None:
@@ -88,7 +89,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
         return INTERRUPTED
     if journal is not None:
         journal.close()
-    return int(arguments.fail_on_contact and any(record.hit for record in ordered))
+    return int(arguments.fail_on_contact and any(record.hit or record.crossing for record in ordered))
 
 
 def _open(arguments: argparse.Namespace) -> FrameSequence:
@@ -111,6 +112,7 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         "options": plain_options(options),
         "self_collision": sequence.self_collision,
         "displacement": arguments.displacement,
+        "columns": COLUMNS,
         "labels": [each.labels for each in sequence.series],
         "files": [_stamp(path) for path in files],
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ccd_warp._cli.motion import largest_displacement, motion_warnings
-from ccd_warp._cli.places import ContactTable, pairs_at_start
+from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._status import PairKind
 
@@ -19,7 +19,17 @@ _MOST_POINTS = 200
 _KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE)
 
 COLUMNS = (
-    *("step", "start", "end", "toi", "contacts", *(kind.name.lower() for kind in _KINDS), "at_start", "at_limit"),
+    *(
+        "step",
+        "start",
+        "end",
+        "toi",
+        "contacts",
+        *(kind.name.lower() for kind in _KINDS),
+        "at_start",
+        "crossing_at_start",
+        "at_limit",
+    ),
     *("kind", "body_0", "body_1", "x", "y", "z", "vertex_0", "vertex_1", "vertex_2", "vertex_3"),
 )
 
@@ -35,6 +45,7 @@ class StepRecord:
         toi: Earliest time of impact, inf if none.
         counts: Number of contacts of each kind, by its name.
         at_start: Number of pairs in contact at the start, with the names of their bodies.
+        crossing: Number of edges that pass through faces at the start, with the names of their bodies.
         at_limit: Number of contacts that stopped at a limit.
         first: Of the earliest contact, by the names of the CSV file; None if there is none.
         described: What touches what in it, and where; empty if there is none.
@@ -49,6 +60,7 @@ class StepRecord:
     toi: float
     counts: dict[str, int]
     at_start: list[tuple[str, str, int]]
+    crossing: list[tuple[str, str, int]]
     at_limit: int
     first: dict[str, Any] | None
     described: list[str]
@@ -73,7 +85,8 @@ class StepRecord:
             end=labels[1],
             toi=float(step.result.toi),
             counts={kind.name.lower(): counts.num_contacts.get(kind, 0) for kind in _KINDS},
-            at_start=[(a, b, count) for (a, b), count in pairs_at_start(step.mesh, contacts).most_common()],
+            at_start=_listed(step.result.pairs_at_start),
+            crossing=_listed(step.start[step.start.is_crossing].by_bodies()),
             at_limit=counts.num_contacts_at_limit,
             first=first,
             described=[table.described(0), table.placed(0)] if len(table) else [],
@@ -92,6 +105,11 @@ class StepRecord:
         """Number of pairs in contact at the start, by the names of their bodies."""
         return Counter({(a, b): count for a, b, count in self.at_start})
 
+    @property
+    def pairs_crossing(self) -> Counter[tuple[str, str]]:
+        """Number of edges that pass through faces at the start, likewise."""
+        return Counter({(a, b): count for a, b, count in self.crossing})
+
     def plain(self) -> dict[str, Any]:
         """The record as JSON holds it."""
         return {**vars(self), "toi": self.toi if self.hit else None}
@@ -100,17 +118,22 @@ class StepRecord:
     def from_plain(cls, plain: dict[str, Any]) -> "StepRecord":
         """The record that :meth:`plain` gave."""
         toi = math.inf if plain["toi"] is None else plain["toi"]
-        return cls(**{**plain, "toi": toi, "at_start": [(a, b, count) for a, b, count in plain["at_start"]]})
+        pairs = {name: [(a, b, count) for a, b, count in plain[name]] for name in ("at_start", "crossing")}
+        return cls(**{**plain, "toi": toi, **pairs})
 
     def row(self) -> list[Any]:
         """The row of the CSV file; numbers read back bit for bit."""
         first = self.first or dict.fromkeys(COLUMNS[COLUMNS.index("kind") :], "")
         counts = list(self.counts.values())
-        at_start = sum(count for _, _, count in self.at_start)
+        at_start = [self.pairs_at_start.total(), self.pairs_crossing.total()]
         return [
-            *(self.step, self.start, self.end, self.toi, sum(counts), *counts, at_start, self.at_limit),
+            *(self.step, self.start, self.end, self.toi, sum(counts), *counts, *at_start, self.at_limit),
             *first.values(),
         ]
+
+
+def _listed(pairs: Counter[tuple[str, str]]) -> list[tuple[str, str, int]]:
+    return [(a, b, count) for (a, b), count in pairs.most_common()]
 
 
 def csv_text(records: Sequence[StepRecord]) -> str:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from ccd_warp._cli.frame_sequence import FrameSequence
 from ccd_warp._cli.motion import Lengths
-from ccd_warp._cli.places import start_sentence
 from ccd_warp._cli.report import (
     body_rows,
     body_table,
+    crossing_sentence,
     format_table,
     format_title,
     format_toi,
@@ -16,6 +16,7 @@ from ccd_warp._cli.report import (
 )
 from ccd_warp._cli.scope import looked_at
 from ccd_warp._cli.sequence_records import StepRecord, ranges_text
+from ccd_warp._display import start_sentence
 from ccd_warp._input.options import Options
 
 # Steps whose toi the report lists; the CSV file has all.
@@ -48,6 +49,13 @@ def format_sequence(sequence: FrameSequence, records: Sequence[StepRecord], opti
     else:
         pairs = looked_at(mesh, options)
         lines.append(f"steps with contacts  none of {len(records)}   (certain for the pairs looked at: {pairs})")
+    crossing = [record for record in records if record.crossing]
+    if crossing:
+        steps = ranges_text([record.step for record in crossing])
+        lines.append(f"surfaces cross at the start of  {len(crossing)} of {len(records)} steps: {steps}")
+        lines.append(f"           of the first, {crossing_sentence(crossing[0].pairs_crossing)}")
+    else:
+        lines.append("at the start of each step  no edge passes through a face")
     lines += [*scope_lines(mesh, options), ""]
     displacement = max(record.displacement for record in records)
     lengths = Lengths.of(mesh.vertices, displacement, options)

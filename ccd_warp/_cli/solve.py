@@ -15,6 +15,7 @@ from ccd_warp._cli.scope import check_kinds
 from ccd_warp._files.frames import Body, make_body
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
+from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
 
@@ -30,6 +31,7 @@ class SolvedStep:
         vertices_t1: End positions, shape [V, 3].
         options: Validated options.
         result: Of ``mesh_ccd``.
+        start: What touches, or passes through another, at the start.
         timings: Seconds of each stage, in order.
     """
 
@@ -39,6 +41,7 @@ class SolvedStep:
     vertices_t1: NDArray[np.float64]
     options: Options
     result: MeshResult
+    start: Intersections
     timings: dict[str, float]
 
 
@@ -74,14 +77,20 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh) -> Options:
 def solve(
     bodies: Sequence[Body], mesh: CollisionMesh, options: Options, line: ProgressLine, *, is_quiet: bool
 ) -> SolvedStep:
-    """Run ``mesh_ccd`` on a step of a mesh, whose bodies these are, with its progress on a line that stays there."""
+    """Run ``mesh_ccd`` on a step of a mesh, whose bodies these are, with its progress on a line that stays there.
+
+    What intersects at its start is found, too.
+    """
     vertices_t0, vertices_t1 = positions_of(bodies)
     with CollisionPipeline.borrowed(mesh, options) as pipeline:
         pipeline._show_progress = line.show
         with warnings_on_stderr(line.clear, is_quiet=is_quiet):
             result = pipeline.mesh_ccd(vertices_t0, vertices_t1)
-    timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
-    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, timings)
+            timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
+            begin = time.perf_counter()
+            start = pipeline.find_intersections(vertices_t0)
+            timings["intersections at start"] = time.perf_counter() - begin
+    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, timings)
 
 
 def solve_scene(bodies: Sequence[Body], given: dict[str, Any], *, self_collision: bool, is_quiet: bool) -> SolvedStep:

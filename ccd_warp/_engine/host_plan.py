@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
     from ccd_warp._input.options import Options
 
-# What a call looks for: all contacts, the least toi alone, or candidate pairs.
-Goal = Literal["contacts", "bound", "candidates"]
+# What a call looks for: all contacts, the least toi alone, candidate pairs, or what intersects at one time.
+Goal = Literal["contacts", "bound", "candidates", "intersections"]
 # The least capacity for pairs of a kind, and how much more than what was found the next one is.
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
@@ -106,16 +106,19 @@ class HostPlan:
         topology = self._topology = workspace.topology
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        self.kinds = possible_kinds(mesh, options)
+        self.kinds = possible_kinds(mesh, options) if goal != "intersections" else workspace.tested_kinds
         sought = topology, self.kinds, moves_alone(mesh)
-        self._has_grids = options.broad_phase == "hash"
+        self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         if self._has_grids:
             self.tree_pairs = with_reverses(tree_pairs_of(*sought, self._boxes.grids, Grid))
         else:
             self.tree_pairs = tree_pairs_of(*sought, self._boxes.trees, Tree)
         self.trees = trees_of(self.tree_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
-        self._num_aabbs = 1 if goal == "candidates" else 2
+        has_narrow_phase = goal in ("contacts", "bound")
+        # the search of CUDA lists candidates in trees of endpoint AABBs alone
+        is_culled = has_narrow_phase or (self.execution.is_cuda and goal == "intersections")
+        self._num_aabbs = 2 if is_culled else 1
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
@@ -123,7 +126,7 @@ class HostPlan:
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
-        self._has_queue = self.execution.is_cuda and goal != "candidates"
+        self._has_queue = self.execution.is_cuda and has_narrow_phase
         self._queue_arrays: list[wp.array] = []
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
@@ -144,7 +147,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            SimpleNamespace() if goal == "candidates" else narrow_phase_on(topology.device, options.real),
+            narrow_phase_on(topology.device, options.real) if has_narrow_phase else SimpleNamespace(),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,
@@ -450,6 +453,11 @@ class HostPlan:
         """Keys of at most ``most`` of the ``count`` pairs of a batch that the narrow phase has not marked yet."""
         keys = self._recording.values[f"{kind.name} keys"][:count]
         return keys[:: max(1, -(-count // most))].numpy()
+
+    def found_keys(self, kind: PairKind, count: int) -> wp.array:
+        """The keys of a batch, which has so many of a kind."""
+        keys: wp.array = self._recording.values[f"{kind.name} keys"][:count]
+        return keys
 
     def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
         """The marked keys of the open pairs among the first ``count`` of a batch."""

@@ -372,7 +372,7 @@ class Step:
             f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
             + ("" if mesh.num_bodies == 1 else f"; they are most often of {self._most_common_bodies(plan, found)}"),
             RuntimeWarning,
-            stacklevel=_level_of_caller(),
+            stacklevel=level_of_caller(),
         )
 
     def _most_common_bodies(self, plan: HostPlan, found: Mapping[PairKind, int]) -> str:
@@ -391,7 +391,7 @@ class Step:
         return f"{names} ({100 * counts.max() / counts.sum():.0f} % of a sample)"
 
 
-def _level_of_caller() -> int:
+def level_of_caller() -> int:
     """Number of stack frames from the function that warns to the first one outside the package."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":

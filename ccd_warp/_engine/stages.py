@@ -16,7 +16,7 @@ from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree, candidate_cull, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
-from ccd_warp.kernels.search_types import CULL, LIST
+from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
 
 Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
@@ -176,6 +176,7 @@ class Stages:
             is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
         """
         query, target = tree_pair.query, tree_pair.target
+        end = CULL if self.num_aabbs == 2 else CULL_OF_BOXES
         level = (0 if launcher.is_cuda else 1) if level is None else level
         if items is None:
             items = range(query.primitives.count if level == 0 else query.levels[0])
@@ -191,7 +192,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            self._search_on(CULL, is_cuda=False),
+            self._search_on(end, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
@@ -257,7 +258,7 @@ class Stages:
                 search_range(0, int(kind), range(0), marks_overflow=marks_overflow),
                 int(only_if_complete),
                 candidates,
-                *(self.topology.corners[name] for name in CORNER_ARRAYS[kind]),
+                *(self.topology.corners[name] for name in self.topology.corner_arrays(kind)),
                 self.vertices_t0,
                 self.vertices_t1,
                 self.search_options,

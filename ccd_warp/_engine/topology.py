@@ -86,6 +86,8 @@ class PrimitiveSet:
 class Topology:
     """The data of a mesh that no step changes; made once for each mesh and device."""
 
+    fewer_query = False  # whether the queries of two moving sets are those of the smaller one, not of the first
+
     def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
         self.mesh = mesh
         self.device = device
@@ -147,6 +149,10 @@ class Topology:
     def primitives_of(self, kind: PairKind) -> tuple[str, str]:
         """The kinds of the two primitives of a pair."""
         return (PRIMITIVES if self.mesh.dimension == 3 else _PRIMITIVES_IN_PLANE)[kind]
+
+    def corner_arrays(self, kind: PairKind) -> tuple[str, str]:
+        """The arrays, among ``corners``, with the vertices of the two primitives of a pair."""
+        return CORNER_ARRAYS[kind]
 
     def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
         """The moving or static primitives of a kind."""

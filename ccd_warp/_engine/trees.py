@@ -236,7 +236,10 @@ def tree_pairs_of(
             if topology.primitives(first, a_static).count and topology.primitives(second, b_static).count:
                 a, b = tree(first, a_static), tree(second, b_static)
                 # the moving primitives are the queries, so that the tree of the static ones is only traversed
-                tree_pairs.append(TreePair(kind, b, a, swapped=True) if a_static else TreePair(kind, a, b))
+                swapped = a_static or (
+                    topology.fewer_query and not b_static and b.primitives.count < a.primitives.count
+                )
+                tree_pairs.append(TreePair(kind, b, a, swapped=True) if swapped else TreePair(kind, a, b))
     return tree_pairs
 
 

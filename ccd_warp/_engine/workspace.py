@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes import StepBoxes
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import ContactStore
-from ccd_warp._engine.topology import Topology
+from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._status import PairKind
 
 _MOST_OPTIONS = 8
 
@@ -25,8 +26,9 @@ class Workspace:
     After a step that fails it may be inconsistent; it is then discarded, and the next step makes a new one.
     """
 
-    def __init__(self, mesh: CollisionMesh, device: Any) -> None:
-        self.topology = Topology.of(mesh, device)
+    def __init__(self, mesh: CollisionMesh, device: Any, topology: Topology | None = None) -> None:
+        """The state for a mesh; ``topology`` is another than its own, for a search of another kind."""
+        self.topology = topology or Topology.of(mesh, device)
         self.buffers = Buffers(device)
         self.flag = StopFlag(device)
         self.boxes = StepBoxes(self.topology, self.buffers)
@@ -36,6 +38,20 @@ class Workspace:
         self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
         self._active: wp.array | None = None
         self._is_all_active = False
+        # of a search for intersections: the positions that it fills, and the kinds of pairs
+        self.kept_positions: Positions | None = None
+        self.tested_kinds: tuple[PairKind, ...] = ()
+
+    @lazy_property
+    def intersections(self) -> "Workspace":
+        """The state of the search for intersections at one time."""
+        from ccd_warp._engine.edge_points import EdgePointTopology  # few programs need it
+
+        mesh, device = self.topology.mesh, self.topology.device
+        topology = EdgePointTopology.of(mesh, device)
+        workspace = Workspace(mesh, device, topology)
+        workspace.tested_kinds = topology.kinds
+        return workspace
 
     @lazy_property
     def contacts(self) -> ContactStore:

@@ -33,8 +33,11 @@ class _Search(TypedDict, total=False):
     pair_kinds: Iterable[PairKind | PairKindName] | None
 
 
-class _Limits(TypedDict, total=False):
+class _Work(TypedDict, total=False):
     max_work: int
+
+
+class _Memory(TypedDict, total=False):
     memory_limit: int | None
 
 
@@ -43,7 +46,7 @@ class _Place(TypedDict, total=False):
     num_threads: int | None
 
 
-class MeshOptions(_Solver, _End, _Search, _Limits, _Place, total=False):
+class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
     """Options of :func:`mesh_ccd`, :func:`collision_free_step` and :class:`CollisionPipeline`: all options.
 
     This is the table of all options; :class:`PairOptions`, :class:`LineSearchOptions` and :class:`CandidateOptions`
@@ -96,7 +99,7 @@ class PairOptions(_Solver, _End, _Place, total=False):
     """
 
 
-class LineSearchOptions(_Solver, _Search, _Limits, _Place, total=False):
+class LineSearchOptions(_Solver, _Search, _Work, _Memory, _Place, total=False):
     """Options of :func:`line_search`: those of :class:`MeshOptions` except ``t_max``, as it covers whole steps."""
 
 
@@ -104,4 +107,12 @@ class CandidateOptions(_Search, _Place, total=False):
     """Options of :func:`find_candidates`: some of :class:`MeshOptions`.
 
     They are ``broad_phase``, ``pair_kinds``, ``device`` and ``num_threads``.
+    """
+
+
+class IntersectionOptions(_Memory, _Place, total=False):
+    """Options of :func:`find_intersections`: ``memory_limit``, ``device`` and ``num_threads`` of :class:`MeshOptions`.
+
+    The pairs that are found come on top of ``memory_limit``, which bounds the boxes and the pairs that are tested at a
+    time.
     """

@@ -59,9 +59,9 @@ def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) ->
 
         return make_half_warp_search(end, with_lists).search_queries
     from ccd_warp.kernels.pair_search import make_pair_search
-    from ccd_warp.kernels.search_types import CULL
+    from ccd_warp.kernels.search_types import BOXES
 
-    return make_pair_search(end, with_lists, lanes_of(device) if end == CULL else 1).search_pairs
+    return make_pair_search(end, with_lists, 1 if end == BOXES else lanes_of(device)).search_pairs
 
 
 def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:

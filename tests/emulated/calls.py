@@ -28,6 +28,11 @@ def on_the_host(case: StepCase, precision: str) -> Outputs:
         of_search = {name: options[name] for name in ("broad_phase", "pair_kinds", "num_threads") if name in options}
         candidates = ccd.find_candidates(mesh, start, end, inflation, **of_search)
         found |= outputs_of(candidates, f"find_candidates {inflation}")
+    for positions in (start, end):
+        intersections = ccd.find_intersections(mesh, positions)
+        names = ("kind", "primitives", "parameters", "edge_parameter", "points")
+        arrays = {name: getattr(intersections, name) for name in names}
+        found |= outputs_of(arrays, f"find_intersections {'at the end' if positions is end else ''}")
     pipeline = ccd.CollisionPipeline(mesh, **options)
     found |= outputs_of(pipeline.mesh_ccd(start, end[mesh.moving_vertices]), "pipeline.mesh_ccd")
     return found | outputs_of(pipeline.counts, "counts")
