@@ -12,12 +12,16 @@ _FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_bo
 _FILES += ["candidate_cull", "half_warp_tree", "hash_grid", "intersections"]
 
 
-def cuda_modules() -> dict[str, Any]:
-    """The modules of the files, and those that a factory makes for a precision, a dimension or an end of the search."""
+def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
+    """The modules of the files, and those that a factory makes for a precision, a dimension or an end of the search.
+
+    With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch.
+    """
     from ccd_warp.kernels.contact_place import make_contact_points
     from ccd_warp.kernels.device_step import make_input
     from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
     from ccd_warp.kernels.half_warp_search import make_half_warp_search
+    from ccd_warp.kernels.norm import EUCLIDEAN_NORM, MAXIMUM_NORM
     from ccd_warp.kernels.queued_pairs import STAGES, make_queued_pairs
     from ccd_warp.kernels.search_types import BOXES, CULL, LIST
 
@@ -30,9 +34,11 @@ def cuda_modules() -> dict[str, Any]:
             name = f"{real.__name__} {dimension}"
             modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
             modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
-        for name, kernels in vars(make_queued_pairs(real)).items():
-            for stage, kernel in zip(STAGES, kernels, strict=True):
-                modules[f"queued_pairs {name} {stage} {real.__name__}"] = kernel.module
+        for norm in (MAXIMUM_NORM, EUCLIDEAN_NORM)[: 1 + with_distances]:
+            of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
+            for name, kernels in vars(make_queued_pairs(real, norm)).items():
+                for stage, kernel in zip(STAGES, kernels, strict=True):
+                    modules[f"queued_pairs {name} {stage} {real.__name__}{of_norm}"] = kernel.module
     for end in (BOXES, LIST, CULL):
         for with_lists in (False, True):
             search = make_half_warp_search(end, with_lists).search_queries

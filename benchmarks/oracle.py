@@ -272,7 +272,11 @@ def _variations_on_unit_interval(poly: Poly) -> int:
         a, b, c, d = poly
         coefficients = (a, 3 * a + b, 3 * a + 2 * b + c, a + b + c + d)
     else:
-        raise ValueError(f"polynomial has degree {n}; expected 1 to 3")
+        shifted = list(reversed(poly))
+        for i in range(n):
+            for j in range(n - 1, i - 1, -1):
+                shifted[j] += shifted[j + 1]
+        coefficients = tuple(shifted)
     signs = [c > 0 for c in coefficients if c]
     return sum(s != t for s, t in pairwise(signs))
 

@@ -4,10 +4,11 @@ During a step every vertex moves on a straight line; CCD computes the earliest t
 collision is never missed and never reported late. All functions share the options of :class:`MeshOptions`, which are
 passed by keyword.
 
-Guarantee: if the exact trajectories of a pair first touch (or come within the minimum separation) at τ ≤ t_max, every
-reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is possible only where
-the L∞ gap falls below separation + δ + ε, with δ the tolerance and ε the bound on the rounding errors, or where a limit
-was reached, which the status says. It holds in floating point, in both precisions, for every finite input.
+Guarantee: if the exact trajectories of a pair first touch (or come within the minimum separation, or distance) at
+τ ≤ t_max, every reported toi that covers the pair is ≤ τ. ``inf`` is certain. A finite toi without a collision is
+possible only where the gap, L∞ (Euclidean with a distance), falls below separation + δ + ε, with δ the tolerance and ε
+the bound on the rounding errors, or where a limit was reached, which the status says. It holds in floating point, in
+both precisions, for every finite input.
 """
 
 import importlib

@@ -52,7 +52,8 @@ class Contacts(Placed):
             sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
             or points along the gap where that velocity is zero. Of a mesh in the plane, shape [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
-        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m].
+        gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
+            minimum distance the gap beyond it, Euclidean.
         width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
             shape [m].
     """
@@ -223,7 +224,7 @@ class Contact:
 
     @property
     def gap(self) -> float:
-        """Upper bound of the gap (L∞) beyond the minimum separation at toi, a length."""
+        """Upper bound of the gap beyond the minimum separation (L∞) or distance (Euclidean) at toi, a length."""
         return float(self._row.gap[0])
 
     @property

@@ -42,7 +42,7 @@ class PairResult:
             the second edge for edge-edge, (u, 0) with the position u along the segment for point-segment. 0 where toi
             is inf.
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, in the length unit of the points,
-            float64, shape [n]; 0 where toi is inf.
+            float64, shape [n]; 0 where toi is inf. With a minimum distance the gap beyond it, Euclidean.
         width: Width in time of the reported box: the gap is attained somewhere in [toi, toi + width]. With the default
             method it is 0, except up to t_max where a limit was reached; float64, shape [n].
         iterations: Iterations that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
@@ -273,7 +273,7 @@ def _solve_few(
 ) -> list[np.ndarray]:
     """Like :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than solving them."""
     packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
-    with borrowed_batch(kind, options.real, device, points_t0.shape[1], packed) as batch:
+    with borrowed_batch(kind, options.real, options.norm, device, points_t0.shape[1], packed) as batch:
         results = batch.solve(points_t0, points_t1, packed)
     is_open = _open_pairs(results[_STATUS], options)
     if is_open is not None:
@@ -336,9 +336,9 @@ def _launch(
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
         inputs = [count, int(kind), points_t0, points_t1, packed, counts, new_queue(count, device)]
-        launch_queued(execution, queued_pairs_in(options.real).points_toi, count, inputs, out.as_list())
+        launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, out.as_list())
         return out
-    narrow_phase = narrow_phase_on(device, options.real)
+    narrow_phase = narrow_phase_on(device, options.real, options.norm)
     kernel, chunk = narrow_phase.points_toi, narrow_phase.chunk
     execution.launch(
         kernel,

@@ -23,14 +23,14 @@ _OUTPUTS = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
 _COUNT = 2
 _OPTIONS = 6  # position of the options among the kernel's parameters
 
-_idle: dict[tuple[PairKind, Any], list["SmallBatch"]] = {}
+_idle: dict[tuple[PairKind, Any, str], list["SmallBatch"]] = {}
 
 
 class SmallBatch:
-    """Up to `CAPACITY` pairs of one kind, solved in one precision."""
+    """Up to `CAPACITY` pairs of one kind, solved in one precision and with separations in one norm."""
 
-    def __init__(self, kind: PairKind, real: Any, device: Any, num_points: int, packed: Any) -> None:
-        narrow_phase = narrow_phase_on(device, real)
+    def __init__(self, kind: PairKind, real: Any, norm: str, device: Any, num_points: int, packed: Any) -> None:
+        narrow_phase = narrow_phase_on(device, real, norm)
         kernel, self._chunk = narrow_phase.points_toi, narrow_phase.chunk
         load(kernel, device)
         inputs: list[wp.array] = [wp.zeros((CAPACITY, num_points), dtype=wp.vec3d, device=device) for _ in range(2)]
@@ -71,13 +71,15 @@ class SmallBatch:
 
 
 @contextmanager
-def borrowed_batch(kind: PairKind, real: Any, device: Any, num_points: int, packed: Any) -> Iterator[SmallBatch]:
+def borrowed_batch(
+    kind: PairKind, real: Any, norm: str, device: Any, num_points: int, packed: Any
+) -> Iterator[SmallBatch]:
     """A batch for one call, which no other call uses meanwhile; a call that raises does not return it."""
-    idle = _idle.setdefault((kind, real), [])
+    idle = _idle.setdefault((kind, real, norm), [])
     try:
         batch = idle.pop()
     except IndexError:
-        batch = SmallBatch(kind, real, device, num_points, packed)
+        batch = SmallBatch(kind, real, norm, device, num_points, packed)
     yield batch
     if len(idle) < _MOST_IDLE:
         idle.append(batch)

@@ -1,8 +1,9 @@
 """Plain inclusion bisection, the method of the literature, against which the default method is measured.
 
 A box [t0, t1] × [u0, u1] × [v0, v1] is discarded if the hull of its eight corners misses the separation box on one of
-the three axes. It is accepted if the hull is no wider than the tolerance on every axis. Otherwise its widest parameter
-is halved, and the earlier (lower) half is searched first.
+the three axes; with a Euclidean distance, if the hull is farther than that from the origin. It is accepted if the hull
+is no wider than the tolerance on every axis. Otherwise its widest parameter is halved, and the earlier (lower) half is
+searched first.
 
 Differs from Wang et al. 2021, section 4:
 
@@ -18,9 +19,10 @@ import warp as wp
 
 from .answer import STACK_DEPTH, make_answer
 from .interrupts import is_stopped
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM
 from .once import once
 from .patch import make_patch
-from .rounding import MAX_SPLITS, MOVING
+from .rounding import MAX_SPLITS, MOVING, SQUARE_UNDERFLOW
 from .status import (
     STATUS_COLLISION,
     STATUS_ITERATION_LIMIT,
@@ -31,8 +33,10 @@ from .sub_patch import make_sub_patch
 
 
 @once
-def make_bisection(real) -> SimpleNamespace:
-    """Functions for one floating-point type."""
+def make_bisection(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Functions for one floating-point type and one norm."""
+    is_euclidean = norm == EUCLIDEAN_NORM
+    square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
     vec3 = wp.types.vector(length=3, dtype=real)
     box_stack = wp.types.vector(length=6 * STACK_DEPTH, dtype=real)
     types = make_sub_patch(real)
@@ -113,6 +117,12 @@ def make_bisection(real) -> SimpleNamespace:
             for k in range(3):
                 is_free = is_free or lower[k] > margin[k] or upper[k] < -margin[k]
                 is_narrow = is_narrow and upper[k] - lower[k] <= problem.delta[k]
+            if wp.static(is_euclidean):
+                # the nearest point of the box (rounding, step 13)
+                errors = moving * problem.error
+                nearest = wp.max(wp.max(lower - errors, -upper - errors), vec3())
+                radius = problem.separation[0]
+                is_free = wp.dot(nearest, nearest) > radius * radius + square_underflow
             if is_free:
                 continue
             dt = share(b.w00, a.w00, problem.delta)

@@ -45,7 +45,7 @@ def is_discarded(
     if has_volume(kind):
         c0 = corners(kind, points_of(kind, a, b, vertices_t0))
         c1 = corners(kind, points_of(kind, a, b, vertices_t1))
-        return free_lanes(kind, c0, c1, options.separation, options.t_end, _ONE) != _NONE
+        return free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, _ONE) != _NONE
     return False
 
 

@@ -59,7 +59,7 @@ def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
             if has_volume(kind):
                 c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
                 c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
-                left = left & ~free_lanes(kind, c0, c1, options.separation, options.t_end, left)
+                left = left & ~free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, left)
             if left != _NONE:
                 n = claim(counts, part.row, FOUND, number_of_bits(left))
                 while left != _NONE:

@@ -10,26 +10,30 @@ A pair in one plane has no volume. For it there is a second test, along the dire
 no other directions are needed to separate two convex figures in a plane. Its bound is that of `rounding`, step 11.
 
 Several candidates are culled at once, one in each lane (`simd`). The second test runs if the first leaves a lane open.
-A comparison with NaN is false, and only comparisons prove anything, so a pair with a number that is not finite stays
-open.
+A separation is a box, or with ``is_euclidean`` a ball. A comparison with NaN is false, and only comparisons prove
+anything, so a pair with a number that is not finite stays open.
 """
 
 from types import SimpleNamespace
 
 import warp as wp
 
+from .norm import EUCLIDEAN_NORM, make_norm
 from .once import once
 from .pair_kind import VERTEX_FACE
 from .patch import make_patch
-from .rounding import SIDES, UNIT_ROUNDOFF, VOLUME
+from .rounding import NORMAL, SIDES, SQUARE_UNDERFLOW, UNIT_ROUNDOFF, VOLUME
 from .simd import make_simd
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
 _SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
+_NORMAL = wp.constant(wp.float64(NORMAL * UNIT_ROUNDOFF[wp.float64]))
 _GUARD = wp.constant(wp.float64(2.0**-800))
 _LARGEST = wp.constant(wp.float64(2.0**750))
 _SIDES = wp.constant(wp.float64(SIDES * UNIT_ROUNDOFF[wp.float64]))
 _SIDES_UNDERFLOW = wp.constant(wp.float64(2.0**-1060))
+_SQUARE_UNDERFLOW = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
+_QUARTER = wp.constant(wp.float64(0.25))
 _THIRD = wp.constant(wp.float64(1.0 / 3.0))
 _ONE = wp.constant(wp.float64(1.0))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -53,12 +57,16 @@ def make_cull(width: int) -> SimpleNamespace:
     either = simd.either
     select = simd.select
     dot = simd.dot
+    square_root = simd.square_root
+    length = make_norm(wp.float64, width, EUCLIDEAN_NORM).length
     cross = simd.cross
     bits_of = simd.bits_of
     Corners = make_patch(wp.float64, width).Corners
 
     @simd.func
-    def is_free_by_volume(c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> Mask:
+    def is_free_by_volume(
+        c0: Corners, c1: Corners, separation: wp.float64, is_euclidean: int, t_end: wp.float64
+    ) -> Mask:
         """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
         n0 = cross(c0.q, c0.r)
         n1 = cross(c1.q, c1.r)
@@ -75,8 +83,14 @@ def make_cull(width: int) -> SimpleNamespace:
         # an underflow in Q×R is multiplied by P and by the separation
         bound = _BOUND * size + _GUARD * (spread(_ONE + separation) + p.x + p.y + p.z)
         if separation > _ZERO:
-            # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
-            bound = bound + (separation * _SEPARATION_UP) * (n.x + n.y + n.z)
+            if is_euclidean != 0:
+                # the length of the normal at any time is at most those of its coefficients (rounding, step 13)
+                squared = greatest(greatest(dot(n0, n0), dot(n1, n1)), _QUARTER * dot(nm, nm))
+                longest = square_root(squared + spread(_SQUARE_UNDERFLOW)) + _NORMAL * (n.x + n.y + n.z)
+                bound = bound + (separation * _SEPARATION_UP) * longest
+            else:
+                # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
+                bound = bound + (separation * _SEPARATION_UP) * (n.x + n.y + n.z)
         if t_end < _ONE:
             # the blossom on [0, t_end]
             s = _ONE - t_end
@@ -104,13 +118,23 @@ def make_cull(width: int) -> SimpleNamespace:
 
     @simd.func
     def is_free_along(
-        d: Vec3, is_triangle: bool, c0: Corners, c1: Corners, size: Vec3, separation: wp.float64, t_end: wp.float64
+        d: Vec3,
+        is_triangle: bool,
+        c0: Corners,
+        c1: Corners,
+        size: Vec3,
+        separation: wp.float64,
+        is_euclidean: int,
+        t_end: wp.float64,
     ) -> Mask:
         """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
-        length = magnitude(d)
-        bound = _SIDES * dot(length, size) + spread(_SIDES_UNDERFLOW)
+        m = magnitude(d)
+        bound = _SIDES * dot(m, size) + spread(_SIDES_UNDERFLOW)
         if separation > _ZERO:
-            bound = bound + (separation * _SEPARATION_UP) * (length.x + length.y + length.z)
+            if is_euclidean != 0:
+                bound = bound + (separation * _SEPARATION_UP) * length(d)
+            else:
+                bound = bound + (separation * _SEPARATION_UP) * (m.x + m.y + m.z)
         a = dot(d, c0.w00)
         # turned to the side of the first corner
         d = select(is_less(a, spread(_ZERO)), minus(d), d)
@@ -126,7 +150,9 @@ def make_cull(width: int) -> SimpleNamespace:
         return both(beyond, is_less(bound, spread(_LARGEST)))
 
     @simd.func
-    def is_free_by_sides(kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64) -> Mask:
+    def is_free_by_sides(
+        kind: int, c0: Corners, c1: Corners, separation: wp.float64, is_euclidean: int, t_end: wp.float64
+    ) -> Mask:
         """Whether a direction across a side, in the plane of both at the start, separates the pair on [0, t_end]."""
         n = cross(c0.q, c0.r)
         size = greatest(magnitude(c0.w00), magnitude(c1.w00))
@@ -135,20 +161,28 @@ def make_cull(width: int) -> SimpleNamespace:
         is_triangle = kind == VERTEX_FACE
         if not is_triangle:
             size = greatest(size, greatest(magnitude(c0.w11), magnitude(c1.w11)))
-        free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, t_end)
-        free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, t_end))
+        free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
+        free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end))
         if is_triangle:
-            free = either(free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, t_end))
+            free = either(
+                free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
+            )
         return free
 
     @wp.func
     def free_lanes(
-        kind: int, c0: Corners, c1: Corners, separation: wp.float64, t_end: wp.float64, needed: wp.uint32
+        kind: int,
+        c0: Corners,
+        c1: Corners,
+        separation: wp.float64,
+        is_euclidean: int,
+        t_end: wp.float64,
+        needed: wp.uint32,
     ) -> wp.uint32:
         """Bits of the lanes for which a test proves that there is no contact on [0, t_end]; others are not needed."""
-        free = bits_of(is_free_by_volume(c0, c1, separation, t_end))
+        free = bits_of(is_free_by_volume(c0, c1, separation, is_euclidean, t_end))
         if (needed & ~free) != _NONE:
-            free = free | bits_of(is_free_by_sides(kind, c0, c1, separation, t_end))
+            free = free | bits_of(is_free_by_sides(kind, c0, c1, separation, is_euclidean, t_end))
         return free
 
     return SimpleNamespace(

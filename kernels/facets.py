@@ -271,5 +271,7 @@ def make_facets(real, width: int) -> SimpleNamespace:
         start_gap_share=start_gap_share,
         widest_facet=widest_facet,
         fall=fall,
+        corner_fall=corner_fall,
+        beyond=beyond,
         clip_facet=clip_facet,
     )

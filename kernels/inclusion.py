@@ -62,12 +62,11 @@ def make_inclusion(real, width: int) -> SimpleNamespace:
         return select(stays, spread(two), s)
 
     @simd.func
-    def clip(d: Vec3, margin: Vec3, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
-        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end.
+    def clip_beyond(d: Vec3, off: Lanes, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
+        """Time s >= t such that d·W stays above ``off`` on [t, s), which proves it free; 2 if it does to the end.
 
-        t0 and t1 are the corners at both ends of the step.
+        ``off`` bounds the rounding errors and the separation along d, together; t0 and t1 are the corners at both ends.
         """
-        off = offset(d, margin)
         s = clip_corner(dot(d, t0.w00), dot(d, t1.w00), off, t)
         s = least(s, clip_corner(dot(d, t0.w01), dot(d, t1.w01), off, t))
         s = least(s, clip_corner(dot(d, t0.w10), dot(d, t1.w10), off, t))
@@ -77,4 +76,12 @@ def make_inclusion(real, width: int) -> SimpleNamespace:
         can_prove = is_at_most(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z)))
         return select(both(can_prove, is_less(t, s)), s, t)
 
-    return SimpleNamespace(clip=clip, clip_corner=clip_corner, offset=offset)
+    @simd.func
+    def clip(d: Vec3, margin: Vec3, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
+        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end.
+
+        t0 and t1 are the corners at both ends of the step.
+        """
+        return clip_beyond(d, offset(d, margin), t, t0, t1, is_triangle)
+
+    return SimpleNamespace(clip=clip, clip_beyond=clip_beyond, clip_corner=clip_corner, offset=offset)

@@ -10,11 +10,13 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .ball import make_ball
 from .facets import make_facets
 from .inclusion import make_inclusion
 from .lane_closest import make_lane_closest
 from .lane_pair import make_lane_pair
 from .lane_touch import make_lane_touch
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, make_norm
 from .once import once
 from .pair_kind import VERTEX_FACE
 from .patch import make_patch
@@ -28,11 +30,17 @@ _VOLUME_CLIPS = wp.constant(3)
 _MOST_VOLUME_CLIPS = wp.constant(8)
 # Clips with a facet in a round.
 _FACET_STEPS = wp.constant(4)
+# Clips with a direction that turns with a side.
+_TURN_STEPS = wp.constant(2)
 
 
 @once
-def make_lane_advance(real, width: int, with_facets: bool) -> SimpleNamespace:
-    """Structs and functions for lanes of one floating-point type, with or without a separation and facets."""
+def make_lane_advance(real, width: int, with_facets: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Structs and functions for lanes of one floating-point type, with or without a separation and facets.
+
+    In the Euclidean norm directions that turn with a side take the place of the facets.
+    """
+    is_euclidean = norm == EUCLIDEAN_NORM
     simd = make_simd(real, width)
     Lanes = simd.Lanes
     Mask = simd.Mask
@@ -50,12 +58,21 @@ def make_lane_advance(real, width: int, with_facets: bool) -> SimpleNamespace:
     dot = simd.dot
     bits_of = simd.bits_of
     mask_of = simd.mask_of
-    LanePair = make_lane_pair(real, width).LanePair
+    LanePair = make_lane_pair(real, width, norm).LanePair
     Corners = make_patch(real, width).Corners
     Volume = make_patch(real, width).Volume
     corners_at = make_patch(real, width).corners_at
-    clip_volume = make_volume(real, width).clip_volume
+    clip_volume = make_volume(real, width, norm).clip_volume
     clip = make_inclusion(real, width).clip
+    clip_beyond = make_inclusion(real, width).clip_beyond
+    length = make_norm(real, width, norm).length
+    ball = make_ball(real, width)
+    offset = ball.offset
+    is_in_ball = ball.is_in_ball
+    with_largest_one = ball.with_largest_one
+    time_to_ball = ball.time_to_ball
+    turn_along = ball.turn_along
+    clip_turn = ball.clip_turn
     widest_facet = make_facets(real, width).widest_facet
     clip_facet = make_facets(real, width).clip_facet
     closest = make_lane_closest(real, width).closest
@@ -129,6 +146,26 @@ def make_lane_advance(real, width: int, with_facets: bool) -> SimpleNamespace:
         return r
 
     @simd.func
+    def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
+        """The point of a patch with given weights."""
+        cu = spread(one) - u
+        cv = spread(one) - v
+        return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
+
+    @simd.func
+    def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
+        """Clip with the direction that the closest pair will have where it reaches the ball, fixed and turning.
+
+        d is its direction and length at t, with the velocity of its point; c are the corners at t.
+        """
+        h = time_to_ball(d, velocity, n.separation.x, end - t)
+        ahead = with_largest_one(d + h * velocity)
+        s = clip_beyond(ahead, offset(ahead, n.error, n.separation), t, n.t0, n.t1, is_face)
+        side = turn_along(c, with_largest_one(d), corners_at(n.t0, n.t1, t + h), ahead, is_face)
+        turned = clip_turn(n.t0, n.t1, n.separation, n.error, is_face, side, t, end, _TURN_STEPS)
+        return greatest(s, turned)
+
+    @simd.func
     def advance_round(
         kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
     ) -> LaneReached:
@@ -179,16 +216,29 @@ def make_lane_advance(real, width: int, with_facets: bool) -> SimpleNamespace:
         # a smaller gap may consist of rounding errors only
         floor = spread(floor_errors) * n.error
         near_floor = spread(stall_errors) * n.error
-        margin = n.error
-        if wp.static(with_facets):
-            floor = n.separation + floor
-            near_floor = n.separation + near_floor
-            margin = n.error + n.separation
-        at_floor = is_within(near.d, floor)
-        gap = dot(near.d, near.d)
-        s = clip(near.d, margin, t, n.t0, n.t1, is_triangle)
-        if wp.static(with_facets):
-            number = spread(zero)
+        if wp.static(is_euclidean):
+            d = with_largest_one(near.d)
+            s = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_triangle)
+            at_floor = is_in_ball(near.d, floor, n.separation)
+            is_near = is_in_ball(near.d, near_floor, n.separation)
+            gap = length(near.d) - n.separation.x
+            gap = gap * gap
+            turns = both(both(still_open, is_at_most(s, end)), opposite(at_floor))
+            if bits_of(turns) != _NONE:
+                velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
+                s = select(turns, greatest(s, clip_ahead(n, c, near.d, velocity, is_triangle, t, end)), s)
+        else:
+            margin = n.error
+            if wp.static(with_facets):
+                floor = n.separation + floor
+                near_floor = n.separation + near_floor
+                margin = n.error + n.separation
+            at_floor = is_within(near.d, floor)
+            is_near = is_within(near.d, near_floor)
+            gap = dot(near.d, near.d)
+            s = clip(near.d, margin, t, n.t0, n.t1, is_triangle)
+        number = spread(zero)
+        if wp.static(with_facets and not is_euclidean):
             turns = both(still_open, needs_facets(n, volume))
             if bits_of(turns) != _NONE:
                 turned = turn(n, c, is_triangle, t, end)
@@ -196,13 +246,16 @@ def make_lane_advance(real, width: int, with_facets: bool) -> SimpleNamespace:
                 s = select(turns, greatest(s, turned.t), s)
                 at_floor = either(both(turns, turned.at_floor), both(opposite(turns), at_floor))
                 gap = select(turns, turned.gap, gap)
-        has_stalled = both(is_at_most(spread(patience), reached.slow), is_within(near.d, near_floor))
+        has_stalled = both(is_at_most(spread(patience), reached.slow), is_near)
         claims = either(both(at_floor, is_settled), has_stalled)
         free = either(free, is_less(end, s))
         point = near.point
         size = floor + n.delta
         is_in_box = is_within(point, size)
-        if wp.static(with_facets):
+        if wp.static(is_euclidean):
+            # the point of contact with a ball is the closest one
+            is_in_box = is_in_ball(point, floor, n.separation + n.delta)
+        if wp.static(with_facets and not is_euclidean):
             # of a patch at the corner of a separation box another point may touch than the closest one
             has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
             others = both(both(both(still_open, claims), has_box), opposite(either(is_in_box, free)))

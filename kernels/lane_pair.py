@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM
 from .once import once
 from .patch import make_patch
 from .points import make_points
 from .query import make_query
-from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF
+from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
 from .simd import header, make_simd
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
@@ -41,8 +42,9 @@ def _power_of_two(width: int) -> str:
 
 
 @once
-def make_lane_pair(real, width: int) -> SimpleNamespace:
-    """Structs and functions for lanes of one floating-point type."""
+def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Structs and functions for lanes of one floating-point type, with separations in one norm."""
+    is_euclidean = norm == EUCLIDEAN_NORM
     simd64 = make_simd(wp.float64, width)
     simd = make_simd(real, width)
     Lanes64 = simd64.Lanes
@@ -61,7 +63,7 @@ def make_lane_pair(real, width: int) -> SimpleNamespace:
     vec = simd.vec
     Options = make_query(real).Options
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
-    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+    round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
 
     @wp.func_native(_power_of_two(width))
@@ -193,6 +195,31 @@ def make_lane_pair(real, width: int) -> SimpleNamespace:
         return n
 
     @simd64.func
+    def scaled_pair(
+        n: LanePair,
+        c0: Corners64,
+        c1: Corners64,
+        m: Vec3d,  # largest corners
+        s: Vec3d,  # factors
+        separation_length: Lanes64,
+        delta_length: Lanes64,
+    ) -> LanePair:
+        """The pair with its axes multiplied by powers of two."""
+        one = spread64(wp.float64(1.0))
+        n.unit = vec64(one / s.x, one / s.y, one / s.z)
+        n.t0 = normalised(c0, s)
+        n.t1 = normalised(c1, s)
+        separation = vec64(
+            capped(separation_length, s.x), capped(separation_length, s.y), capped(separation_length, s.z)
+        )
+        # a separation that is cut is left to the solver for single pairs
+        far = spread64(_FAR)
+        is_cut = either64(is_at_most64(far, separation.x), is_at_most64(far, separation.y))
+        n.is_valid = n.is_valid & ~bits64(either64(is_cut, is_at_most64(far, separation.z)))
+        delta = vec64(capped(delta_length, s.x), capped(delta_length, s.y), capped(delta_length, s.z))
+        return with_bounds(n, narrowed(scaled64(m, s)), narrowed(separation), narrowed(delta))
+
+    @simd64.func
     def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options) -> LanePair:
         """Form the differences and scale each axis by a power of two (rounding, steps 1 and 2)."""
         n = LanePair()
@@ -207,25 +234,19 @@ def make_lane_pair(real, width: int) -> SimpleNamespace:
         delta_length = least64(options.tolerance * scale, limit)
         separation_length = least64(options.minimum_separation * scale, limit)
         m = greatest64(largest(c0), largest(c1))
+        if wp.static(is_euclidean):
+            # a length, and one scale for all axes, so that the ball stays a ball
+            separation_length = least64(spread64(options.minimum_separation), limit)
+            most = greatest64(m.x, greatest64(m.y, m.z))
+            shared = inverse_power_of_two(greatest64(most, delta_length))
+            return scaled_pair(n, c0, c1, m, vec64(shared, shared, shared), separation_length, delta_length)
         # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
         s = vec64(
             inverse_power_of_two(greatest64(m.x, delta_length)),
             inverse_power_of_two(greatest64(m.y, delta_length)),
             inverse_power_of_two(greatest64(m.z, delta_length)),
         )
-        one = spread64(wp.float64(1.0))
-        n.unit = vec64(one / s.x, one / s.y, one / s.z)
-        n.t0 = normalised(c0, s)
-        n.t1 = normalised(c1, s)
-        separation = vec64(
-            capped(separation_length, s.x), capped(separation_length, s.y), capped(separation_length, s.z)
-        )
-        # a separation that is cut is left to the solver for single pairs
-        far = spread64(_FAR)
-        is_cut = either64(is_at_most64(far, separation.x), is_at_most64(far, separation.y))
-        n.is_valid = n.is_valid & ~bits64(either64(is_cut, is_at_most64(far, separation.z)))
-        delta = vec64(capped(delta_length, s.x), capped(delta_length, s.y), capped(delta_length, s.z))
-        return with_bounds(n, narrowed(scaled64(m, s)), narrowed(separation), narrowed(delta))
+        return scaled_pair(n, c0, c1, m, s, separation_length, delta_length)
 
     return SimpleNamespace(
         LanePair=LanePair,

@@ -9,14 +9,16 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .ball import make_ball
 from .facets import make_facets
 from .lane_advance import make_lane_advance
 from .lane_pair import make_lane_pair
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, make_norm
 from .once import once
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .points import make_points
 from .query import CLIPPING, make_query
-from .rounding import RELATIVE, UNIT_ROUNDOFF
+from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
 from .simd import make_simd
 from .volume import make_volume
 
@@ -27,21 +29,24 @@ _NONE = wp.constant(wp.uint32(0))
 
 
 @once
-def make_lane_solver(real, width: int) -> SimpleNamespace:
-    """Struct and functions for lanes of one floating-point type."""
+def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Struct and functions for lanes of one floating-point type, with separations in one norm."""
+    is_euclidean = norm == EUCLIDEAN_NORM
     simd = make_simd(real, width)
     simd64 = make_simd(wp.float64, width)
     Lanes64 = simd64.Lanes
     Lanes = simd.Lanes
     Options = make_query(real).Options
-    pairs = make_lane_pair(real, width)
+    pairs = make_lane_pair(real, width, norm)
     Points = make_points(width).Points
     LanePair = pairs.LanePair
     normalise = pairs.normalise
     widened = pairs.widened
     narrowed = pairs.narrowed
-    volume_of = make_volume(real, width).volume_of
-    start_gap_share = make_facets(real, width).start_gap_share
+    volume_of = make_volume(real, width, norm).volume_of
+    start_gap_share = (make_ball if is_euclidean else make_facets)(real, width).start_gap_share
+    length64 = make_norm(wp.float64, width, EUCLIDEAN_NORM).length
+    vec64 = simd64.vec
     bits_of = simd.bits_of
     mask_of = simd.mask_of
     is_less64 = simd64.is_less
@@ -54,6 +59,8 @@ def make_lane_solver(real, width: int) -> SimpleNamespace:
     greatest64 = simd64.greatest
     three = wp.constant(real(3.0))
     round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+    slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
+    length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
     all_lanes = wp.constant(wp.uint32((1 << width) - 1))
 
     @wp.struct
@@ -84,14 +91,22 @@ def make_lane_solver(real, width: int) -> SimpleNamespace:
         return n
 
     def make_solve(with_facets: bool):
-        advance = make_lane_advance(real, width, with_facets)
+        advance = make_lane_advance(real, width, with_facets, norm)
         LaneReached = advance.LaneReached
         advance_round = advance.advance_round
         start = advance.start
 
         @simd64.func
         def gap_of(n: LanePair, reached: LaneReached) -> Lanes64:
-            """Upper bound of the gap (L∞) beyond the separation at the point of a contact, as a length."""
+            """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
+            if wp.static(is_euclidean):
+                nothing = spread(real(0.0))
+                x64 = widened(beyond(reached.point.x, n.error.x, nothing))
+                y64 = widened(beyond(reached.point.y, n.error.y, nothing))
+                z64 = widened(beyond(reached.point.z, n.error.z, nothing))
+                all64 = length64(vec64(x64, y64, z64)) * spread64(length_up)
+                more = all64 - widened(n.separation.x) * spread64(slack_down)
+                return greatest64(more * spread64(length_up), spread64(wp.float64(0.0))) * n.unit.x
             x = widened(beyond(reached.point.x, n.error.x, n.separation.x)) * n.unit.x
             y = widened(beyond(reached.point.y, n.error.y, n.separation.y)) * n.unit.y
             z = widened(beyond(reached.point.z, n.error.z, n.separation.z)) * n.unit.z

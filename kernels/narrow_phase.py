@@ -15,6 +15,7 @@ from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .lanes import lowest_bit
 from .minima import ANY_OPEN, FOUND, OPEN, Minima
+from .norm import MAXIMUM_NORM
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -38,11 +39,14 @@ vec3d = wp.vec3d
 
 
 @once
-def make_narrow_phase(real, width: int) -> SimpleNamespace:
-    """Kernels for one floating-point type of the iteration and a number of lanes; positions are always float64."""
+def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Kernels for one floating-point type of the iteration, a number of lanes and the norm of the separation.
+
+    Positions are always float64.
+    """
     Options = make_query(real).Options
-    Outcome = make_solver(real, False).Outcome
-    pair_outcome = make_pair_outcome(real, width, False)
+    Outcome = make_solver(real, False, norm).Outcome
+    pair_outcome = make_pair_outcome(real, width, False, norm)
     is_set = pair_outcome.is_set
     outcome_of = pair_outcome.outcome_of
     skips_first_rounds = pair_outcome.skips_first_rounds
@@ -59,7 +63,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
     Index = lane_rows.Index
     rows_of = lane_rows.rows_of
     numbers_of = lane_rows.numbers_of
-    lane_solver = make_lane_solver(real, width)
+    lane_solver = make_lane_solver(real, width, norm)
     LaneAnswer = lane_solver.LaneAnswer
     first_rounds = lane_solver.first_rounds
     later_rounds = lane_solver.later_rounds
@@ -119,7 +123,8 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
 
     def own_module(name: str):
         """A Warp module for each kernel, so that a scene compiles only those that it launches."""
-        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}.{fingerprint()}")
+        of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
+        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}{of_norm}.{fingerprint()}")
         wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
         return module
 
@@ -411,6 +416,7 @@ def make_narrow_phase(real, width: int) -> SimpleNamespace:
 
     return SimpleNamespace(
         real=real,
+        norm=norm,
         chunk=PAIRS_OF_AN_ITEM if width > 1 else 1,
         points_toi=points_toi,
         solve_pairs=solve_pairs,

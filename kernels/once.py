@@ -19,10 +19,14 @@ if hasattr(os, "register_at_fork"):
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
     """Like :func:`functools.cache`, but safe among threads and after an exception."""
     made: dict[tuple[Any, ...], Any] = {}
+    defaults = make.__defaults__ or ()
+    num_required = make.__code__.co_argcount - len(defaults)
 
     @wraps(make)
     def get(*arguments: Any) -> Any:
-        """What ``make`` gave for these arguments the first time."""
+        """What ``make`` gave for these arguments the first time; defaults count as arguments."""
+        if defaults:
+            arguments = arguments + defaults[len(arguments) - num_required :]
         if arguments not in made:
             with building:
                 if arguments not in made:

@@ -8,6 +8,7 @@ from .atomics import claim_int
 from .contacts import ContactList, normal_at
 from .lane_solver import make_lane_solver
 from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
+from .norm import MAXIMUM_NORM
 from .once import once
 from .points import Points, points_of, relative_motion
 from .query import CLIPPING, make_query
@@ -22,16 +23,16 @@ _ONE = wp.constant(wp.uint32(1))
 
 
 @once
-def make_pair_outcome(real, width: int, on_warp: bool) -> SimpleNamespace:
+def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for a floating-point type of the iteration and a number of lanes; ``on_warp`` as for `make_solver`."""
     Options = make_query(real).Options
     share_of_work = make_query(real).share_of_work
-    solver = make_solver(real, on_warp)
+    solver = make_solver(real, on_warp, norm)
     Outcome = solver.Outcome
     normalise = solver.normalise
     solve = solver.solve
     closest_parameters = solver.closest_parameters
-    LaneAnswer = make_lane_solver(real, width).LaneAnswer
+    LaneAnswer = make_lane_solver(real, width, norm).LaneAnswer
     lane_of = make_simd(wp.float64, width).lane_of
 
     @wp.func

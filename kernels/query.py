@@ -20,7 +20,7 @@ def make_query(real) -> SimpleNamespace:
         """Options of a query."""
 
         tolerance: wp.float64
-        minimum_separation: wp.float64
+        minimum_separation: wp.float64  # a multiple of the length scale; in the Euclidean norm a length
         start_gap_fraction: wp.float64  # 0: the minimum separation applies to every pair
         length_scale: wp.float64  # 0: the length scale of each pair itself
         t_max: wp.float64

@@ -23,6 +23,7 @@ from .contacts import ContactList, normal_at
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
+from .norm import MAXIMUM_NORM
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -84,18 +85,18 @@ def first_of(solver: int, lanes: int, count: int) -> int:
 
 
 @once
-def make_queued_pairs(real) -> SimpleNamespace:
+def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
     Options = make_query(real).Options
-    Outcome = make_solver(real, True).Outcome
-    pair_outcome = make_pair_outcome(real, 1, True)
+    Outcome = make_solver(real, True, norm).Outcome
+    pair_outcome = make_pair_outcome(real, 1, True, norm)
     outcome_of = pair_outcome.outcome_of
     skips_first_rounds = pair_outcome.skips_first_rounds
     cap_of_round = pair_outcome.cap_of_round
     finished = pair_outcome.finished
     parameters_at = pair_outcome.parameters_at
     record_contact = pair_outcome.record_contact
-    lane_solver = make_lane_solver(real, 1)
+    lane_solver = make_lane_solver(real, 1, norm)
     LaneAnswer = lane_solver.LaneAnswer
     first_rounds = lane_solver.first_rounds
     later_rounds = lane_solver.later_rounds
@@ -104,7 +105,8 @@ def make_queued_pairs(real) -> SimpleNamespace:
 
     def own_module(name: str, stage: str):
         """A Warp module for each kernel, so that each has its own registers and stack."""
-        module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}.{fingerprint()}")
+        of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
+        module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{of_norm}.{fingerprint()}")
         options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "block_dim": BLOCK_DIM}
         wp.set_module_options(options, module=module)
         return module

@@ -59,6 +59,20 @@ below are in the normalised units of step 2.
 12. **End of a shorter step.** (1-t)·a + t·b with 1-t rounded: three roundings of the first term, two of the second, and
    the sum: at most 3.1u·max(|a|, |b|); INTERPOLATION = 8 covers the roundings of the bound and of adding it. A product
    that underflows is off by 2^-1074 at most; the box gets 2^-1070.
+13. **Euclidean distances.** All axes are scaled by the same power of two s, that of the largest axis, so the ball of
+   the distance D stays a ball. Steps 1 to 12 hold as they are: the bounds stay per axis, since a corner on a short axis
+   is a small number with the same relative error. The separation is σ = fl(D·s·(1 + SLACK·u)): after its rounding to
+   the precision of the iteration and that of the product it is above D·s·(1 + 13u). Cut at 2^60, it is beyond any
+   corner; what it loses by underflow is covered by the absolute term of step 5. A length is fl(√(d·d + w)) with w =
+   SQUARE_UNDERFLOW, more than the squares lose by underflow: products and sums 4u under the root, which halves them,
+   and the root u, at most 3.1u, with the product by σ 4.1u. So σ·|d| as computed is at least D·s·|d|·(1 + 8u), and
+   takes the place of Σ|d_k|·separation_k in steps 6, 9 and 10. A norm is convex, so the norms of the Bernstein
+   coefficients of a vector are the coefficients of a polynomial above its norm, |n(t)| ≤ Σ B_i(t)·|n_i|, for the normal
+   of step 9 as for the direction of step 10. A box of the bisection is discarded where the squared distance of its
+   nearest point, each coordinate less twice the bound of step 4, is above σ² + SQUARE_UNDERFLOW: the differences,
+   squares and sums lose 5u, and the slack of σ² is 26u. In the cull the length of the normal at any time is at most the
+   greatest of those of its Bernstein coefficients, computed from products within 6u of the sums of their magnitudes:
+   NORMAL = 16 times the sum of those sums, times the distance, is added.
 
 Constants are in units of u.
 """
@@ -73,6 +87,8 @@ RELATIVE = 8.0
 CROSSING = 12.0
 SIDES = 16.0
 INTERPOLATION = 8.0
+SLACK = 16.0
+NORMAL = 16.0
 
 # Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
 MAX_SPLITS = {wp.float64: 50, wp.float32: 21}
@@ -80,6 +96,7 @@ UNIT_ROUNDOFF = {wp.float64: 2.0**-53, wp.float32: 2.0**-24}
 # Largest sum of magnitudes that counts as finite; beyond it an axis is scaled down before differences are formed.
 LARGEST = wp.constant(wp.float64(2.0**1020))
 TINY = {wp.float64: 2.0**-900, wp.float32: 2.0**-90}
+SQUARE_UNDERFLOW = {wp.float64: 2.0**-1000, wp.float32: 2.0**-120}
 TINY_DIRECTION = {wp.float64: 2.0**-150, wp.float32: 2.0**-50}
 
 _EXPONENT_MASK = wp.constant(wp.int64(0x7FF))

@@ -28,7 +28,8 @@ class SearchOptions:
 
     t_end: wp.float64
     inflation: wp.float64  # of each box on every side
-    separation: wp.float64  # minimum separation, a length
+    separation: wp.float64  # minimum separation or distance, a length
+    is_euclidean: int  # 1: a distance
     stop: wp.array[wp.int32]  # set when the host wants the search to end
 
 

@@ -112,6 +112,20 @@ def make_simd(real, width: int) -> SimpleNamespace:
 
     if is_vector:
 
+        @wp.func_native(head + "    return of_lanes(__builtin_elementwise_sqrt(lanes(a)));\n")
+        def square_root(a: Lanes) -> Lanes:
+            """√a, correctly rounded."""
+            ...
+
+    else:
+
+        @wp.func
+        def square_root(a: Lanes) -> Lanes:
+            """√a, correctly rounded."""
+            return wp.sqrt(a)
+
+    if is_vector:
+
         @wp.func_native(head + "    return of_lanes((Lanes)a * lanes(b));\n")
         def mul(a: real, b: Lanes) -> Lanes: ...
 
@@ -306,6 +320,7 @@ def make_simd(real, width: int) -> SimpleNamespace:
         opposite=opposite,
         select=select,
         scaled=scaled,
+        square_root=square_root,
         dot=dot,
         cross=cross,
         bits_of=bits_of,

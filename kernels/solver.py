@@ -10,9 +10,11 @@ import warp as wp
 
 from .advance import CONTACT, LIMIT, SLOW, make_advance
 from .answer import make_answer
+from .ball import make_ball
 from .bisection import make_bisection
 from .closest_point import make_closest_point
 from .facets import make_facets
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, make_norm
 from .once import once
 from .pair_kind import VERTEX_FACE
 from .patch import make_patch
@@ -23,6 +25,7 @@ from .rounding import (
     PROJECTION_PATCH,
     PROJECTION_ROOT,
     RELATIVE,
+    SLACK,
     TINY,
     UNIT_ROUNDOFF,
     inverse_power_of_two,
@@ -45,11 +48,12 @@ vec3d = wp.vec3d
 
 
 @once
-def make_solver(real, on_warp: bool) -> SimpleNamespace:
+def make_solver(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for one floating-point type of the iteration; positions are always float64.
 
     With ``on_warp`` all threads of a warp of CUDA call `solve` for the same pair.
     """
+    is_euclidean = norm == EUCLIDEAN_NORM
     vec3 = wp.types.vector(length=3, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch
@@ -62,20 +66,23 @@ def make_solver(real, on_warp: bool) -> SimpleNamespace:
     longest_side = points.longest_side
     scaled = points.scaled
     Options = make_query(real).Options
-    advance = make_advance(real, on_warp).advance
-    volume_of = make_volume(real, 1).volume_of
-    point_of = make_advance(real, on_warp).point_of
+    advance = make_advance(real, on_warp, norm).advance
+    volume_of = make_volume(real, 1, norm).volume_of
+    point_of = make_advance(real, on_warp, norm).point_of
     closest_weights = make_closest_point(real).closest_weights
     corners_at = make_patch(real, 1).corners_at
-    bisect = make_bisection(real).bisect
+    bisect = make_bisection(real, norm).bisect
     Answer = make_answer(real).Answer
-    subdivide = make_subdivide(real, on_warp).subdivide
+    subdivide = make_subdivide(real, on_warp, norm).subdivide
     parameters = make_answer(real).parameters
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
-    start_gap_share = make_facets(real, 1).start_gap_share
+    start_gap_share = (make_ball(real, 1) if is_euclidean else make_facets(real, 1)).start_gap_share
+    length64 = make_norm(wp.float64, 1, EUCLIDEAN_NORM).length
     round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
-    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+    round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
+    slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
+    length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
     tiny = wp.constant(real(TINY[real]))
 
     @wp.func
@@ -124,7 +131,7 @@ def make_solver(real, on_warp: bool) -> SimpleNamespace:
         if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
             # an overflow, or NaN in the input: try again with the axes that overflowed at 1/1024 of their size
             for k in range(3):
-                if not sums[k] <= LARGEST:
+                if wp.static(is_euclidean) or not sums[k] <= LARGEST:
                     pre[k] = smaller
             c0 = corners(kind, scaled(points_t0, pre))
             c1 = corners(kind, scaled(points_t1, pre))
@@ -143,12 +150,17 @@ def make_solver(real, on_warp: bool) -> SimpleNamespace:
             delta_length = wp.min(options.tolerance * scale, LARGEST)
             separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             m = wp.max(largest(c0), largest(c1))
+            reach = m  # what fits into a normalised unit
+            if wp.static(is_euclidean):
+                # a length, and one scale for all axes, so that the ball stays a ball
+                separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+                reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
             s = vec3d()
             is_cut = bool(False)
             for k in range(3):
                 # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
                 unit = pre[k] / shrink
-                s[k] = inverse_power_of_two(wp.max(m[k], delta_length * unit))
+                s[k] = inverse_power_of_two(wp.max(reach[k], delta_length * unit))
                 n.unit[k] = one / s[k] / pre[k]
                 # corners are below 4 in these units, so a separation or tolerance above FAR has the effect of FAR
                 length = wp.min(separation_length * unit * s[k], FAR)
@@ -176,8 +188,12 @@ def make_solver(real, on_warp: bool) -> SimpleNamespace:
 
     @wp.func
     def gap_of(point: vec3, n: Normalised) -> wp.float64:
-        """Upper bound of the gap (L∞) beyond the separation at a point of the patch, as a length."""
+        """Upper bound of the gap beyond the separation, in its norm, at a point of the patch, as a length."""
         gap = wp.float64(0.0)
+        if wp.static(is_euclidean):
+            x = vec3d(wp.abs(point) + real(3.0) * n.problem.error)
+            gap = length64(x) * length_up - wp.float64(n.problem.separation[0]) * slack_down
+            return wp.max(gap * length_up, wp.float64(0.0)) * n.unit[0]
         for k in range(3):
             # the separation was rounded up, and the point carries the errors of a corner and of its interpolation
             beyond = wp.abs(point[k]) + real(3.0) * n.problem.error[k] - round_down * n.problem.separation[k]
@@ -235,6 +251,8 @@ def make_solver(real, on_warp: bool) -> SimpleNamespace:
             patch_error = patch_bound * n.size + vec3(tiny, tiny, tiny)
             if options.method == BISECTION:
                 n.problem.error = patch_error
+                if wp.static(is_euclidean):
+                    n.problem.delta = real(0.5) * n.problem.delta  # the diagonal of a box that counts as contact
                 n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
                 answer = bisect(kind, n.patch, n.problem, options.t_end, max_iterations, options.stop)
             else:

@@ -7,6 +7,7 @@ import warp as wp
 from .advance import CONTACT, LIMIT, SLOW, make_advance
 from .answer import STACK_DEPTH, make_answer
 from .interrupts import is_stopped
+from .norm import MAXIMUM_NORM
 from .once import once
 from .rounding import MAX_SPLITS
 from .status import (
@@ -19,15 +20,15 @@ from .sub_patch import make_sub_patch
 
 
 @once
-def make_subdivide(real, on_warp: bool) -> SimpleNamespace:
-    """Functions for one floating-point type; ``on_warp`` as for `make_advance`."""
+def make_subdivide(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Functions for one floating-point type and norm; ``on_warp`` as for `make_advance`."""
     box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch
     Problem = types.Problem
     sub_corners = types.sub_corners
-    Reached = make_advance(real, on_warp).Reached
-    advance = make_advance(real, on_warp).advance
+    Reached = make_advance(real, on_warp, norm).Reached
+    advance = make_advance(real, on_warp, norm).advance
     Answer = make_answer(real).Answer
     parameters = make_answer(real).parameters
     narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))

@@ -1,10 +1,11 @@
 """The volume f(t) = P·(Q×R) as an inclusion function: as long as it keeps its sign there is no contact.
 
 A contact makes P, Q, R linearly dependent, so f = 0 is necessary for a contact anywhere on the patch. With a separation
-box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary. f is a cubic in t. The convex
-hull of its Bernstein coefficients bounds it on any interval, and a clip ends before the hull falls to zero: where the
-steepest line from the first coefficient to another does. That is the first crossing of the hull itself wherever the
-other coefficient is beyond zero, no later elsewhere, and takes one division. It converges quadratically to a simple
+box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary; with a ball of radius D,
+|f| ≤ D·|n| is. f is a cubic in t. The convex hull of its Bernstein coefficients bounds it on any interval, and a clip
+ends before the hull falls to zero: where the steepest line from the first coefficient to another does. That is the
+first crossing of the hull itself wherever the other coefficient is beyond zero, no later elsewhere, and takes one
+division. It converges quadratically to a simple
 root, from below. No root is ever *computed* here: the univariate method decides by the roots and misses collisions,
 whereas this one only skips times at which f is certainly not zero. Where f vanishes identically (motion in one plane)
 it skips nothing, and the directions of `inclusion` make the progress.
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .norm import MAXIMUM_NORM, make_norm
 from .once import once
 from .patch import make_patch
 from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
@@ -21,8 +23,8 @@ from .simd import make_simd
 
 
 @once
-def make_volume(real, width: int) -> SimpleNamespace:
-    """Functions for one floating-point type and a number of lanes."""
+def make_volume(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
+    """Functions for one floating-point type, a number of lanes and the norm of the separation."""
     simd = make_simd(real, width)
     Lanes = simd.Lanes
     Vec3 = simd.Vec3
@@ -40,6 +42,7 @@ def make_volume(real, width: int) -> SimpleNamespace:
     cross = simd.cross
     Corners = make_patch(real, width).Corners
     Volume = make_patch(real, width).Volume
+    support = make_norm(real, width, norm).support
     unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
     zero = wp.constant(real(0.0))
@@ -116,16 +119,16 @@ def make_volume(real, width: int) -> SimpleNamespace:
 
     @simd.func
     def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
-        """Bernstein coefficients, on [t, x], of a cubic above Σ separation_k·|n_k|."""
+        """Bernstein coefficients, on [t, x], of a cubic above the support of the separation along n."""
         ct = spread(one) - t
         cx = spread(one) - x
         t0 = ct * f.normal_t0 + t * f.normal_mid
         t1 = ct * f.normal_mid + t * f.normal_t1
         x0 = cx * f.normal_t0 + x * f.normal_mid
         x1 = cx * f.normal_mid + x * f.normal_t1
-        a = dot(separation, magnitude(ct * t0 + t * t1))
-        b = dot(separation, magnitude(cx * t0 + x * t1))
-        c = dot(separation, magnitude(cx * x0 + x * x1))
+        a = support(separation, ct * t0 + t * t1)
+        b = support(separation, cx * t0 + x * t1)
+        c = support(separation, cx * x0 + x * x1)
         r = Hull()
         r.c0 = spread(round_up) * a
         r.c1 = spread(round_up) * (spread(third) * (a + b + b))

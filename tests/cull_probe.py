@@ -55,6 +55,7 @@ def _make_probe(width, test, flags):
         x0: wp.array[wp.vec3d],
         x1: wp.array[wp.vec3d],
         separation: wp.float64,
+        is_euclidean: int,
         t_end: wp.float64,
         # out
         is_free: wp.array[wp.bool],
@@ -65,11 +66,11 @@ def _make_probe(width, test, flags):
         c1 = corners_at(kind, x1, first, count)
         bits = wp.uint32(0)
         if wp.static(test == "volume"):
-            bits = bits_of(by_volume(c0, c1, separation, t_end))
+            bits = bits_of(by_volume(c0, c1, separation, is_euclidean, t_end))
         elif wp.static(test == "sides"):
-            bits = bits_of(by_sides(kind, c0, c1, separation, t_end))
+            bits = bits_of(by_sides(kind, c0, c1, separation, is_euclidean, t_end))
         else:
-            bits = free_lanes(kind, c0, c1, separation, t_end, wp.uint32(0xFFFFFFFF))
+            bits = free_lanes(kind, c0, c1, separation, is_euclidean, t_end, wp.uint32(0xFFFFFFFF))
         for k in range(lanes):
             if first + k < count:
                 is_free[first + k] = ((bits >> wp.uint32(k)) & wp.uint32(1)) != wp.uint32(0)
@@ -77,15 +78,16 @@ def _make_probe(width, test, flags):
     return probe
 
 
-def culled(kind, points_t0, points_t1, width, *, separation=0.0, t_end=1.0, test="both", flags=""):
+def culled(kind, points_t0, points_t1, width, *, separation=0.0, is_euclidean=False, t_end=1.0, test="both", flags=""):
     """Which pairs, given by points of shape [n, 4, 3], a test of the cull proves free.
 
+    A separation is one in the maximum norm, or with ``is_euclidean`` a distance.
     ``flags`` are those of Warp's compiler, such as another processor.
     """
     assert test in _TESTS and width <= _MOST_LANES
     count = len(points_t0)
     x = [wp.array(np.reshape(p, (-1, 3)), dtype=wp.vec3d, device="cpu") for p in (points_t0, points_t1)]
     is_free = wp.zeros(count, dtype=wp.bool, device="cpu")
-    inputs = [KINDS[kind], *x, separation, t_end]
+    inputs = [KINDS[kind], *x, separation, int(is_euclidean), t_end]
     wp.launch(_make_probe(width, test, flags), -(-count // width), inputs=inputs, outputs=[is_free], device="cpu")
     return is_free.numpy()

@@ -374,6 +374,8 @@ def test_missing_file_is_refused(scene, capfd):
         (("--tolerance", "nan"), "tolerance"),
         (("--tolerance", "small"), "--tolerance"),
         (("--minimum-separation", "-1"), "minimum_separation"),
+        (("--minimum-distance", "-1"), "minimum_distance"),
+        (("--minimum-distance", "1", "--minimum-separation", "1"), "minimum_distance"),
         (("--t-max", "2"), "t_max"),
         (("--max-iterations", "0"), "max_iterations"),
         (("--length-scale", "-1"), "length_scale"),

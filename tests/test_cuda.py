@@ -46,13 +46,13 @@ def compiled(tmp_path_factory, request):
     return folder, "".join(process.communicate()[0] for process in processes)
 
 
-@pytest.mark.parametrize("name", cuda_modules())
+@pytest.mark.parametrize("name", cuda_modules(with_distances=True))
 def test_compiles_to_ptx(name, compiled):
     folder, output = compiled
     paths = list((folder / name).glob("*.ptx"))
     assert len(paths) == 1, output
     ptx = paths[0].read_text()
-    for kernel in cuda_modules()[name].kernels.values():
+    for kernel in cuda_modules(with_distances=True)[name].kernels.values():
         assert kernel.key.split(".")[-1].split("__")[-1] in ptx
     # fuse_fp is off: no bound relies on it, but contraction would make CPU and CUDA differ. Where it is on, the
     # compiler fuses, or leaves operations without a rounding of their own for the driver to fuse.
@@ -92,7 +92,7 @@ def main():
     folder, *names = given.compile
     wp.config.log_level = wp.LOG_ERROR
     wp.config.optimization_level = given.optimization_level
-    modules = cuda_modules()
+    modules = cuda_modules(with_distances=True)
     for name in names or modules:
         wp.compile_aot_module(modules[name], device=None, arch=80, module_dir=str(Path(folder, name)), use_ptx=True)
 

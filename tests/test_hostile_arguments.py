@@ -36,6 +36,7 @@ STEP = datasets.SimulationStep(START, END, FACE.astype(np.int32))
 OPTIONS = {
     "tolerance": 1e-6,
     "minimum_separation": 0.0,
+    "minimum_distance": 0.0,
     "start_gap_fraction": None,
     "t_max": 1.0,
     "max_iterations": 1000,
@@ -219,7 +220,8 @@ class _Anywhere:
 
 EVERY = [(call, argument) for call, (_, arguments) in _calls(_Anywhere()).items() for argument in arguments]
 
-REALS = {"tolerance", "minimum_separation", "start_gap_fraction", "t_max", "length_scale", "inflation", "safety", "t"}
+REALS = {"tolerance", "minimum_separation", "minimum_distance", "start_gap_fraction", "t_max", "length_scale"}
+REALS |= {"inflation", "safety", "t"}
 OPTIONAL = {
     *(
         "start_gap_fraction",
@@ -239,7 +241,7 @@ PATHS = {"path", "folder", "start_path", "end_path"}
 FLAGS = {"check_start", "self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
-    "negative zero": {"minimum_separation", "t_max", "inflation", "t"},
+    "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t"},
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,

@@ -29,6 +29,7 @@ from ccd_warp.kernels.solver import make_solver
 from ccd_warp.kernels.sub_patch import make_sub_patch
 from ccd_warp.kernels.volume import make_volume
 from cull_probe import WIDTHS, culled
+from rounding_samples import cross, drawn, exactly
 
 REALS = {"float64": wp.float64, "float32": wp.float32}
 FLOATS = {"float64": np.float64, "float32": np.float32}
@@ -231,23 +232,12 @@ def make_probe(real):
 # ---- The reference, in any arithmetic --------------------------------------------------------------------------------
 
 
-def exactly(values: np.ndarray) -> np.ndarray:
-    """The same numbers as fractions."""
-    flat = [Fraction(x) for x in np.asarray(values, dtype=np.float64).ravel().tolist()]
-    return np.array(flat, dtype=object).reshape(np.shape(values))
-
-
 def extended(values: np.ndarray) -> np.ndarray:
     return np.asarray(values).astype(np.longdouble)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    turn = [(1, 2), (2, 0), (0, 1)]
-    return np.stack([a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in turn], axis=-1)
 
 
 def permanent_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -464,32 +454,6 @@ def ratio_of(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     error, bound = np.reshape(error, shape), np.reshape(bound, shape)
     ratio = np.where(bound > 0, error / np.where(bound > 0, bound, 1), np.where(error > 0, np.inf, 0))
     return ratio.max(axis=1).astype(np.float64)
-
-
-def drawn(n: int, rng: np.random.Generator) -> dict:
-    """Inputs of every sort: uniform, on a lattice, beside powers of two, with axes of different scales."""
-
-    def numbers(*shape) -> np.ndarray:
-        x = rng.uniform(-1, 1, shape)
-        lattice = rng.integers(-4, 5, shape) / 4
-        beside = np.ldexp(1.0 + rng.integers(-3, 4, shape) * 2.0**-52, -rng.integers(0, 3, shape))
-        beside *= rng.choice([-1, 1], shape)
-        sort = rng.integers(0, 4, (shape[0], *[1] * (len(shape) - 1)))
-        return np.choose(sort, [x, lattice, beside, x * np.ldexp(1.0, -rng.integers(0, 12, shape))])
-
-    k = rng.integers(0, 21, (2, n))
-    return {
-        "vertices_t0": numbers(n, 4, 3),
-        "vertices_t1": numbers(n, 4, 3),
-        "d": numbers(n, 3) + 2.0**-20,
-        "margin": abs(numbers(n, 3)) + 2.0**-20,
-        "h": numbers(n, 4),
-        "u": rng.integers(0, 2**20 + 1, n) % (2 ** k[0] + 1) / 2.0 ** k[0],
-        "v": rng.integers(0, 2**20 + 1, n) % (2 ** k[1] + 1) / 2.0 ** k[1],
-        "t": rng.uniform(0, 1, n),
-        "x": rng.uniform(0, 1, n),
-        "facet": np.stack([rng.integers(-1, 3, n), rng.integers(0, 3, n)], axis=1).astype(np.int32),
-    }
 
 
 def as_taken(inputs: dict, real: str) -> dict:

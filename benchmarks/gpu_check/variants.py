@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.norm import MAXIMUM_NORM
 from ccd_warp.kernels.search_types import BOXES, CULL
 
 from ccd_warp._runtime.lanes import lanes_of, narrow_phase_on
@@ -40,7 +41,7 @@ def cpu_modules() -> list[Any]:
     widths = {BOXES: 1, CULL: lanes_of(cpu)}
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     for real in (wp.float64, wp.float32):
-        modules |= {getattr(narrow_phase_on(cpu, real), kernel).module for kernel in _NARROW_PHASE}
+        modules |= {getattr(narrow_phase_on(cpu, real, MAXIMUM_NORM), kernel).module for kernel in _NARROW_PHASE}
     for name in filter(lambda name: find_spec(f"ccd_warp.kernels.{name}"), _SEARCHES):
         make = getattr(import_module(f"ccd_warp.kernels.{name}"), f"make_{name}")
         for end, width in widths.items():

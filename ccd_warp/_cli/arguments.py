@@ -24,6 +24,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("tolerance", "width at which a contact is accepted, in length scales", type=float, metavar="X")
     add("minimum_separation", "gap that counts as a contact, in length scales", type=float, metavar="X")
     add(
+        "minimum_distance",
+        "Euclidean distance that counts as a contact, in the unit of the positions",
+        type=float,
+        metavar="L",
+    )
+    add(
         "start_gap_fraction",
         "separation of a pair at most F times its start gap, so that a close start can move",
         "off",

@@ -23,7 +23,8 @@ class Lengths:
         largest_displacement: Of a vertex over the whole step.
         length_scale: That of the options.
         tolerance: As a length.
-        minimum_separation: As a length.
+        minimum_separation: Or the minimum distance, as a length.
+        is_distance: Whether it is the distance.
     """
 
     extents: NDArray[np.float64]
@@ -31,6 +32,7 @@ class Lengths:
     length_scale: float
     tolerance: float
     minimum_separation: float
+    is_distance: bool
 
     @classmethod
     def of(cls, vertices_t0: NDArray[np.float64], largest_displacement: float, options: Options) -> "Lengths":
@@ -39,7 +41,8 @@ class Lengths:
         assert scale is not None, "chosen for the mesh if not given"
         with np.errstate(over="ignore"):
             extents = np.ptp(vertices_t0, axis=0)
-        return cls(extents, largest_displacement, scale, options.tolerance * scale, options.separation(scale))
+        lengths = (options.tolerance * scale, options.separation(scale))
+        return cls(extents, largest_displacement, scale, *lengths, options.minimum_distance > 0)
 
     def rows(self) -> list[tuple[str, str]]:
         """What they are called, and their values."""
@@ -49,7 +52,7 @@ class Lengths:
             ("largest displacement", f"{self.largest_displacement:.6g}"),
             ("length scale", f"{self.length_scale:.6g}"),
             ("tolerance", f"{self.tolerance:.6g}"),
-            ("minimum separation", f"{self.minimum_separation:.6g}"),
+            ("minimum distance" if self.is_distance else "minimum separation", f"{self.minimum_separation:.6g}"),
         ]
 
 

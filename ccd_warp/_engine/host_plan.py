@@ -92,7 +92,7 @@ class HostPlan:
     @staticmethod
     def of(workspace: "Workspace", options: "Options", goal: Goal) -> "HostPlan":
         """The plan of a workspace for such calls."""
-        key = (goal, options.pair_kinds, options.precision, options.threads, options.broad_phase)
+        key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
@@ -123,6 +123,7 @@ class HostPlan:
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
+        self._norm = options.norm
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
@@ -147,7 +148,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            narrow_phase_on(topology.device, options.real) if has_narrow_phase else SimpleNamespace(),
+            narrow_phase_on(topology.device, options.real, options.norm) if has_narrow_phase else SimpleNamespace(),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             trees=trees,
@@ -261,7 +262,7 @@ class HostPlan:
         """Search for pairs that touch before ``t_end``; returns the options of the search."""
         values = (t_end, inflation, separation)
         if values != self._search_values:
-            self._recording.bind("search options", search_options(*values, self._workspace.flag))
+            self._recording.bind("search options", search_options(*values, self._norm, self._workspace.flag))
             self._search_values = values
         return self._recording.values["search options"]
 

@@ -309,7 +309,7 @@ class Stages:
                 pairs = [int(kind), self.counts, keys, *corners, self.vertices_t0, self.vertices_t1]
                 pairs += [self.options, int(is_second)]
                 if launcher.is_cuda:
-                    kernels = getattr(queued_pairs_in(self.narrow_phase.real), name)
+                    kernels = getattr(queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm), name)
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
                     launch_queued(launcher, kernels, most_pairs, [*pairs, self.queue, *inputs], outputs_of(kind))
                     continue

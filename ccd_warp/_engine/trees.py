@@ -15,6 +15,7 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import half_warp_tree, search_types
+from ccd_warp.kernels.norm import EUCLIDEAN_NORM
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
@@ -184,10 +185,11 @@ class TreePair:
         return packed
 
 
-def search_options(t_end: float, inflation: float, separation: float, flag: StopFlag) -> Any:
+def search_options(t_end: float, inflation: float, separation: float, norm: str, flag: StopFlag) -> Any:
     """What a step asks of the search, as the struct of the search_types."""
     packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
+    packed.is_euclidean = int(norm == EUCLIDEAN_NORM)
     packed.stop = flag.array
     return packed
 

@@ -17,6 +17,7 @@ PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point
 class _Solver(TypedDict, total=False):
     tolerance: float
     minimum_separation: float
+    minimum_distance: float
     start_gap_fraction: float | None
     max_iterations: int
     length_scale: float | None
@@ -58,10 +59,13 @@ class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
             multiple of ``length_scale``, above 0. Default: ``1e-6``.
         minimum_separation: Distance (L∞) at which a pair counts as touching, as a multiple of ``length_scale``, at
             least 0. Default: ``0.0``.
-        start_gap_fraction: In (0, 1), or None. The separation of a pair is reduced to at most this fraction of its gap
-            at the start. The toi of a pair that starts closer than the minimum separation, or close to it, is then
-            positive, unless the pair touches at the start (``CCDStatus.INITIAL_CONTACT``), when there is no positive
-            step. Default: ``None``.
+        minimum_distance: Euclidean distance at which a pair counts as touching, a length in the unit of the positions,
+            at least 0. Unlike ``minimum_separation`` it is the same in every direction, so turning a scene changes
+            nothing, and ``length_scale`` plays no part. Only one of the two can be above 0. Default: ``0.0``.
+        start_gap_fraction: In (0, 1), or None. The separation of a pair, in either norm, is reduced to at most this
+            fraction of its gap at the start. The toi of a pair that starts closer than the minimum separation, or close
+            to it, is then positive, unless the pair touches at the start (``CCDStatus.INITIAL_CONTACT``), when there is
+            no positive step. Default: ``None``.
         t_max: End of the step that is checked, in [0, 1]. Default: ``1.0``.
         max_iterations: Limit of the work on a pair; at the limit its toi is early, never late, and its status says so.
             Default: ``10000``.
@@ -94,8 +98,8 @@ class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
 class PairOptions(_Solver, _End, _Place, total=False):
     """Options of the pair functions: those of :class:`MeshOptions` that do not concern a mesh.
 
-    They are ``tolerance``, ``minimum_separation``, ``start_gap_fraction``, ``t_max``, ``max_iterations``,
-    ``length_scale``, ``precision``, ``method``, ``device`` and ``num_threads``.
+    They are ``tolerance``, ``minimum_separation``, ``minimum_distance``, ``start_gap_fraction``, ``t_max``,
+    ``max_iterations``, ``length_scale``, ``precision``, ``method``, ``device`` and ``num_threads``.
     """
 
 

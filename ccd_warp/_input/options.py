@@ -16,7 +16,7 @@ from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKi
 from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import query
+from ccd_warp.kernels import norm, query
 
 MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than there are cores
 
@@ -49,6 +49,7 @@ class Options:
 
     tolerance: float = 1e-6
     minimum_separation: float = 0.0
+    minimum_distance: float = 0.0
     start_gap_fraction: float | None = None
     t_max: float = 1.0
     max_iterations: int = 10_000
@@ -65,6 +66,12 @@ class Options:
     def __post_init__(self) -> None:
         self._keep_real("tolerance", "a finite number above 0", lambda x: x > 0)
         self._keep_real("minimum_separation", "a finite number of at least 0", lambda x: x >= 0)
+        self._keep_real("minimum_distance", "a finite length of at least 0", lambda x: x >= 0)
+        if self.minimum_separation > 0 and self.minimum_distance > 0:
+            raise ValueError(
+                f"minimum_distance is {shown(self.minimum_distance)} and minimum_separation is "
+                f"{shown(self.minimum_separation)}; expected one of them only, or 0 for the other"
+            )
         self._keep_real("start_gap_fraction", "a number between 0 and 1, or None", lambda x: 0 < x < 1)
         self._keep_real("t_max", "a number in [0, 1]", lambda x: 0 <= x <= 1)
         check_count("max_iterations", self.max_iterations, 2**31 - 1)
@@ -99,8 +106,15 @@ class Options:
         """Warp scalar type of the iteration."""
         return _PRECISIONS[self.precision]
 
+    @property
+    def norm(self) -> str:
+        """The norm of the separation, for which kernels are made (``kernels.norm``)."""
+        return norm.EUCLIDEAN_NORM if self.minimum_distance > 0 else norm.MAXIMUM_NORM
+
     def separation(self, length_scale: float) -> float:
-        """The minimum separation, a length."""
+        """The minimum separation or distance, a length."""
+        if self.minimum_distance > 0:
+            return self.minimum_distance
         return min(self.minimum_separation * length_scale, float(np.finfo(np.float64).max))
 
     def rounded_up(self, t: float) -> float:
@@ -133,7 +147,7 @@ class Options:
         """
         values = (
             self.tolerance,
-            self.minimum_separation,
+            self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation,
             0.0 if self.start_gap_fraction is None else self.start_gap_fraction,
             0.0 if length_scale is None else length_scale,
             self.t_max,

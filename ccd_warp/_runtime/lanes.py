@@ -29,24 +29,25 @@ def lanes_of(device: Any) -> int:
     return 1 if device.is_cuda else cpu_lanes()
 
 
-def narrow_phase_on(device: Any, real: Any) -> SimpleNamespace:
+def narrow_phase_on(device: Any, real: Any, norm: str) -> SimpleNamespace:
     """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
 
     Args:
         device: Warp device.
         real: Floating-point type of the iteration, a Warp dtype.
+        norm: That of the separation (``kernels.norm``).
     """
     from ccd_warp.kernels.narrow_phase import make_narrow_phase  # not before a step needs it
 
     width = lanes_of(device)
-    return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width)
+    return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width, norm)
 
 
-def queued_pairs_in(real: Any) -> SimpleNamespace:
-    """The kernels of the narrow phase on CUDA for a precision, in the order of their launches."""
+def queued_pairs_in(real: Any, norm: str) -> SimpleNamespace:
+    """The kernels of the narrow phase on CUDA for a precision and a norm, in the order of their launches."""
     from ccd_warp.kernels.queued_pairs import make_queued_pairs
 
-    return make_queued_pairs(real)
+    return make_queued_pairs(real, norm)
 
 
 def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:

@@ -1,0 +1,243 @@
+"""Directions for a patch and a ball: a Euclidean distance has no facets, and what separates is the closest pair.
+
+The direction of the closest pair touches the ball where the patch is nearest, so it separates as long as any does. Kept
+as it is, it converges quadratically for a corner, whose distance from the origin is a convex function of time. Of a
+side that turns, however, the far end swings out along a fixed direction as fast as the near one approaches, and the
+convergence is linear. Therefore there is a second direction, which turns with the side: e(t) × a, with a constant
+vector a = d × e at the time reached, where it is the closest pair's direction d itself up to its length. It is linear
+in t and stays orthogonal to the side, and the direction of the closest pair leaves it only within the plane across the
+side, to which a distance is stationary: the convergence is quadratic. A point inside the patch is left to the normal,
+which is that of `volume`.
+"""
+
+from types import SimpleNamespace
+
+import warp as wp
+
+from .facets import make_facets
+from .lane_closest import make_lane_closest
+from .norm import EUCLIDEAN_NORM, make_norm
+from .once import once
+from .patch import make_patch
+from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
+from .simd import make_simd
+
+
+@once
+def make_ball(real, width: int) -> SimpleNamespace:
+    """Functions for one floating-point type and a number of lanes."""
+    simd = make_simd(real, width)
+    Lanes = simd.Lanes
+    Mask = simd.Mask
+    Vec3 = simd.Vec3
+    vec = simd.vec
+    spread = simd.spread
+    square_root = simd.square_root
+    minus = simd.minus
+    magnitude = simd.magnitude
+    least = simd.least
+    greatest = simd.greatest
+    is_less = simd.is_less
+    is_at_most = simd.is_at_most
+    both = simd.both
+    either = simd.either
+    opposite = simd.opposite
+    select = simd.select
+    dot = simd.dot
+    cross = simd.cross
+    mask_of = simd.mask_of
+    bits_of = simd.bits_of
+    Corners = make_patch(real, width).Corners
+    corners_at = make_patch(real, width).corners_at
+    facets = make_facets(real, width)
+    side_of = facets.side_of
+    corner_fall = facets.corner_fall
+    beyond = facets.beyond
+    closest = make_lane_closest(real, width).closest
+    norm = make_norm(real, width, EUCLIDEAN_NORM)
+    length = norm.length
+    support = norm.support
+
+    unit = UNIT_ROUNDOFF[real]
+    zero = wp.constant(real(0.0))
+    one = wp.constant(real(1.0))
+    two = wp.constant(real(2.0))
+    four = wp.constant(real(4.0))
+    moving = wp.constant(real(MOVING))
+    huge = wp.constant(real(1.0e30))
+    tiny = wp.constant(real(TINY[real]))
+    round_down = wp.constant(real(1.0 - RELATIVE * unit))
+    round_up = wp.constant(real(1.0 + RELATIVE * unit))
+    fraction_down = wp.constant(real(1.0 - CROSSING * unit))
+    tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
+    underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
+
+    @simd.func
+    def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
+        """Upper bound of the rounding errors and the distance along d (rounding, steps 6 and 13)."""
+        return (dot(magnitude(d), error) + support(separation, d)) * spread(round_up)
+
+    @simd.func
+    def with_largest_one(d: Vec3) -> Vec3:
+        """A direction with its largest component at about one; no number where it vanishes, which proves nothing."""
+        m = magnitude(d)
+        return (spread(one) / greatest(m.x, greatest(m.y, m.z))) * d
+
+    @simd.func
+    def is_in_ball(x: Vec3, slack: Vec3, radius: Vec3) -> Mask:
+        """Whether x is within ``slack``, per axis, of the ellipsoid with the given half axes."""
+        nothing = spread(zero)
+        m = magnitude(x)
+        y = vec(
+            greatest(m.x - slack.x, nothing) / (radius.x + spread(tiny)),
+            greatest(m.y - slack.y, nothing) / (radius.y + spread(tiny)),
+            greatest(m.z - slack.z, nothing) / (radius.z + spread(tiny)),
+        )
+        return is_at_most(dot(y, y), spread(one))
+
+    @simd.func
+    def time_to_ball(p: Vec3, velocity: Vec3, radius: Lanes, longest: Lanes) -> Lanes:
+        """Time in which a point outside a ball reaches it, or comes closest to it; 0 if it recedes, at most longest."""
+        nothing = spread(zero)
+        a = dot(velocity, velocity)
+        b = dot(p, velocity)
+        c = dot(p, p) - radius * radius
+        root = square_root(greatest(b * b - a * c, nothing))
+        h = select(is_less(nothing, root), c / (root - b), minus(b) / a)
+        return greatest(least(select(is_less(b, nothing), h, nothing), longest), nothing)
+
+    @wp.struct
+    class Turn:
+        """A side, and the constant vector whose cross product with it is a direction."""
+
+        number: Lanes  # of the side
+        axis: Vec3
+        share: Lanes  # squared cosine between side and direction, as a fraction share / size
+        size: Lanes
+
+    @simd.func
+    def chosen(number: Lanes, c: Corners, is_face: bool) -> Vec3:
+        """The side of each lane."""
+        e = select(is_less(number, spread(one)), side_of(c, 0), side_of(c, 1))
+        if is_face:
+            e = select(is_at_most(spread(two), number), side_of(c, 2), e)
+        return e
+
+    @simd.func
+    def consider(turn: Turn, number: int, e: Vec3, d: Vec3) -> Turn:
+        """Keep the side that is more nearly orthogonal to d."""
+        size = dot(e, e)
+        along = dot(d, e)
+        share = along * along
+        is_better = both(is_less(spread(tiny), size), is_less(share * turn.size, turn.share * size))
+        turn.number = select(is_better, spread(real(number)), turn.number)
+        turn.share = select(is_better, share, turn.share)
+        turn.size = select(is_better, size, turn.size)
+        return turn
+
+    @simd.func
+    def turn_of_side(number: int, later: Corners, ahead: Vec3) -> Turn:
+        """The turn about a given side that comes to the part of ``ahead`` across it at the later corners."""
+        turn = Turn()
+        turn.number = spread(real(number))
+        turn.axis = cross(ahead, side_of(later, number))
+        return turn
+
+    @simd.func
+    def turn_along(c: Corners, d: Vec3, later: Corners, ahead: Vec3, is_face: bool) -> Turn:
+        """The same about the side to which d is most nearly orthogonal."""
+        turn = Turn()
+        turn.number = spread(zero)
+        turn.share = spread(huge)
+        turn.size = spread(one)
+        turn = consider(turn, 0, side_of(c, 0), d)
+        turn = consider(turn, 1, side_of(c, 1), d)
+        if is_face:
+            turn = consider(turn, 2, side_of(c, 2), d)
+        turn.axis = cross(ahead, chosen(turn.number, later, is_face))
+        return turn
+
+    @simd.func
+    def clip_turn(
+        t0: Corners,
+        t1: Corners,
+        separation: Vec3,
+        error: Vec3,
+        is_face: bool,
+        turn: Turn,
+        t_start: Lanes,
+        end: Lanes,
+        steps: int,
+    ) -> Lanes:
+        """Time up to which the turning direction separates (rounding, steps 10 and 13); 2 if beyond ``end``.
+
+        t0 and t1 are the corners at both ends of the step. It is `clip_facet` of `facets` with another direction.
+        """
+        margin = spread(moving) * error
+        t = t_start
+        x = end
+        c_t = corners_at(t0, t1, t)
+        d_t = cross(chosen(turn.number, c_t, is_face), turn.axis)
+        sign = select(is_less(dot(d_t, c_t.w00), spread(zero)), minus(spread(one)), spread(one))
+        free = mask_of(wp.uint32(0))
+        running = opposite(free)
+        for _ in range(steps):
+            c_x = corners_at(t0, t1, x)
+            d_x = cross(chosen(turn.number, c_x, is_face), turn.axis)
+            o_t = offset(d_t, margin, separation) + spread(underflow)
+            o_x = offset(d_x, margin, separation) + spread(underflow)
+            fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
+            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
+            m_t = magnitude(d_t)
+            can_prove = is_at_most(spread(tiny_direction), greatest(m_t.x, greatest(m_t.y, m_t.z)))
+            running = both(running, both(can_prove, is_less(spread(zero), fraction)))
+            is_clear = is_less(spread(one), fraction)
+            free = either(free, both(running, both(is_clear, is_at_most(end, x))))
+            s = (t + (x - t) * (fraction * spread(fraction_down))) * spread(round_down)
+            s = select(is_clear, x, s)
+            running = both(running, is_less(t, s))
+            s = select(running, s, t)
+            step = s - t
+            x = select(running, least(end, s + select(is_clear, spread(four) * step, step + step)), x)
+            t = s
+            running = both(running, opposite(free))
+            if bits_of(running) == wp.uint32(0):
+                break
+            c_t = corners_at(t0, t1, t)
+            d_t = cross(chosen(turn.number, c_t, is_face), turn.axis)
+        return select(free, spread(two), t)
+
+    @simd.func
+    def share_along(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
+        """Lower bound of the distance along one direction, as a share of the separation."""
+        d = with_largest_one(d)
+        along = support(separation, d)
+        counts = both(is_at_most(spread(tiny_direction), length(d)), is_less(spread(zero), along))
+        share = (beyond(d, c) - dot(magnitude(d), error) * spread(round_up)) / along
+        return select(counts, share, spread(zero))
+
+    @wp.func
+    def start_gap_share(c: Corners, is_face: bool, separation: Vec3, error: Vec3) -> Lanes:
+        """Tight lower bound of the Euclidean distance at one time, as a share of the separation."""
+        share = share_along(c, cross(side_of(c, 0), side_of(c, 1)), separation, error)
+        near = closest(c, is_face)
+        share = greatest(share, share_along(c, near.d, separation, error))
+        share = greatest(share, share_along(c, near.point, separation, error))
+        for side in range(facets.num_sides(is_face)):
+            e = side_of(c, side)
+            share = greatest(share, share_along(c, cross(e, cross(near.point, e)), separation, error))
+        return share
+
+    return SimpleNamespace(
+        Turn=Turn,
+        offset=offset,
+        with_largest_one=with_largest_one,
+        is_in_ball=is_in_ball,
+        time_to_ball=time_to_ball,
+        turn_of_side=turn_of_side,
+        turn_along=turn_along,
+        clip_turn=clip_turn,
+        start_gap_share=start_gap_share,
+    )
