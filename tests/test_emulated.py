@@ -23,6 +23,23 @@ import ccd_warp as ccd
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def sanitized(request, tmp_path_factory):
+    """The pass with AddressSanitizer, if it is asked for, and where it writes; it runs beside the other tests."""
+    if not any(item.function is test_no_access_out_of_bounds for item in request.session.items):
+        yield None
+        return
+    from emulated.sanitized import environment
+
+    script = Path(__file__).parent / "emulated" / "sanitized.py"
+    output = tmp_path_factory.mktemp("sanitized") / "output.txt"
+    with output.open("w") as file:
+        process = subprocess.Popen([sys.executable, script], env=environment(), stdout=file, stderr=subprocess.STDOUT)
+    yield process, output
+    process.kill()
+    process.wait()
+
+
 def on_both(call):
     """What a call returns on the CPU and on the emulated device."""
     expected = call()
@@ -124,10 +141,7 @@ def test_steps_of_a_pipeline_whose_capacities_grow():
     assert different(found, expected) == []
 
 
-def test_no_access_out_of_bounds():
+def test_no_access_out_of_bounds(sanitized):
     """One pass with AddressSanitizer, in a process of its own that loads it first."""
-    from emulated.sanitized import environment
-
-    script = Path(__file__).parent / "emulated" / "sanitized.py"
-    done = subprocess.run([sys.executable, script], env=environment(), capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    process, output = sanitized
+    assert process.wait() == 0, output.read_text()[-6000:]
