@@ -168,9 +168,9 @@ class DeviceStep:
         trees = trees_of(tree_pairs)
         self._static_trees = [tree for tree in trees if tree.primitives.is_static]
         self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
+        cell = choose_cell(topology, (vertices, vertices), quantization) if self._has_grids else 0.0
         for tree in trees:
             if self._has_grids:
-                cell = choose_cell(topology, (vertices, vertices), quantization)
                 tree.lay_out(_NUM_AABBS, cell, lambda _, n, dtype: self._empty(n, dtype))
             else:
                 tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))

@@ -67,12 +67,13 @@ def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) ->
 
 def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
     """The kernel of a search of spatial hashes; the arguments are those of :func:`pair_search_on`."""
+    if is_cuda:
+        from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
+
+        return make_half_warp_grid_search(end, with_lists)
     from ccd_warp.kernels.grid_search import make_grid_search
-    from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
     from ccd_warp.kernels.search_types import CULL
 
-    if is_cuda:
-        return make_half_warp_grid_search(end, with_lists)
     return make_grid_search(end, with_lists, lanes_of(device) if end == CULL else 1)
 
 
