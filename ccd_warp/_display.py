@@ -19,6 +19,12 @@ def counted(count: int, singular: str, plural: str) -> str:
     return f"{count:,} {singular if count == 1 else plural}"
 
 
+def shown_range(name: str, values: NDArray[np.float64]) -> str:
+    """The name of a quantity with its value, or with the least and the greatest where they differ."""
+    least, greatest = f"{values.min():.3g}", f"{values.max():.3g}"
+    return f"{name} {least}" if least == greatest else f"{name} {least} to {greatest}"
+
+
 def listed(words: Sequence[str]) -> str:
     """The first few of some words, and how many more there are."""
     shown = ", ".join(shortened(word) for word in words[:_MOST_LISTED])

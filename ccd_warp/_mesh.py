@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._display import counted, html_table, listed
+from ccd_warp._display import counted, html_table, listed, shown_range
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.edges import unique_edges
@@ -23,6 +23,7 @@ from ccd_warp._input.mesh_checks import (
     validated_flags,
     validated_indices,
     validated_positions,
+    validated_radius,
     validated_rings,
     validated_static,
     validated_worlds,
@@ -75,6 +76,10 @@ class CollisionMesh:
         names: Name of each body, B texts; "body 0", "body 1" and so on where none were given.
         exclude_pairs: The excluded pairs of :meth:`excluding`, by what is paired, int32, shapes [k, 2]; each pair once,
             in lexicographic order, the lower index first where both are of one kind.
+        radius: Radius of each vertex: half the thickness of a sheet, the radius of a cable or a particle. A primitive
+            has the largest of its vertices', and a pair counts as touching once its Euclidean distance is
+            ``minimum_distance`` plus the radii of its primitives. In the unit of the positions, float64, shape [V];
+            None if none was given.
 
     A mesh can be copied and pickled at any time. What earlier calls have left on a device stays behind.
     """
@@ -96,6 +101,7 @@ class CollisionMesh:
     vertex_world: NDArray[np.int32]
     names: tuple[str, ...]
     exclude_pairs: Mapping[str, NDArray[np.int32]]
+    radius: NDArray[np.float64] | None
     # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
@@ -135,6 +141,7 @@ class CollisionMesh:
         parts += ["in the plane"] if self.dimension == 2 else []
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
         parts += [f"{sum(map(len, self.exclude_pairs.values()))} excluded pairs"] if self.exclude_pairs else []
+        parts += [shown_range("radius", self.radius)] if self.radius is not None and self.num_vertices else []
         return f"CollisionMesh({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -168,6 +175,7 @@ class CollisionMesh:
         exclusion_rings: int = 1,
         exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
     ) -> CollisionMesh:
         """Build a mesh from objects of trimesh.
 
@@ -191,6 +199,11 @@ class CollisionMesh:
             exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
+            radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
+                positions, at least 0; one number, or one for each body, shape [B], or for each vertex, shape [V]. A
+                pair counts as touching once its Euclidean distance is ``minimum_distance`` plus the radii of its two
+                primitives, each the largest of its vertices'. Where one is given, even 0, distances are Euclidean,
+                and :attr:`CollisionPipeline.radius` can change it on the device. By default there is none.
 
         Returns:
             The mesh.
@@ -214,6 +227,7 @@ class CollisionMesh:
             exclusion_rings=exclusion_rings,
             exclude_pairs=exclude_pairs,
             vertex_world=vertex_world,
+            radius=radius,
         )
 
     @classmethod
@@ -229,6 +243,7 @@ class CollisionMesh:
         exclusion_rings: int = 1,
         exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
     ) -> CollisionMesh:
         """Build a mesh from the arrays of each body.
 
@@ -252,6 +267,11 @@ class CollisionMesh:
             exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
+            radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
+                positions, at least 0; one number, or one for each body, shape [B], or for each vertex, shape [V]. A
+                pair counts as touching once its Euclidean distance is ``minimum_distance`` plus the radii of its two
+                primitives, each the largest of its vertices'. Where one is given, even 0, distances are Euclidean,
+                and :attr:`CollisionPipeline.radius` can change it on the device. By default there is none.
 
         Returns:
             The mesh.
@@ -314,6 +334,7 @@ class CollisionMesh:
             ),
             names=names,
             exclude_pairs=ExcludedPairs(),
+            radius=validated_radius(radius, offsets, lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names)),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
 

@@ -47,6 +47,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         exclusion_rings=mesh.exclusion_rings,
         vertex_world=(mesh.vertex_world + (copies * mesh.num_worlds)[:, None]).ravel().astype(np.int32),
         exclude_pairs={key: _copied(key, pairs, mesh, copies) for key, pairs in mesh.exclude_pairs.items()},
+        radius=None if mesh.radius is None else np.tile(mesh.radius, count),
         names=tuple(f"{name}[{w}]" for w in range(count) for name in mesh.names),
     )
 

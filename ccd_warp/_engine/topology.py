@@ -95,6 +95,7 @@ class Topology:
         has_worlds = mesh.num_worlds > 1
         self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
         self.world_shift = self.array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
+        self.radius = self.array(np.zeros(0) if mesh.radius is None else mesh.radius, wp.float64)
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
         self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
@@ -124,6 +125,15 @@ class Topology:
     def corners(self) -> dict[str, wp.array]:
         """Vertices of every primitive, by kind and index; arrays of kinds that a mesh lacks are empty."""
         return {name: self.array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+
+    @lazy_property
+    def box_radius(self) -> wp.array:
+        """For each vertex the largest radius of the primitives that contain it; empty where no radius was given.
+
+        Boxes of vertices that grow by it hold, united, the thick primitive. Vertices of a primitive are joined by an
+        edge, so these are the radii of a vertex and of its neighbours.
+        """
+        return self.array(largest_around(self.mesh), wp.float64)
 
     @lazy_property
     def may_have_inactive_bodies(self) -> bool:
@@ -217,6 +227,7 @@ class Topology:
     def num_bytes(self) -> int:
         """Bytes on the device that belong to the mesh, not to a step."""
         arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
+        arrays += [self.radius, self.box_radius]
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
         arrays += [array for order in self.orders.values() for array in order]
@@ -230,6 +241,16 @@ class Topology:
             collision_filter.listed,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
+
+
+def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
+    """The largest radius of a vertex and of those that share an edge with it; empty where no radius was given."""
+    if mesh.radius is None:
+        return np.zeros(0)
+    largest = mesh.radius.copy()
+    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
+        np.maximum.at(largest, a, mesh.radius[b])
+    return largest
 
 
 def sorted_keys(

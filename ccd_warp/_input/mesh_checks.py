@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arguments import check_count, check_items, shown
+from ccd_warp._input.arguments import check_count, check_items, check_real, shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.names import body_label, is_default_name
@@ -161,6 +161,44 @@ def validated_body_pairs(values: ArrayLike | None, names: Sequence[str]) -> NDAr
 def validated_rings(value: int) -> int:
     """A positive integer, or a ValueError."""
     return check_count("exclusion_rings", value, np.iinfo(np.int64).max)
+
+
+def validated_radius(
+    values: ArrayLike | None, first_vertices: Sequence[int], where: Callable[[int], str]
+) -> NDArray[np.float64] | None:
+    """A radius for each vertex, or a ValueError.
+
+    Args:
+        values: One number, or one for each body or vertex; None stays.
+        first_vertices: First vertex of each body, and the number of all vertices.
+        where: What a message adds to the number of a vertex.
+    """
+    if values is None:
+        return None
+    num_bodies, num_vertices = len(first_vertices) - 1, first_vertices[-1]
+    if isinstance(values, numbers.Real):
+        number = check_real("radius", values, "a finite length of at least 0, or an array of these", lambda x: x >= 0)
+        return np.full(num_vertices, number)
+    expected = f"a number, shape {(num_bodies,)}, one a body, or {(num_vertices,)}, one a vertex"
+    array = as_any_array(on_host(values, "radius"), "radius", expected)
+    if array.shape not in ((), (num_bodies,), (num_vertices,)):
+        raise ValueError(f"radius has shape {array.shape}; expected {expected}")
+    given = as_float64(np.atleast_1d(array), "radius", values, "entry")
+    is_invalid = ~(np.isfinite(given) & (given >= 0))
+    if is_invalid.any():
+        at = int(np.argmax(is_invalid))
+        owner = where(at) if num_bodies != len(given) == num_vertices else ""
+        raise ValueError(f"radius holds {given[at]} in entry {at}{owner}; expected finite lengths of at least 0")
+    given = given + 0.0  # a copy, with -0.0 as 0.0
+    if array.ndim == 0:
+        return np.full(num_vertices, given[0])
+    of_bodies = np.repeat(given, np.diff(first_vertices)) if len(given) == num_bodies else given
+    if len(given) == num_vertices and not np.array_equal(given, of_bodies):
+        raise ValueError(
+            f"radius has shape {array.shape}, as many entries as there are bodies and vertices, and bodies with "
+            f"several vertices or none; expected a number, or bodies of one vertex each"
+        )
+    return of_bodies
 
 
 def validated_worlds(
