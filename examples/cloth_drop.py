@@ -310,6 +310,13 @@ def intersecting_pairs(vertices: NDArray[np.float64], faces: NDArray[np.int32]) 
     return len(found[2])
 
 
+def lengths(scene: ClothDrop, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of the cloth's edges along its threads, as multiples of their lengths at rest."""
+    edges = np.concatenate([pairs.numpy() for pairs, *_ in scene.springs[:4]])
+    rest = np.concatenate([length.numpy() for _, length, *_ in scene.springs[:4]])
+    return np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) / rest
+
+
 def draw(path: Path, scene: ClothDrop, pictures: list[tuple[str, NDArray[np.float64]]]) -> None:
     """Draw key frames side by side, in the frame of reference of the obstacle."""
     num_ball = 20 * 4**BALL_SUBDIVISIONS
@@ -356,12 +363,13 @@ def main() -> None:
     scene = ClothDrop(options.resolution, with_ccd=not options.no_ccd)
     key_frames = {frame for frame in KEY_FRAMES if frame < options.frames} | {options.frames - 1}
     pictures: list[tuple[str, NDArray[np.float64]]] = []
-    counts, seconds = [], 0.0
+    counts, ranges, seconds = [], [], 0.0
     with tqdm(total=options.frames, unit="frame") as bar:
         begin = time.perf_counter()
         for frame, vertices in enumerate(scene.frames(options.frames)):
             seconds += time.perf_counter() - begin
             counts.append(intersecting_pairs(vertices, scene.mesh.faces))
+            ranges.append(np.quantile(lengths(scene, vertices), [0.01, 0.99]))
             trimesh.Trimesh(vertices, scene.mesh.faces, process=False).export(options.output / f"frame_{frame:04d}.ply")
             if frame in key_frames:
                 pictures.append((f"frame {frame}: {counts[-1]} pairs of faces intersect", vertices))
@@ -374,6 +382,9 @@ def main() -> None:
     num_bad = sum(count > 0 for count in counts)
     print(f"{len(counts)} frames, {num_bad} with intersecting faces, at most {max(counts)} pairs of them")
     print(f"{outside.mean():.0%} of the cloth outside the globe at the end")
+    shortest, longest = np.transpose(ranges)
+    print(f"99 in 100 edges shorter than {np.median(longest):.3f} of their rest length in the median frame,", end=" ")
+    print(f"{longest.max():.3f} in the worst; longer than {np.median(shortest):.3f}, {shortest.min():.3f}")
     print(f"{seconds / len(counts):.2f} s a frame without the check")
     draw(options.output / "cloth_drop.png", scene, pictures)
 

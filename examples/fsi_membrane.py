@@ -406,6 +406,13 @@ def wrong_side(scene: Trampoline, vertices: NDArray[np.float64]) -> int:
     return int((np.abs(numbers) < 0.5).sum())
 
 
+def longest_edge(scene: Trampoline, vertices: NDArray[np.float64]) -> float:
+    """The 99th percentile of the lengths of the membrane's edges, as multiples of their lengths at rest."""
+    edges = scene.mesh.edges
+    lengths = [np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) for x in (scene.mesh.vertices, vertices)]
+    return float(np.quantile(lengths[1] / lengths[0], 0.99))
+
+
 def write_frame(path: Path, scene: Trampoline, vertices: NDArray[np.float64], toi: NDArray[np.float64]) -> None:
     """A frame for ParaView: faces and particles, with the velocity and toi of each vertex."""
     import meshio
@@ -464,7 +471,7 @@ def main() -> None:
     scene = Trampoline(options.particles, options.resolution, with_ccd=not options.no_ccd)
     key_frames = {frame for frame in KEY_FRAMES if frame < options.frames} | {options.frames - 1}
     pictures: list[tuple[str, NDArray[np.float64]]] = []
-    counts, names, seconds, longest, excess = [], [], [], 0.0, []
+    counts, names, seconds, longest, excess, stretch = [], [], [], 0.0, [], []
     before = scene.x.numpy()
     with trange(options.frames, unit="frame") as bar:
         for frame in bar:
@@ -475,6 +482,7 @@ def main() -> None:
             scene.check_capacity()
             counts.append(wrong_side(scene, vertices))
             excess.append(float(np.quantile(scene.compression.numpy(), 0.95)))
+            stretch.append(longest_edge(scene, vertices))
             moves = np.linalg.norm(vertices - before, axis=1)
             longest, before = max(longest, float(moves.max())), vertices
             names.append(f"frame_{frame:04d}.vtu")
@@ -488,6 +496,8 @@ def main() -> None:
     print(f"{longest / scene.edge_length:.1f} edge lengths a frame")
     print(f"{len(counts)} frames, on the wrong side at most {max(counts)} particles, at the end {counts[-1]}")
     print(f"compression of 95 in 100 particles: {np.median(excess):.1%} in the median frame, {max(excess):.1%} at most")
+    print(f"99 in 100 edges shorter than {np.median(stretch):.3f} of their rest length in the median frame,", end=" ")
+    print(f"{max(stretch):.3f} at most")
     print(f"{np.median(seconds):.2f} s a frame without the check")
     draw(options.output / "fsi_membrane.png", scene, pictures)
 
