@@ -9,19 +9,21 @@ import warp as wp
 
 # Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
 _FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
-_FILES += ["candidate_cull", "half_warp_tree", "hash_grid", "intersections"]
+_FILES += ["half_warp_tree", "hash_grid", "intersections", "thickness"]
 
 
 def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     """The modules of the files, and those that a factory makes for a precision, a dimension or an end of the search.
 
-    With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch.
+    With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii; of these the
+    narrow phase in one precision, as nothing else distinguishes the two from those without radii.
     """
+    from ccd_warp.kernels.candidate_cull import make_candidate_cull
     from ccd_warp.kernels.contact_place import make_contact_points
     from ccd_warp.kernels.device_step import make_input
     from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
     from ccd_warp.kernels.half_warp_search import make_half_warp_search
-    from ccd_warp.kernels.norm import EUCLIDEAN_NORM, MAXIMUM_NORM
+    from ccd_warp.kernels.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, THICK_NORM
     from ccd_warp.kernels.queued_pairs import STAGES, make_queued_pairs
     from ccd_warp.kernels.search_types import BOXES, CULL, LIST
 
@@ -34,11 +36,19 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
             name = f"{real.__name__} {dimension}"
             modules[f"device_step input {name}"] = make_input(real, dimension).read_moving.module
             modules[f"contact_place points {name}"] = make_contact_points(real, dimension).fill_points.module
-        for norm in (MAXIMUM_NORM, EUCLIDEAN_NORM)[: 1 + with_distances]:
+        norms = [MAXIMUM_NORM]
+        if with_distances:
+            norms += [EUCLIDEAN_NORM, THICK_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]
+        for norm in norms:
             of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
             for name, kernels in vars(make_queued_pairs(real, norm)).items():
-                for stage, kernel in zip(STAGES, kernels, strict=True):
+                for stage, kernel in zip(STAGES if kernels else (), kernels, strict=True):
                     modules[f"queued_pairs {name} {stage} {real.__name__}{of_norm}"] = kernel.module
+    modules["candidate_cull"] = make_candidate_cull(False).cull_candidates.module
+    if with_distances:
+        modules["candidate_cull thick"] = make_candidate_cull(True).cull_candidates.module
+        for end in (BOXES, CULL):
+            modules[f"half_warp_search {end} thick"] = make_half_warp_search(end, False, True).search_queries.module
     for end in (BOXES, LIST, CULL):
         for with_lists in (False, True):
             search = make_half_warp_search(end, with_lists).search_queries

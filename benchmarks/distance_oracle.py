@@ -117,7 +117,7 @@ def _lines(kind: str, p0: np.ndarray, p1: np.ndarray, distance: float, t_max: fl
 
 
 def exact_distance_tois(
-    kind: str, points_t0: np.ndarray, points_t1: np.ndarray, distance: float, t_max: float = 1.0
+    kind: str, points_t0: np.ndarray, points_t1: np.ndarray, distance: float | np.ndarray, t_max: float = 1.0
 ) -> list[ExactToi]:
     """Exact earliest times at which primitives are within a Euclidean distance.
 
@@ -125,24 +125,25 @@ def exact_distance_tois(
         kind: "vertex-face", "edge-edge", "point-segment" or "point-point".
         points_t0: Positions at t = 0, float64, shape [n, 4, 3] ([n, 3, 2 or 3] and [n, 2, 2 or 3] for the last two).
         points_t1: Positions at t = 1, same shape.
-        distance: Above 0, in the unit of the points; its float64 value is exact.
+        distance: Above 0, in the unit of the points; its float64 value is exact. One, or one for each query.
         t_max: End of the step; its float64 value is exact.
 
     Returns:
         One result for each query.
     """
     p0, p1 = oracle._validated(kind, points_t0, points_t1)
-    if not (distance > 0.0 and math.isfinite(distance)):
+    distances = np.broadcast_to(np.asarray(distance, dtype=np.float64), len(p0))
+    if not ((distances > 0.0) & np.isfinite(distances)).all():
         raise ValueError(f"distance is {distance}; expected a finite number above 0")
     if not 0.0 <= t_max <= 1.0:
         raise ValueError(f"t_max is {t_max}; expected a number in [0, 1]")
     # the cull of the maximum norm checks the box around the ball, over the whole of [0, 1]
-    apart = oracle._certainly_apart(kind, p0, p1, distance)
+    apart = oracle._certainly_apart(kind, p0, p1, float(distances.max(initial=0.0)))
     results = []
-    for start, end, is_apart in zip(p0, p1, apart.tolist(), strict=True):
+    for start, end, own, is_apart in zip(p0, p1, distances.tolist(), apart.tolist(), strict=True):
         root = None
         if not is_apart:
-            root = _first_within(_features(kind, *_lines(kind, start, end, distance, float(t_max))))
+            root = _first_within(_features(kind, *_lines(kind, start, end, own, float(t_max))))
         results.append(ExactToi(root, float(t_max)))
     return results
 

@@ -387,6 +387,11 @@ class CollisionMesh:
         arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
         return type(self)(**arguments)
 
+    @lazy_property
+    def is_thick(self) -> bool:
+        """Whether a vertex has a radius above 0."""
+        return self.radius is not None and bool(self.radius.any())
+
     @property
     def dimension(self) -> int:
         """Number of coordinates of a position, 3 in space and 2 of a mesh in the plane."""

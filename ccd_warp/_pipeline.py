@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 from typing import Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.candidates import Candidates, validated_inflation
@@ -32,6 +33,7 @@ from ccd_warp._engine.line_search import (
     search_step,
 )
 from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_choice, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
@@ -109,6 +111,20 @@ class CollisionPipeline:
         self._layout = self.mesh._vertices_in_space
         self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
         self._is_placing = False  # whether that launch may have moved some of the static bodies
+        self._radius: wp.array | None = None
+        norm_of(self.mesh, options)
+
+    @property
+    def radius(self) -> wp.array | None:
+        """The radii of the vertices that launches read, float64, shape [V]; None if the mesh was made without.
+
+        It begins as a copy of ``mesh.radius`` and stays the same array, to which the caller, or a captured graph, may
+        write others between launches. Every launch reads it anew. A radius that is negative or not finite counts as a
+        coordinate that is not finite does: its world has toi 0 and a flag. Calls with NumPy arrays use ``mesh.radius``.
+        """
+        if self._radius is None and self.mesh.radius is not None:
+            self._radius = self._topology.array(self.mesh.radius, wp.float64)
+        return self._radius
 
     @classmethod
     @contextmanager
@@ -224,7 +240,7 @@ class CollisionPipeline:
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
-        step = DeviceStep(self._topology, self._options, capacities, layout, placed)
+        step = DeviceStep(self._topology, self._options, capacities, layout, placed, self.radius)
         if placed is layout:
             self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step

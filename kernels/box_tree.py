@@ -100,17 +100,23 @@ def vertex_aabb(
     p_t1: wp.vec3d,
     t_end: wp.float64,
     inflation: wp.float64,
+    box_radius: wp.array[wp.float64],
     quantization: Quantization,
     num_aabbs: int,
     n: int,
 ) -> vec8f:
-    """AABB n of a vertex (swept, or at end n of the step) in quantized coordinates; empty if a coordinate is NaN."""
+    """AABB n of a vertex (swept, or at end n of the step) in quantized coordinates; empty if a coordinate is NaN.
+
+    It grows by the radius of the vertex (`thickness`) where there are radii, rounded outward once more.
+    """
     box = point_box(p_t0)
     if num_aabbs == 1:
         box = united(box, end_box(p_t0, p_t1, t_end))
     elif n == 1:
         box = end_box(p_t0, p_t1, t_end)
     box = inflated(box, inflation)
+    if box_radius.shape[0] > 0:
+        box = inflated(box, box_radius[v])
     shift = wp.vec3f()
     if world_shift.shape[0] > 0:
         shift = world_shift[vertex_world[v]]
@@ -149,6 +155,7 @@ def fill_vertex_aabbs(
     vertices_t1: wp.array[wp.vec3d],
     t_end: wp.float64,
     inflation: wp.float64,
+    box_radius: wp.array[wp.float64],
     quantization: Quantization,
     num_aabbs: int,
     # out
@@ -170,6 +177,7 @@ def fill_vertex_aabbs(
                 vertices_t1[v],
                 t_end,
                 inflation,
+                box_radius,
                 quantization,
                 num_aabbs,
                 n,

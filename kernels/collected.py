@@ -6,13 +6,13 @@ stays in registers. The pairs that the cull leaves open are the same; their orde
 """
 
 from types import SimpleNamespace
-from typing import Any
 
 import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
-from .candidate_cull import has_volume, is_discarded, write_pair
+from .candidate_cull import has_volume, make_candidate_cull, write_pair
+from .cull import make_cull
 from .lane_points import make_lane_points
 from .lanes import lowest_bit, number_of_bits
 from .minima import FOUND, Minima
@@ -21,13 +21,15 @@ from .pair_kind import EDGE_EDGE
 from .pair_lanes import collect_pairs
 from .points import make_points
 from .search_types import SearchOptions, SearchRange, TreePair, is_turned
+from .simd import make_simd
+from .thickness import distance_of
 
 _NONE = wp.constant(wp.uint32(0))
 
 
 @once
-def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
-    """The functions for a number of lanes, given that of `cull`, and the ``size`` of the array of an item."""
+def make_collected(width: int, is_thick: bool) -> SimpleNamespace:
+    """The functions for a number of lanes and separations, as for `make_cull`, and the ``size`` of an item's array."""
     # fewer than fill the lanes, and the partners of one more query in one block
     capacity = wp.constant(width - 1 + WIDTH)
     lanes = wp.constant(width)
@@ -36,6 +38,31 @@ def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
     if width > 1:
         corners_of_lanes = make_points(width).corners
         points_at = make_lane_points(width).points_at
+        free_lanes = make_cull(width, is_thick).free_lanes
+        Lanes = make_simd(wp.float64, width).Lanes
+
+        @wp.func
+        def corners_of(kind: int, collected: wp.array[wp.int32], k: int):
+            """The vertices of both primitives of a collected candidate."""
+            v0 = collected[k]
+            v1 = collected[k + capacity]
+            v2 = collected[k + 2 * capacity]
+            v3 = collected[k + 3 * capacity]
+            a = wp.vec3i(v0, v0, v0)
+            b = wp.vec3i(v1, v2, v3)
+            if kind == EDGE_EDGE:
+                a = wp.vec3i(v0, v1, v1)
+                b = wp.vec3i(v2, v3, v3)
+            return a, b
+
+        @wp.func
+        def distances(kind: int, options: SearchOptions, collected: wp.array[wp.int32], begin: int) -> Lanes:
+            """The distance at which the candidate in each lane counts as touching."""
+            r = Lanes()
+            for k in range(lanes):
+                a, b = corners_of(kind, collected, begin + k)
+                r[k] = distance_of(options.separation, options.radius, a, b)
+            return r
 
         @wp.func
         def cull(
@@ -59,21 +86,18 @@ def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
             if has_volume(kind):
                 c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
                 c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
-                left = left & ~free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, left)
+                if wp.static(is_thick):
+                    own = distances(kind, options, collected, begin)
+                    left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
+                else:
+                    separation = options.separation
+                    left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)
             if left != _NONE:
                 n = claim(counts, part.row, FOUND, number_of_bits(left))
                 while left != _NONE:
                     k = begin + lowest_bit(left)
                     left = left & (left - wp.uint32(1))
-                    v0 = collected[k]
-                    v1 = collected[k + capacity]
-                    v2 = collected[k + 2 * capacity]
-                    v3 = collected[k + 3 * capacity]
-                    a = wp.vec3i(v0, v0, v0)
-                    b = wp.vec3i(v1, v2, v3)
-                    if kind == EDGE_EDGE:
-                        a = wp.vec3i(v0, v1, v1)
-                        b = wp.vec3i(v2, v3, v3)
+                    a, b = corners_of(kind, collected, k)
                     write_pair(collected[k + 4 * capacity], collected[k + 5 * capacity], a, b, n, part, keys, minima)
                     n += wp.int64(1)
 
@@ -145,6 +169,7 @@ def make_collected(width: int, free_lanes: Any) -> SimpleNamespace:
                 cull(tree_pair.kind, options, vertices_t0, vertices_t1, collected, 0, count, part, counts, keys, minima)
 
     else:
+        is_discarded = make_candidate_cull(is_thick).is_discarded
 
         @wp.func
         def collect(

@@ -41,8 +41,8 @@ _NONE = wp.constant(wp.uint32(0))
 
 
 @once
-def make_cull(width: int) -> SimpleNamespace:
-    """The tests for a number of lanes."""
+def make_cull(width: int, is_thick: bool = False) -> SimpleNamespace:
+    """The tests for a number of lanes; with ``is_thick`` the pair in each lane has a separation of its own, a ball."""
     simd = make_simd(wp.float64, width)
     Lanes = simd.Lanes
     Mask = simd.Mask
@@ -62,10 +62,45 @@ def make_cull(width: int) -> SimpleNamespace:
     cross = simd.cross
     bits_of = simd.bits_of
     Corners = make_patch(wp.float64, width).Corners
+    Separation = Lanes if is_thick else wp.float64
+
+    if is_thick:
+
+        @wp.func
+        def has_separation(separation: Separation) -> bool:
+            """Whether a lane may have a separation."""
+            return True
+
+        @simd.func
+        def with_one(separation: Separation) -> Lanes:
+            """One more than the separation."""
+            return spread(_ONE) + separation
+
+        @simd.func
+        def enlarged(separation: Separation) -> Separation:
+            """The separation, enlarged by more than the roundings of its products."""
+            return _SEPARATION_UP * separation
+
+    else:
+
+        @wp.func
+        def has_separation(separation: Separation) -> bool:
+            """Whether there is a separation."""
+            return separation > _ZERO
+
+        @wp.func
+        def with_one(separation: Separation) -> Lanes:
+            """One more than the separation."""
+            return spread(_ONE + separation)
+
+        @wp.func
+        def enlarged(separation: Separation) -> Separation:
+            """The separation, enlarged by more than the roundings of its products."""
+            return separation * _SEPARATION_UP
 
     @simd.func
     def is_free_by_volume(
-        c0: Corners, c1: Corners, separation: wp.float64, is_euclidean: int, t_end: wp.float64
+        c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64
     ) -> Mask:
         """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
         n0 = cross(c0.q, c0.r)
@@ -81,16 +116,16 @@ def make_cull(width: int) -> SimpleNamespace:
         n = vec(q.y * r.z + q.z * r.y, q.z * r.x + q.x * r.z, q.x * r.y + q.y * r.x)
         size = dot(p, n)
         # an underflow in Q×R is multiplied by P and by the separation
-        bound = _BOUND * size + _GUARD * (spread(_ONE + separation) + p.x + p.y + p.z)
-        if separation > _ZERO:
+        bound = _BOUND * size + _GUARD * (with_one(separation) + p.x + p.y + p.z)
+        if has_separation(separation):
             if is_euclidean != 0:
                 # the length of the normal at any time is at most those of its coefficients (rounding, step 13)
                 squared = greatest(greatest(dot(n0, n0), dot(n1, n1)), _QUARTER * dot(nm, nm))
                 longest = square_root(squared + spread(_SQUARE_UNDERFLOW)) + _NORMAL * (n.x + n.y + n.z)
-                bound = bound + (separation * _SEPARATION_UP) * longest
+                bound = bound + enlarged(separation) * longest
             else:
                 # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
-                bound = bound + (separation * _SEPARATION_UP) * (n.x + n.y + n.z)
+                bound = bound + enlarged(separation) * (n.x + n.y + n.z)
         if t_end < _ONE:
             # the blossom on [0, t_end]
             s = _ONE - t_end
@@ -123,18 +158,18 @@ def make_cull(width: int) -> SimpleNamespace:
         c0: Corners,
         c1: Corners,
         size: Vec3,
-        separation: wp.float64,
+        separation: Separation,
         is_euclidean: int,
         t_end: wp.float64,
     ) -> Mask:
         """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
         m = magnitude(d)
         bound = _SIDES * dot(m, size) + spread(_SIDES_UNDERFLOW)
-        if separation > _ZERO:
+        if has_separation(separation):
             if is_euclidean != 0:
-                bound = bound + (separation * _SEPARATION_UP) * length(d)
+                bound = bound + enlarged(separation) * length(d)
             else:
-                bound = bound + (separation * _SEPARATION_UP) * (m.x + m.y + m.z)
+                bound = bound + enlarged(separation) * (m.x + m.y + m.z)
         a = dot(d, c0.w00)
         # turned to the side of the first corner
         d = select(is_less(a, spread(_ZERO)), minus(d), d)
@@ -151,7 +186,7 @@ def make_cull(width: int) -> SimpleNamespace:
 
     @simd.func
     def is_free_by_sides(
-        kind: int, c0: Corners, c1: Corners, separation: wp.float64, is_euclidean: int, t_end: wp.float64
+        kind: int, c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64
     ) -> Mask:
         """Whether a direction across a side, in the plane of both at the start, separates the pair on [0, t_end]."""
         n = cross(c0.q, c0.r)
@@ -174,7 +209,7 @@ def make_cull(width: int) -> SimpleNamespace:
         kind: int,
         c0: Corners,
         c1: Corners,
-        separation: wp.float64,
+        separation: Separation,
         is_euclidean: int,
         t_end: wp.float64,
         needed: wp.uint32,

@@ -135,20 +135,31 @@ def refresh_vertex_aabbs(
     world_shift: wp.array[wp.vec3f],
     x: wp.array[wp.vec3d],
     inflation: wp.float64,
+    box_radius: wp.array[wp.float64],
     quantization: Quantization,
     num_aabbs: int,
     chunk: int,  # vertices of an item: neighbouring threads of CUDA are to read neighbouring vertices
     # out
     vertex_aabbs: wp.array[wp.float32],
 ):
-    """`fill_vertex_aabbs` for a chunk of static vertices, if any static vertex has changed its position."""
+    """`fill_vertex_aabbs` for a chunk of static vertices, if any static vertex has changed its position or radius."""
     if is_moved[0] != 0:
         first = (begin + wp.tid()) * chunk
         for k in range(first, wp.min(first + chunk, vertices.shape[0])):
             v = vertices[k]
             for n in range(num_aabbs):
                 aabb = vertex_aabb(
-                    v, vertex_world, world_shift, x[v], x[v], wp.float64(1.0), inflation, quantization, num_aabbs, n
+                    v,
+                    vertex_world,
+                    world_shift,
+                    x[v],
+                    x[v],
+                    wp.float64(1.0),
+                    inflation,
+                    box_radius,
+                    quantization,
+                    num_aabbs,
+                    n,
                 )
                 write_vertex_aabb(vertex_aabbs, v * num_aabbs + n, aabb)
 
@@ -163,7 +174,7 @@ def refresh_blocks(
     # out
     tree: BoxTree,
 ):
-    """`fill_blocks` for a chunk of blocks of a static tree, if any static vertex has changed its position."""
+    """`fill_blocks` for a chunk of blocks of a static tree, if any static vertex has changed its position or radius."""
     if is_moved[0] != 0:
         count = (tree.num_boxes + WIDTH - 1) / WIDTH
         first = (begin + wp.tid()) * CHUNK

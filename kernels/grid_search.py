@@ -123,13 +123,14 @@ def lanes_between(mask: wp.uint32, first: int, last: int, block: int) -> wp.uint
 
 
 @once
-def make_grid_search(end: str, with_lists: bool, width: int) -> Any:
+def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = False) -> Any:
     """The kernel of a search that ends at a stage; the arguments are those of `make_pair_search`."""
     with_cull = end != BOXES
     lists = ".lists" if with_lists else ""
-    module = wp.get_module(f"ccd_warp.grid_search.{end}{lists}.{width}.{fingerprint()}")
+    thick = ".thick" if is_thick else ""
+    module = wp.get_module(f"ccd_warp.grid_search.{end}{lists}{thick}.{width}.{fingerprint()}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
-    functions = make_pair_search(end, with_lists, width)
+    functions = make_pair_search(end, with_lists, width, is_thick)
     overlaps, partners_of, keep = functions.overlaps, functions.partners_of, functions.keep
     collect, cull_rest, num_collected = functions.collect, functions.cull_rest, functions.num_collected
 

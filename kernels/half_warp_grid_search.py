@@ -36,13 +36,14 @@ def corner_of(box: vec12f, num_aabbs: int, upper: int) -> wp.vec3f:
 
 
 @once
-def make_half_warp_grid_search(end: str, with_lists: bool) -> Any:
-    """The kernel of a search that ends at a given stage; with or without lists of excluded pairs."""
+def make_half_warp_grid_search(end: str, with_lists: bool, is_thick: bool = False) -> Any:
+    """The kernel of a search that ends at a given stage; the arguments are those of `make_half_warp_search`."""
     lists = ".lists" if with_lists else ""
-    module = wp.get_module(f"ccd_warp.half_warp_grid_search.{end}{lists}")
+    thick = ".thick" if is_thick else ""
+    module = wp.get_module(f"ccd_warp.half_warp_grid_search.{end}{lists}{thick}")
     options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
     wp.set_module_options(options, module=module)
-    functions = make_half_warp_search(end, with_lists)
+    functions = make_half_warp_search(end, with_lists, is_thick)
     search_leaf, overlaps = functions.search_leaf, functions.overlaps
     is_second = end not in (BOXES, LIST)
 

@@ -20,7 +20,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .box_tree import WIDTH, BoxTree, box_corners
-from .candidate_cull import is_discarded, write_pair
+from .candidate_cull import make_candidate_cull, write_pair
 from .collision_filter import CollisionFilter, is_excluded
 from .half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
 from .interrupts import is_stopped
@@ -31,6 +31,7 @@ from .pair_key import pair_key
 from .pair_lanes import separated_mask
 from .pair_search import is_pair_listed, lanes_after
 from .search_types import BOXES, LIST, SearchOptions, SearchRange, TreePair, is_turned
+from .thickness import thick_separated_mask
 
 _LANES = wp.constant(wp.uint64(0xFFFF))
 _NOTHING = wp.constant(wp.uint64(0))
@@ -128,17 +129,19 @@ def shares_vertex(a: wp.vec3i, b: wp.vec3i) -> bool:
 
 
 @once
-def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
-    """The search that ends at a given stage; with or without lists of excluded pairs."""
+def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) -> SimpleNamespace:
+    """The search that ends at a given stage; with or without lists of excluded pairs, and radii of the vertices."""
     of_boxes = end == BOXES
     is_listing = end == LIST
     lists = ".lists" if with_lists else ""
-    module = wp.get_module(f"ccd_warp.half_warp_search.{end}{lists}")
+    thick = ".thick" if is_thick else ""
+    module = wp.get_module(f"ccd_warp.half_warp_search.{end}{lists}{thick}")
     options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
     wp.set_module_options(options, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = overlapping if of_boxes else moving_overlapping
     column = CANDIDATES if is_listing else FOUND
+    is_discarded = make_candidate_cull(is_thick).is_discarded
 
     @wp.func
     def is_left_out(
@@ -205,7 +208,23 @@ def make_half_warp_search(end: str, with_lists: bool) -> SimpleNamespace:
         if wp.static(of_boxes):
             # where two sides are equal in quantized coordinates, the exact boxes decide
             tied = lanes & ~overlapping_inside(target.nodes, block, box, first, last)
-            if tied != _NONE:
+            if wp.static(is_thick):
+                if tied != _NONE:
+                    lanes = lanes & ~thick_separated_mask(
+                        vertices_t0,
+                        vertices_t1,
+                        options.inflation,
+                        options.box_radius,
+                        target.corners,
+                        block,
+                        tree_pair.num_target_corners,
+                        query.corners,
+                        q / WIDTH,
+                        q % WIDTH,
+                        tree_pair.num_query_corners,
+                        tied,
+                    )
+            elif tied != _NONE:
                 lanes = lanes & ~separated_mask(
                     vertices_t0,
                     vertices_t1,

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .patch import make_patch
 from .points import make_points
-from .query import make_query
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
 from .simd import header, make_simd
+from .thickness import make_lane_options
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
@@ -44,7 +44,8 @@ def _power_of_two(width: int) -> str:
 @once
 def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Structs and functions for lanes of one floating-point type, with separations in one norm."""
-    is_euclidean = norm == EUCLIDEAN_NORM
+    is_euclidean = norm != MAXIMUM_NORM
+    is_thick = norm == THICK_NORM
     simd64 = make_simd(wp.float64, width)
     simd = make_simd(real, width)
     Lanes64 = simd64.Lanes
@@ -61,7 +62,7 @@ def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespac
     longest_side = points.longest_side
     vec64 = simd64.vec
     vec = simd.vec
-    Options = make_query(real).Options
+    Options = make_lane_options(real, width, norm)
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))
@@ -232,11 +233,15 @@ def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespac
             n.is_valid = n.is_valid & bits64(is_at_most64(scale, spread64(LARGEST)))
         limit = spread64(LARGEST)
         delta_length = least64(options.tolerance * scale, limit)
-        separation_length = least64(options.minimum_separation * scale, limit)
+        if wp.static(is_thick):
+            separation_length = least64(options.minimum_separation, limit)  # one in each lane
+        else:
+            separation_length = least64(options.minimum_separation * scale, limit)
         m = greatest64(largest(c0), largest(c1))
         if wp.static(is_euclidean):
             # a length, and one scale for all axes, so that the ball stays a ball
-            separation_length = least64(spread64(options.minimum_separation), limit)
+            if wp.static(not is_thick):
+                separation_length = least64(spread64(options.minimum_separation), limit)
             most = greatest64(m.x, greatest64(m.y, m.z))
             shared = inverse_power_of_two(greatest64(most, delta_length))
             return scaled_pair(n, c0, c1, m, vec64(shared, shared, shared), separation_length, delta_length)

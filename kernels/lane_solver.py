@@ -13,13 +13,14 @@ from .ball import make_ball
 from .facets import make_facets
 from .lane_advance import make_lane_advance
 from .lane_pair import make_lane_pair
-from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, make_norm
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, THICK_NORM, make_norm
 from .once import once
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .points import make_points
-from .query import CLIPPING, make_query
+from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
 from .simd import make_simd
+from .thickness import make_lane_options
 from .volume import make_volume
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
@@ -31,12 +32,13 @@ _NONE = wp.constant(wp.uint32(0))
 @once
 def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Struct and functions for lanes of one floating-point type, with separations in one norm."""
-    is_euclidean = norm == EUCLIDEAN_NORM
+    is_euclidean = norm != MAXIMUM_NORM
+    is_thick = norm == THICK_NORM
     simd = make_simd(real, width)
     simd64 = make_simd(wp.float64, width)
     Lanes64 = simd64.Lanes
     Lanes = simd.Lanes
-    Options = make_query(real).Options
+    Options = make_lane_options(real, width, norm)
     pairs = make_lane_pair(real, width, norm)
     Points = make_points(width).Points
     LanePair = pairs.LanePair
@@ -74,6 +76,20 @@ def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamesp
         v: Lanes64
         gap: Lanes64
         iterations: Lanes64
+
+    if is_thick:
+
+        @wp.func
+        def has_distance(options: Options) -> bool:
+            """Whether a pair may have a separation: the distance of any of them may be above 0."""
+            return True
+
+    else:
+
+        @wp.func
+        def has_distance(options: Options) -> bool:
+            """Whether the pairs have a separation."""
+            return options.minimum_separation > wp.float64(0.0)
 
     @simd.func
     def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
@@ -128,11 +144,11 @@ def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamesp
             n = normalise(kind, points_t0, points_t1, options)
             open = n.is_valid & lanes
             if wp.static(with_facets):
-                if options.minimum_separation > wp.float64(0.0) and options.start_gap_fraction > wp.float64(0.0):
+                if has_distance(options) and options.start_gap_fraction > wp.float64(0.0):
                     n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
             has_separation = bool(False)
             if wp.static(with_facets):
-                has_separation = options.minimum_separation > wp.float64(0.0)
+                has_separation = has_distance(options)
             volume = volume_of(n.t0, n.t1, n.separation, has_separation)
             reached = start(narrowed(t_start), open)
             rounds = int(0)
@@ -185,7 +201,7 @@ def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamesp
     ) -> LaneAnswer:
         """Advance the given lanes on from a time, after ``used`` iterations each."""
         rounds = cap
-        if options.minimum_separation <= wp.float64(0.0):
+        if not has_distance(options):
             rounds -= FIRST_ROUNDS
         if options.method != CLIPPING:
             rounds = 0

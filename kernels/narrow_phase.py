@@ -15,7 +15,7 @@ from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .lanes import lowest_bit
 from .minima import ANY_OPEN, FOUND, OPEN, Minima
-from .norm import MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -29,6 +29,7 @@ from .status import (
     STATUS_ITERATION_LIMIT,
     STATUS_NO_COLLISION,
 )
+from .thickness import make_thickness
 
 # Pairs of an item of `points_toi` where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
@@ -44,7 +45,10 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
 
     Positions are always float64.
     """
+    is_thick = norm == THICK_NORM
     Options = make_query(real).Options
+    options_of_pair = make_thickness(real, width).options_of_pair
+    options_of_rows = make_thickness(real, width).options_of_rows
     Outcome = make_solver(real, False, norm).Outcome
     pair_outcome = make_pair_outcome(real, width, False, norm)
     is_set = pair_outcome.is_set
@@ -271,8 +275,12 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     t = numbers_of(pending.t, pending.count, block)
                     used = numbers_of(pending.used, pending.count, block)
                 open = first_lanes(block)
-                answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
-            else:
+                if wp.static(is_thick):
+                    own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+                    answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
+                else:
+                    answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
+            elif wp.static(not is_thick):
                 answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
             for lane in range(block):
                 if is_set(answer.free, lane):
@@ -300,7 +308,11 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                 if is_needed:
                     outcome = outcome_of(answer, lane, options)
                     if not is_set(finished_lanes(answer, options), lane):
-                        outcome = rest_of(outcome, answer, lane, kind, a, b, options, cap)
+                        if wp.static(is_thick):
+                            own_options = options_of_pair(options, first, second)
+                            outcome = rest_of(outcome, answer, lane, kind, a, b, own_options, cap)
+                        else:
+                            outcome = rest_of(outcome, answer, lane, kind, a, b, options, cap)
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     claim(counts, kind, OPEN, 1)
@@ -379,8 +391,12 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     t = numbers_of(pending.t, pending.count, block)
                     used = numbers_of(pending.used, pending.count, block)
                 open = first_lanes(block)
-                answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, least)
-            else:
+                if wp.static(is_thick):
+                    own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+                    answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
+                else:
+                    answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, least)
+            elif wp.static(not is_thick):
                 answer = first_rounds(kind, points_a, points_b, options, cap, least)
             for lane in range(block):
                 t_reached = lane_of(answer.t, lane)
@@ -405,7 +421,11 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     a = points_of(kind, first, second, vertices_t0)
                     b = points_of(kind, first, second, vertices_t1)
                     so_far = wp.int32(lane_of(answer.iterations, lane))
-                    outcome = finished(kind, t_reached, so_far, False, a, b, options, cap)
+                    if wp.static(is_thick):
+                        own_options = options_of_pair(options, first, second)
+                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
+                    else:
+                        outcome = finished(kind, t_reached, so_far, False, a, b, options, cap)
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     open_toi[k] = outcome.toi
@@ -418,7 +438,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
         real=real,
         norm=norm,
         chunk=PAIRS_OF_AN_ITEM if width > 1 else 1,
-        points_toi=points_toi,
+        points_toi=None if is_thick else points_toi,  # points that belong to no mesh have no radii
         solve_pairs=solve_pairs,
         pairs_bound=pairs_bound,
     )

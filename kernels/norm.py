@@ -4,7 +4,7 @@ In the maximum norm the separation is a box, in the Euclidean norm a ball. Both 
 a direction d has the support of the shape for its offset: Σ|d_k|·separation_k of the box, separation·|d| of the ball.
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
 the three components of its separation are equal. Kernels are made for one norm, so that a scene without Euclidean
-distances compiles nothing of them.
+distances, or without radii, compiles nothing of them.
 """
 
 from types import SimpleNamespace
@@ -17,6 +17,8 @@ from .simd import make_simd
 
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
+# The Euclidean norm where each pair has a distance of its own (`thickness`), for meshes with radii.
+THICK_NORM = "thick"
 
 
 @once

@@ -8,7 +8,7 @@ from .atomics import claim_int
 from .contacts import ContactList, normal_at
 from .lane_solver import make_lane_solver
 from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
-from .norm import MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .points import Points, points_of, relative_motion
 from .query import CLIPPING, make_query
@@ -25,6 +25,7 @@ _ONE = wp.constant(wp.uint32(1))
 @once
 def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for a floating-point type of the iteration and a number of lanes; ``on_warp`` as for `make_solver`."""
+    is_thick = norm == THICK_NORM
     Options = make_query(real).Options
     share_of_work = make_query(real).share_of_work
     solver = make_solver(real, on_warp, norm)
@@ -60,6 +61,8 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     @wp.func
     def skips_first_rounds(options: Options) -> bool:
         """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
+        if wp.static(is_thick):
+            return True
         return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
 
     @wp.func
@@ -90,6 +93,8 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     @wp.func
     def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
         """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
+        if wp.static(is_thick):
+            return answer.free
         if options.minimum_separation > wp.float64(0.0):
             return answer.free
         return answer.free | answer.contact

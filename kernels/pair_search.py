@@ -21,7 +21,6 @@ from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i, vec8u
 from .collected import make_collected
 from .collision_filter import CollisionFilter, are_bodies_listed, is_excluded, is_listed
-from .cull import make_cull
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, number_of_bits, overlap_mask, shared_vertex_mask
 from .minima import CANDIDATES, FOUND, Minima
@@ -29,6 +28,7 @@ from .once import once
 from .pair_lanes import append_keys, separated_mask
 from .search_types import BOXES, CULL, SearchOptions, SearchRange, TreePair, is_turned
 from .simd import fingerprint
+from .thickness import thick_separated_mask
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
@@ -91,8 +91,10 @@ def is_pair_listed(
 
 
 @once
-def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
+def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = False) -> SimpleNamespace:
     """The search that ends at a given stage; with or without lists of excluded pairs, and with a width of the cull.
+
+    With ``is_thick`` the vertices of the mesh have radii.
 
     The width is that of lanes of float64, and 1 for a search without the cull; it changes the order of the pairs alone.
     Only a kernel of its own for meshes with lists leaves that of the others as it is: a lookup that is never made still
@@ -100,11 +102,12 @@ def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
     """
     with_cull = end != BOXES
     lists = ".lists" if with_lists else ""
-    module = wp.get_module(f"ccd_warp.pair_search.{end}{lists}.{width}.{fingerprint()}")
+    thick = ".thick" if is_thick else ""
+    module = wp.get_module(f"ccd_warp.pair_search.{end}{lists}{thick}.{width}.{fingerprint()}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if end == CULL else overlap_mask
-    collected_candidates = make_collected(width, make_cull(width).free_lanes)
+    collected_candidates = make_collected(width, is_thick)
     collect = collected_candidates.collect
     cull_rest = collected_candidates.cull_rest
     num_collected = collected_candidates.size
@@ -171,7 +174,23 @@ def make_pair_search(end: str, with_lists: bool, width: int) -> SimpleNamespace:
         """Keep the partners of a query in a block whose boxes overlap its own in float64; returns their number."""
         q = query_block * WIDTH + query_lane
         mask = wp.uint32(partners)
-        if (mask & tied) != _NONE:
+        if wp.static(is_thick):
+            if (mask & tied) != _NONE:
+                mask = mask & ~thick_separated_mask(
+                    vertices_t0,
+                    vertices_t1,
+                    options.inflation,
+                    options.box_radius,
+                    target.corners,
+                    block,
+                    tree_pair.num_target_corners,
+                    query.corners,
+                    query_block,
+                    query_lane,
+                    tree_pair.num_query_corners,
+                    mask & tied,
+                )
+        elif (mask & tied) != _NONE:
             mask = mask & ~separated_mask(
                 vertices_t0,
                 vertices_t1,

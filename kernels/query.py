@@ -30,6 +30,7 @@ def make_query(real) -> SimpleNamespace:
         max_work: wp.int64  # iterations of all pairs of a kind that the first round leaves open
         method: int
         stop: wp.array[wp.int32]  # set when the host wants the kernel to end
+        radius: wp.array[wp.float64]  # of each vertex of a mesh; empty without (`thickness`)
 
     @wp.func
     def share_of_work(options: Options, num_open: wp.int64) -> int:

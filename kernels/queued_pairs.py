@@ -23,7 +23,7 @@ from .contacts import ContactList, normal_at
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
-from .norm import MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
@@ -32,6 +32,7 @@ from .query import CLIPPING, make_query
 from .simd import fingerprint
 from .solver import make_solver
 from .status import STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from .thickness import make_thickness
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
@@ -87,7 +88,9 @@ def first_of(solver: int, lanes: int, count: int) -> int:
 @once
 def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
+    is_thick = norm == THICK_NORM
     Options = make_query(real).Options
+    options_of_rows = make_thickness(real, 1).options_of_rows
     Outcome = make_solver(real, True, norm).Outcome
     pair_outcome = make_pair_outcome(real, 1, True, norm)
     outcome_of = pair_outcome.outcome_of
@@ -315,11 +318,18 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 outcome = Outcome()
                 if wp.static(is_last):
                     if is_needed:
-                        outcome = finished(kind, t, used, False, a, b, options, cap)
+                        if wp.static(is_thick):
+                            own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                            outcome = finished(kind, t, used, False, a, b, own, cap)
+                        else:
+                            outcome = finished(kind, t, used, False, a, b, options, cap)
                 else:
                     answer = LaneAnswer()
                     if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, unbounded)
+                    elif wp.static(is_thick):
+                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                        answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, unbounded)
                     else:
                         answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
                     if is_needed and answer.free | answer.contact == _NONE:
@@ -423,7 +433,11 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
                 toi = unbounded
                 if wp.static(is_last):
-                    outcome = finished(kind, t, used, False, a, b, options, cap)
+                    if wp.static(is_thick):
+                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                        outcome = finished(kind, t, used, False, a, b, own, cap)
+                    else:
+                        outcome = finished(kind, t, used, False, a, b, options, cap)
                     if not writes:
                         continue
                     toi = outcome.toi
@@ -438,6 +452,9 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                     answer = LaneAnswer()
                     if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, least)
+                    elif wp.static(is_thick):
+                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                        answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
                     else:
                         answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
                     if answer.free | answer.contact == _NONE and answer.t < least:
@@ -458,7 +475,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
         return pairs_bound
 
     return SimpleNamespace(
-        points_toi=[make_points_toi(stage) for stage in STAGES],
+        points_toi=[] if is_thick else [make_points_toi(stage) for stage in STAGES],  # points have no radii
         solve_pairs=[make_solve_pairs(stage) for stage in STAGES],
         pairs_bound=[make_pairs_bound(stage) for stage in STAGES],
     )

@@ -74,6 +74,12 @@ below are in the normalised units of step 2.
    greatest of those of its Bernstein coefficients, computed from products within 6u of the sums of their magnitudes:
    NORMAL = 16 times the sum of those sums, times the distance, is added.
 
+14. **Thickness.** The distance of a pair is the minimum distance and two radii, D = D_0 + (r_a + r_b), each sum rounded
+   up: with s = fl(a + b) and c = s - a the error of s is exactly (a - (s - c)) + (b - c), and where it is positive, s
+   becomes the next number above. So D is never below what is asked for, and exact where it can be, for lanes as for
+   single pairs. A sum beyond the largest number is infinite and cut as in step 13, beyond every corner. A box grows by
+   half the minimum distance and then by its radius, rounded outward each time.
+
 Constants are in units of u.
 """
 

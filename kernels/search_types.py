@@ -31,6 +31,8 @@ class SearchOptions:
     separation: wp.float64  # minimum separation or distance, a length
     is_euclidean: int  # 1: a distance
     stop: wp.array[wp.int32]  # set when the host wants the search to end
+    radius: wp.array[wp.float64]  # of each vertex, for the cull; empty without (`thickness`)
+    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; likewise
 
 
 @wp.struct

@@ -53,7 +53,7 @@ def make_solver(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespac
 
     With ``on_warp`` all threads of a warp of CUDA call `solve` for the same pair.
     """
-    is_euclidean = norm == EUCLIDEAN_NORM
+    is_euclidean = norm != MAXIMUM_NORM
     vec3 = wp.types.vector(length=3, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch

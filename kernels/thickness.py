@@ -1,9 +1,35 @@
 """Thickness: every vertex has a radius, and a primitive takes the largest of its vertices'.
 
-A pair counts as touching once its Euclidean distance is the minimum distance plus the radii of its two primitives.
+A pair counts as touching once its Euclidean distance is the minimum distance plus the radii of its two primitives. The
+sum is rounded up, so that it is never less than what is asked for; where it needs no rounding it is exact, and pairs
+without a radius keep the minimum distance itself. A sum beyond the largest number is infinite, which is beyond every
+distance.
+
+Boxes grow by radii, too. The box of a primitive is the union of those of its vertices, each of which grows by the
+largest radius of the primitives around it: that of the vertex and of those that share an edge with it. So a primitive's
+box holds all that is within its radius, and a thick body enlarges no other body's boxes.
 """
 
+from types import SimpleNamespace
+from typing import Any
+
 import warp as wp
+
+from .boxes import Box, inflated, next_below, point_box, united
+from .lanes import lowest_bit
+from .minima import INVALID_INPUT, Minima, flag_world
+from .norm import THICK_NORM
+from .once import once
+from .pair_key import pair_of
+from .query import make_query
+from .simd import make_simd
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
+_ZERO = wp.constant(wp.float64(0.0))
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
 
 
 @wp.func
@@ -13,5 +39,219 @@ def radius_of(radius: wp.array[wp.float64], corners: wp.vec3i) -> wp.float64:
     It is 0 where no vertex has a radius: then the array is empty.
     """
     if radius.shape[0] == 0:
-        return wp.float64(0.0)
+        return _ZERO
     return wp.max(radius[corners[0]], wp.max(radius[corners[1]], radius[corners[2]]))
+
+
+@wp.func
+def sum_up(a: wp.float64, b: wp.float64) -> wp.float64:
+    """a + b of numbers that are not negative, rounded up; exact where no rounding is needed (rounding, step 14)."""
+    s = a + b
+    if not s <= _LARGEST_FINITE:
+        return s
+    c = s - a
+    error = (a - (s - c)) + (b - c)
+    if error > _ZERO:
+        s = -next_below(-s)
+    return s
+
+
+@wp.func
+def distance_of(minimum: wp.float64, radius: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp.float64:
+    """Distance at which a pair counts as touching, from the vertices of its primitives, rounded up."""
+    return sum_up(minimum, sum_up(radius_of(radius, first), radius_of(radius, second)))
+
+
+@once
+def make_thickness(real, width: int) -> SimpleNamespace:
+    """Structs and functions for one floating-point type of the iteration and a number of lanes."""
+    Options = make_query(real).Options
+    Lanes = make_simd(wp.float64, width).Lanes
+    lanes = wp.constant(width)
+
+    @wp.func
+    def of_key(
+        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
+    ) -> wp.float64:
+        """Distance of a pair; the key of an open pair is its complement."""
+        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
+        return distance_of(options.minimum_separation, options.radius, first_corners[pair[0]], second_corners[pair[1]])
+
+    @wp.func
+    def with_distance(options: Options, distance: wp.float64) -> Options:
+        """The options of a query with a distance of its own."""
+        own = Options()
+        own.tolerance = options.tolerance
+        own.minimum_separation = distance
+        own.start_gap_fraction = options.start_gap_fraction
+        own.length_scale = options.length_scale
+        own.t_max = options.t_max
+        own.t_end = options.t_end
+        own.first_iterations = options.first_iterations
+        own.max_iterations = options.max_iterations
+        own.max_work = options.max_work
+        own.method = options.method
+        own.stop = options.stop
+        return own
+
+    @wp.func
+    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
+        """The options of a pair, given by the vertices of its primitives."""
+        return with_distance(options, distance_of(options.minimum_separation, options.radius, first, second))
+
+    if width == 1:
+        LaneOptions = Options
+
+        @wp.func
+        def options_of_rows(
+            options: Options,
+            pairs: wp.array[wp.int64],
+            row: int,
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+        ) -> LaneOptions:
+            """The options of a pair, given by its place in the list of keys."""
+            return with_distance(options, of_key(pairs[row], first_corners, second_corners, options))
+
+    else:
+        Index = wp.types.vector(length=width, dtype=wp.int32)
+
+        @wp.struct
+        class LaneOptions:
+            """What the lanes take of the options of a query, with a distance for the pair in each lane."""
+
+            tolerance: wp.float64
+            minimum_separation: Lanes
+            start_gap_fraction: wp.float64
+            length_scale: wp.float64
+            t_end: real
+            method: int
+
+        @wp.func
+        def options_of_rows(
+            options: Options,
+            pairs: wp.array[wp.int64],
+            rows: Index,
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+        ) -> LaneOptions:
+            """The options of the pair in each lane, given by its place in the list of keys."""
+            own = LaneOptions()
+            own.tolerance = options.tolerance
+            distances = Lanes()
+            for k in range(lanes):
+                distances[k] = of_key(pairs[rows[k]], first_corners, second_corners, options)
+            own.minimum_separation = distances
+            own.start_gap_fraction = options.start_gap_fraction
+            own.length_scale = options.length_scale
+            own.t_end = options.t_end
+            own.method = options.method
+            return own
+
+    return SimpleNamespace(LaneOptions=LaneOptions, options_of_pair=options_of_pair, options_of_rows=options_of_rows)
+
+
+def make_lane_options(real, width: int, norm: str) -> Any:
+    """The struct of the options that lanes take: those of a query, or in this norm with a distance in each lane."""
+    return make_thickness(real, width).LaneOptions if norm == THICK_NORM else make_query(real).Options
+
+
+@wp.func
+def thick_box(
+    corners: wp.vec3i,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    inflation: wp.float64,
+    box_radius: wp.array[wp.float64],
+) -> Box:
+    """The box of a primitive over the whole step: exactly that of which `vertex_aabb` quantizes the parts."""
+    box = Box()
+    for k in range(3):
+        v = corners[k]
+        part = inflated(united(point_box(vertices_t0[v]), point_box(vertices_t1[v])), inflation)
+        part = inflated(part, box_radius[v])
+        if k == 0:
+            box = part
+        else:
+            box = united(box, part)
+    return box
+
+
+@wp.func
+def are_apart(a: Box, b: Box) -> bool:
+    """Whether an axis separates two closed boxes."""
+    x = a.lower[0] > b.upper[0] or b.lower[0] > a.upper[0]
+    y = a.lower[1] > b.upper[1] or b.lower[1] > a.upper[1]
+    return x or y or a.lower[2] > b.upper[2] or b.lower[2] > a.upper[2]
+
+
+@wp.func
+def corners_at(corners: wp.array[wp.int32], block: int, lane: int, num_corners: int) -> wp.vec3i:
+    """Vertices of the primitive in a lane of a block of a tree, of which one repeats."""
+    first = block * 48 + lane
+    a = corners[first]
+    c = wp.vec3i(a, a, a)
+    for k in range(1, num_corners):
+        c[k] = corners[first + 16 * k]
+    return c
+
+
+@wp.func
+def thick_separated_mask(
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    inflation: wp.float64,
+    box_radius: wp.array[wp.float64],
+    corners: wp.array[wp.int32],
+    block: int,
+    num_corners: int,
+    query_corners: wp.array[wp.int32],
+    query_block: int,
+    query_lane: int,
+    num_query_corners: int,
+    tied: wp.uint32,
+) -> wp.uint32:
+    """`separated_mask` of `pair_lanes` for boxes that grow by radii."""
+    q = corners_at(query_corners, query_block, query_lane, num_query_corners)
+    query = thick_box(q, vertices_t0, vertices_t1, inflation, box_radius)
+    apart = wp.uint32(0)
+    left = wp.uint32(tied)
+    while left != _NONE:
+        lane = lowest_bit(left)
+        left = left & (left - _ONE)
+        c = corners_at(corners, block, lane, num_corners)
+        if are_apart(query, thick_box(c, vertices_t0, vertices_t1, inflation, box_radius)):
+            apart = apart | (_ONE << wp.uint32(lane))
+    return apart
+
+
+@wp.kernel
+def fill_box_radius(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    radius: wp.array[wp.float64],
+    neighbour_begin: wp.array[wp.int32],
+    neighbours: wp.array[wp.int32],
+    # out
+    box_radius: wp.array[wp.float64],
+    is_changed: wp.array[wp.int32],
+    minima: Minima,
+):
+    """Write the largest radius around each of these vertices, and whether one of them has changed.
+
+    A radius that is negative or not finite flags its world, whose toi is then 0, and counts as 0 here.
+    """
+    v = vertices[begin + wp.tid()]
+    largest = _ZERO
+    if radius[v] >= _ZERO and radius[v] <= _LARGEST_FINITE:
+        largest = radius[v]
+    else:
+        flag_world(minima, v, INVALID_INPUT)
+    for k in range(neighbour_begin[v], neighbour_begin[v + 1]):
+        r = radius[neighbours[k]]
+        if r > largest and r <= _LARGEST_FINITE:
+            largest = r
+    if largest != box_radius[v]:
+        box_radius[v] = largest
+        is_changed[0] = 1

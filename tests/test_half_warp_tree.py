@@ -37,7 +37,17 @@ def vertex_aabbs_of(topology, num_aabbs):
     Execution(DEVICE, 1).launch(
         fill_vertex_aabbs,
         mesh.num_vertices,
-        inputs=[every, *topology.of_vertices(active), start, end, 1.0, 0.01, quantization, num_aabbs],
+        inputs=[
+            every,
+            *topology.of_vertices(active),
+            start,
+            end,
+            1.0,
+            0.01,
+            topology.box_radius,
+            quantization,
+            num_aabbs,
+        ],
         outputs=[aabbs],
     )
     return aabbs

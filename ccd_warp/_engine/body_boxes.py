@@ -41,7 +41,7 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
         return near
     device = execution.device
     with np.errstate(over="ignore", under="ignore"):
-        lower, upper = _swept_boxes(positions, mesh.body_vertex_range[filled], inflation)
+        lower, upper = _swept_boxes(positions, mesh.body_vertex_range[filled], inflation, mesh.radius)
         tree, order = _tree(lower, upper, filled, device)
     queries = np.flatnonzero(is_query[order]).astype(np.int32)
     found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
@@ -63,14 +63,21 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
 
 
 def _swept_boxes(
-    positions: Positions, first: NDArray[np.int32], inflation: float
+    positions: Positions, first: NDArray[np.int32], inflation: float, radius: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes around both frames of bodies that begin at these vertices, inflated and rounded outward."""
+    """Boxes around both frames of bodies that begin at these vertices, inflated and rounded outward.
+
+    They grow by the largest radius of each body, too.
+    """
     lower = np.minimum.reduceat(np.minimum(*positions), first, axis=0)
     upper = np.maximum.reduceat(np.maximum(*positions), first, axis=0)
     if inflation > 0.0:
         lower = np.nextafter(lower - inflation, -np.inf)
         upper = np.nextafter(upper + inflation, np.inf)
+    if radius is not None:
+        largest = np.maximum.reduceat(radius, first)[:, None]
+        lower = np.nextafter(lower - largest, -np.inf)
+        upper = np.nextafter(upper + largest, np.inf)
     return lower, upper
 
 

@@ -171,6 +171,7 @@ class StepBoxes:
                 positions,
                 _NO_END,
                 inflation,
+                topology.box_radius,
                 self.quantization,
                 self._num_aabbs,
             ],

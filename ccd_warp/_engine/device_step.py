@@ -13,7 +13,7 @@ from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, possible_kinds
+from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
@@ -26,7 +26,7 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
-from ccd_warp.kernels import device_step
+from ccd_warp.kernels import device_step, thickness
 from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 
 MOST_PAIRS = 1 << 28
@@ -136,8 +136,12 @@ class DeviceStep:
         capacities: Capacities,
         vertices: NDArray[np.float64],
         static_positions: NDArray[np.float64],
+        radius: wp.array | None = None,
     ) -> None:
-        """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``."""
+        """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``.
+
+        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none.
+        """
         self.topology = topology
         self._mesh = mesh = topology.mesh
         self._has_static = bool(mesh.static.any())
@@ -150,6 +154,14 @@ class DeviceStep:
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         inflation = half_up(separation)
+        norm = norm_of(mesh, options, may_change=True)
+        self._radius = radius
+        radii = topology.radius, topology.box_radius
+        if radius is not None:
+            _ = topology.neighbours
+            radii = radius, wp.clone(topology.box_radius)
+            self._is_thicker = self._full(1, 0, wp.int32)  # written where radii of moving vertices change, never read
+        self._box_radius = radii[1]
         self._active, self._touched = (self._full(mesh.num_bodies, 1, wp.int32) for _ in range(2))
         self._is_moved, self._is_any_touched = (self._full(1, 0, wp.int32) for _ in range(2))
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
@@ -193,7 +205,7 @@ class DeviceStep:
             topology,
             tree_pairs,
             _NUM_AABBS,
-            narrow_phase_on(topology.device, options.real, options.norm),
+            narrow_phase_on(topology.device, options.real, norm),
             self._counts,
             vertices_t0=self._start,
             vertices_t1=self._end,
@@ -205,8 +217,10 @@ class DeviceStep:
             quantization=quantization,
             t_end=options.t_max,
             inflation=inflation,
-            search_options=search_options(options.t_max, inflation, separation, options.norm, self._flag),
-            options=options.for_kernel(length_scale, stop=self._flag.array),
+            box_radius=self._box_radius,
+            is_thick=radius is not None,
+            search_options=search_options(options.t_max, inflation, separation, norm, self._flag, radii),
+            options=options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
             minima=minima,
             contacts=new_contact_list(vars(result.contacts)),
             queue=new_queue(capacities.max_pairs, topology.device) if execution.is_cuda else None,
@@ -453,12 +467,29 @@ class DeviceStep:
             ],
             outputs=[self._start, self._end, minima],
         )
+        if is_first and self._radius is not None:
+            self._record_radius(recording, minima)
         if is_first:
             stages.reset_vertices(recording)
         if is_first and self._static_trees:
             # also if static bodies are not read here: an earlier launch may have been interrupted after it read them
             with recording.only_if(self._is_moved):
                 self._record_refresh(recording)
+
+    def _record_radius(self, recording: Recording, minima: Any) -> None:
+        """Record the launches that read the radii, which may have changed, and mark static boxes that then do."""
+        topology = self.topology
+        for vertices, is_changed in (
+            (topology.moving_vertices, self._is_thicker),
+            (topology.static_vertices, self._is_moved),
+        ):
+            if len(vertices):
+                recording.launch(
+                    thickness.fill_box_radius,
+                    len(vertices),
+                    inputs=[vertices, self._radius, *topology.neighbours],
+                    outputs=[self._box_radius, is_changed, minima],
+                )
 
     def _fill(self, stages: Stages, launcher: Execution | Recording, trees: list[Any]) -> None:
         """Compute the boxes of trees, or of spatial hashes."""
@@ -480,6 +511,7 @@ class DeviceStep:
                 *lattice,
                 self._start,
                 stages.inflation,
+                stages.box_radius,
                 stages.quantization,
                 _NUM_AABBS,
                 self._chunk,

@@ -53,6 +53,7 @@ class MeshWithEdgePoints:
         self.original = original
         self.covers_less = original.exclusion_rings > 1 or "vertices" in original.exclude_pairs
         self.dimension = 3
+        self.radius, self.is_thick = None, False  # what intersects is found exactly, whatever the thickness
         self.num_vertices = original.num_vertices + original.num_edges
         self.vertex_body = np.concatenate([original.vertex_body, original.edge_body])
         self.vertex_world = np.concatenate([original.vertex_world, original.vertex_world[original.edges[:, 0]]])

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.grids import Grid
-from ccd_warp._engine.scene import moves_alone, possible_kinds
+from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
@@ -123,7 +123,7 @@ class HostPlan:
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
-        self._norm = options.norm
+        self._norm = norm_of(mesh, options)
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
@@ -148,9 +148,11 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            narrow_phase_on(topology.device, options.real, options.norm) if has_narrow_phase else SimpleNamespace(),
+            narrow_phase_on(topology.device, options.real, self._norm) if has_narrow_phase else SimpleNamespace(),
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
+            box_radius=topology.box_radius,
+            is_thick=topology.is_thick,
             trees=trees,
             grids=grids,
             keys=keys,
@@ -262,7 +264,8 @@ class HostPlan:
         """Search for pairs that touch before ``t_end``; returns the options of the search."""
         values = (t_end, inflation, separation)
         if values != self._search_values:
-            self._recording.bind("search options", search_options(*values, self._norm, self._workspace.flag))
+            radii = self._topology.radius, self._topology.box_radius
+            self._recording.bind("search options", search_options(*values, self._norm, self._workspace.flag, radii))
             self._search_values = values
         return self._recording.values["search options"]
 

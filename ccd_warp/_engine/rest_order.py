@@ -45,7 +45,17 @@ def order_at(
     execution.launch(
         box_tree.fill_vertex_aabbs,
         mesh.num_vertices,
-        inputs=[every, *topology.of_vertices(active), positions, positions, 1.0, 0.0, quantization, 1],
+        inputs=[
+            every,
+            *topology.of_vertices(active),
+            positions,
+            positions,
+            1.0,
+            0.0,
+            topology.box_radius,
+            quantization,
+            1,
+        ],
         outputs=[vertex_aabbs],
     )
     order, mask = _halved_order(primitives, topology.vertex_body, vertex_aabbs, execution)

@@ -4,7 +4,9 @@ import math
 import sys
 from typing import TYPE_CHECKING
 
+from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
+from ccd_warp.kernels.norm import THICK_NORM
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -44,6 +46,27 @@ def moves_alone(mesh: "CollisionMesh") -> bool:
 def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
     """The unit of tolerance and separation: that of the options, or the size of the mesh."""
     return mesh.length_scale if options.length_scale is None else options.length_scale
+
+
+def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False) -> str:
+    """The norm of separations (``kernels.norm``): with radii each pair has a distance of its own.
+
+    Args:
+        mesh: The bodies.
+        options: The options of the call.
+        may_change: Whether radii of 0 may be replaced by others, as on the device.
+
+    Raises:
+        ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
+    """
+    if mesh.radius is None or not (may_change or mesh.is_thick):
+        return options.norm
+    if options.minimum_separation > 0:
+        raise ValueError(
+            f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
+            f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
+        )
+    return THICK_NORM
 
 
 def half_up(separation: float) -> float:

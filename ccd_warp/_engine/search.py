@@ -154,7 +154,10 @@ class PairSearch:
             return
         search_on = grid_search_on if tree_pairs[0].query.cells is not None else pair_search_on
         is_cuda = self.execution.is_cuda
-        self._kernel = search_on(self._topology.device, BOXES, self._topology.has_lists, is_cuda=is_cuda)
+        topology = self._topology
+        self._kernel = search_on(
+            topology.device, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
+        )
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH

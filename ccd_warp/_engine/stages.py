@@ -58,6 +58,8 @@ class Stages:
         quantization: The map to quantized coordinates.
         t_end: End of the vertex AABBs, a fraction of the step.
         inflation: Enlargement of the boxes, a length.
+        box_radius: By how much the boxes of each vertex grow besides; empty where there are no radii.
+        is_thick: Whether each pair has a distance of its own.
         search_options: What the search is asked for.
         options: What the narrow phase is asked for.
         minima: The earliest toi of every part.
@@ -82,6 +84,8 @@ class Stages:
     quantization: Any
     t_end: Any
     inflation: Any
+    box_radius: Any
+    is_thick: bool
     search_options: Any
     options: Any
     minima: Any
@@ -117,6 +121,7 @@ class Stages:
                 self.vertices_t1,
                 self.t_end,
                 self.inflation,
+                self.box_radius,
                 self.quantization,
                 self.num_aabbs,
             ],
@@ -208,7 +213,7 @@ class Stages:
     def _search_on(self, end: str, *, is_cuda: bool) -> Any:
         """The kernel of a search that ends at a stage."""
         search_on = grid_search_on if self.grids else pair_search_on
-        return search_on(self.topology.device, end, self.topology.has_lists, is_cuda=is_cuda)
+        return search_on(self.topology.device, end, self.topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
 
     def _searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
@@ -251,7 +256,7 @@ class Stages:
         if not isinstance(candidates, Slot):
             num_threads = min(_MOST_CULLS, -(-len(candidates) // WIDTH) * WIDTH)
         launcher.launch(
-            candidate_cull.cull_candidates,
+            candidate_cull.make_candidate_cull(self.is_thick).cull_candidates,
             num_threads,
             inputs=[
                 num_threads,

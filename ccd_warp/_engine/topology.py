@@ -111,6 +111,11 @@ class Topology:
             cache.setdefault(key, Topology(mesh, device))  # of two concurrent threads, one wins
         return cache[key]
 
+    @property
+    def is_thick(self) -> bool:
+        """Whether a vertex has a radius above 0."""
+        return self.mesh.is_thick
+
     def of_vertices(self, active: wp.array) -> list[wp.array]:
         """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
         return [self.vertex_body, active, self.vertex_world, self.world_shift]
@@ -134,6 +139,14 @@ class Topology:
         edge, so these are the radii of a vertex and of its neighbours.
         """
         return self.array(largest_around(self.mesh), wp.float64)
+
+    @lazy_property
+    def neighbours(self) -> tuple[wp.array, wp.array]:
+        """Where the list of each vertex begins, and the vertices with which each shares an edge."""
+        mesh = self.mesh
+        a, b = np.concatenate([mesh.edges, mesh.edges[:, ::-1]]).T
+        begin = np.concatenate([[0], np.cumsum(np.bincount(a, minlength=mesh.num_vertices))])
+        return self.array(begin.astype(np.int32)), self.array(b[np.argsort(a, kind="stable")])
 
     @lazy_property
     def may_have_inactive_bodies(self) -> bool:
@@ -322,6 +335,7 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         quantization.origin = wp.vec3d(*(min(max(x, -_LARGEST_ORIGIN), _LARGEST_ORIGIN) for x in origin))
         exponent += lattice_bits(topology.mesh.num_worlds)
         quantization.scale = 2.0**-exponent
+        half_extent += _typical_radius(topology.mesh, primitives)
         quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return quantization
 
@@ -336,7 +350,14 @@ def large_half_side(topology: Topology, positions: Positions, quantile: float) -
     with np.errstate(under="ignore"):
         points *= 0.5
     sides = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
+    if topology.mesh.radius is not None:
+        sides += topology.mesh.radius[primitives].max(axis=0)
     return float(np.quantile(sides, quantile))
+
+
+def _typical_radius(mesh: "CollisionMesh", primitives: NDArray[Any]) -> float:
+    """The median radius of some primitives, given by their vertices, shape [k, n]."""
+    return 0.0 if mesh.radius is None else float(np.median(mesh.radius[primitives].max(axis=0)))
 
 
 def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64], quantization: Any) -> Any:
@@ -346,8 +367,10 @@ def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64]
     static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
     if len(among):
         with np.errstate(over="ignore", under="ignore"):
-            points = start[among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]]
+            chosen = among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]
+            points = start[chosen]
             half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
+            half_extent += _typical_radius(mesh, chosen.T)
             static.typical_extent = np.float32(2.0 * half_extent * quantization.scale)
     return static
 

@@ -88,5 +88,5 @@ class Workspace:
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            self._packed[key] = options.for_kernel(length_scale, stop=self.flag.array)
+            self._packed[key] = options.for_kernel(length_scale, stop=self.flag.array, radius=self.topology.radius)
         return self._packed[key]

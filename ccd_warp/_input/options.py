@@ -136,7 +136,11 @@ class Options:
         return min(max(int(self.max_work) // max(num_open, 1), self.first_iterations), int(self.max_iterations))
 
     def for_kernel(
-        self, length_scale: float | None, max_iterations: int | None = None, stop: wp.array | None = None
+        self,
+        length_scale: float | None,
+        max_iterations: int | None = None,
+        stop: wp.array | None = None,
+        radius: wp.array | None = None,
     ) -> Any:
         """The options as the struct that the kernels take.
 
@@ -144,6 +148,7 @@ class Options:
             length_scale: Unit of the lengths; if None, each pair has its own.
             max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
+            radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
         """
         values = (
             self.tolerance,
@@ -159,7 +164,10 @@ class Options:
         )
         if stop is None:
             return _packed_once(self.real, values)
-        return _packed(self.real, values, stop)
+        packed = _packed(self.real, values, stop)
+        if radius is not None:
+            packed.radius = radius
+        return packed
 
     @property
     def threads(self) -> int:

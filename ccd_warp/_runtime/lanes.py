@@ -50,31 +50,34 @@ def queued_pairs_in(real: Any, norm: str) -> SimpleNamespace:
     return make_queued_pairs(real, norm)
 
 
-def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
+def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
     """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one.
 
-    On CUDA, where ``is_cuda`` is set, half a warp takes a query.
+    On CUDA, where ``is_cuda`` is set, half a warp takes a query. With ``is_thick`` pairs have distances of their own; a
+    search that lists candidates is the same without.
     """
     if is_cuda:
         from ccd_warp.kernels.half_warp_search import make_half_warp_search
+        from ccd_warp.kernels.search_types import LIST
 
-        return make_half_warp_search(end, with_lists).search_queries
+        return make_half_warp_search(end, with_lists, is_thick and end != LIST).search_queries
     from ccd_warp.kernels.pair_search import make_pair_search
     from ccd_warp.kernels.search_types import BOXES
 
-    return make_pair_search(end, with_lists, 1 if end == BOXES else lanes_of(device)).search_pairs
+    return make_pair_search(end, with_lists, 1 if end == BOXES else lanes_of(device), is_thick).search_pairs
 
 
-def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool) -> Any:
+def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
     """The kernel of a search of spatial hashes; the arguments are those of :func:`pair_search_on`."""
     if is_cuda:
         from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
+        from ccd_warp.kernels.search_types import LIST
 
-        return make_half_warp_grid_search(end, with_lists)
+        return make_half_warp_grid_search(end, with_lists, is_thick and end != LIST)
     from ccd_warp.kernels.grid_search import make_grid_search
     from ccd_warp.kernels.search_types import CULL
 
-    return make_grid_search(end, with_lists, lanes_of(device) if end == CULL else 1)
+    return make_grid_search(end, with_lists, lanes_of(device) if end == CULL else 1, is_thick)
 
 
 @cache
