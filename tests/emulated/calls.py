@@ -38,6 +38,24 @@ def on_the_host(case: StepCase, precision: str) -> Outputs:
     return found | outputs_of(pipeline.counts, "counts")
 
 
+def with_radii(case: StepCase, precision: str) -> Outputs:
+    """Calls on a mesh with radii, and launches between which these change, of the static body, too."""
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision}
+    found = outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
+    found |= outputs_of(ccd.collision_free_step(mesh, start, end, **options), "collision_free_step")
+    found |= outputs_of(ccd.find_candidates(mesh, start, end), "find_candidates")
+    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, **options)
+    t0, t1 = _on_device(start, "float64"), _on_device(end, "float64")
+    for share in (1.0, 0.25, 1.5):
+        pipeline.radius.assign(share * mesh.radius)
+        found |= outputs_of(pipeline.launch(t0, t1), f"launch with {share} of the radii")
+    # so few that candidates are searched for again, and culled where they are found; which of them find a place depends
+    # on the order of threads
+    pipeline.reserve(max_pairs=20)
+    return found | outputs_of({"num_pairs": pipeline.launch(t0, t1).num_pairs}, "launch with little capacity")
+
+
 def line_searches(case: StepCase, precision: str) -> Outputs:
     """The line search on the host, whose fractions are those of the scene, of worlds, bodies and vertices."""
     mesh, start, end = case.make()

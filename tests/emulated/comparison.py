@@ -10,7 +10,7 @@ from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from emulated import calls
 from emulated.device import Emulation, emulation
 from emulated.outputs import different
-from emulated.steps import STEPS
+from emulated.steps import STEPS, THICK
 
 PRECISIONS = ("float64", "float32")
 # Scenes for what takes longer, and for both precisions: with worlds, bodies and every kind of pair.
@@ -22,6 +22,7 @@ _PLAN = {
     "line_searches": _SOME,
     "launched_line_searches": (*_SOME, "little work"),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
+    "with_radii": tuple(THICK),
 }
 
 
@@ -82,7 +83,7 @@ class Comparison:
 
     def of_step(self, call: str, step: str, precision: str) -> list[str]:
         """What a call of `emulated.calls` does not return in the same bits."""
-        return self._of((call, step, precision), getattr(calls, call), STEPS[step], precision)
+        return self._of((call, step, precision), getattr(calls, call), (STEPS | THICK)[step], precision)
 
     def of_pairs(self, kind: str, dimension: int, options: str, precision: str) -> list[str]:
         """What a pair function does not return in the same bits."""

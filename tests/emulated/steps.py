@@ -45,6 +45,12 @@ def _every_kind(**arguments: Any) -> Made:
     return mesh, start, start + moves
 
 
+def _thick() -> Made:
+    """Every kind of pair, one body static, with radii that differ within primitives; some are 0."""
+    vertices = np.arange(3 * len(scenes.cables_and_particles(np.random.default_rng(22), 14, 0.1)[0]))
+    return _every_kind(static=[1], radius=0.03 * np.random.default_rng(28).random(len(vertices)) * (vertices % 3))
+
+
 def _in_plane(**arguments: Any) -> Made:
     rng = np.random.default_rng(23)
     k = np.arange(60)
@@ -157,3 +163,5 @@ STEPS = {
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
+# Meshes with radii, for which kernels of their own are compiled: by the calls that need each of these, and no others.
+THICK = {"radii": StepCase(_thick, {"minimum_distance": 0.004})}
