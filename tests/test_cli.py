@@ -344,6 +344,18 @@ def test_float32_is_no_later(scene):
     assert EXACT_TOI - 1e-4 <= toi <= EXACT_TOI  # some 2**-24 of the motion of six units, times a small constant
 
 
+def test_radii_of_bodies_add_to_the_distance_that_is_kept(scene, capfd):
+    arguments = ("--static", scene / "floor.ply", "--output", scene / "out.json")
+    found = []
+    for lengths in (("--minimum-distance", "0.375"), ("--radius", "0.125", "--radius", "floor.ply=0.25")):
+        assert _run(scene, *arguments, *lengths) == 0
+        found.append(json.loads((scene / "out.json").read_text()))
+    assert found[0]["toi"] == found[1]["toi"] < EXACT_TOI
+    assert [body["radius"] for body in found[1]["bodies"]] == [0.125, 0.25]
+    assert "radius" not in found[0]["bodies"][0]
+    assert "0.125 to 0.25" in capfd.readouterr().out
+
+
 def test_self_collision_can_be_left_out(tmp_path, capfd):
     # Two sheets of one mesh pass through each other.
     square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]])
@@ -376,6 +388,11 @@ def test_missing_file_is_refused(scene, capfd):
         (("--minimum-separation", "-1"), "minimum_separation"),
         (("--minimum-distance", "-1"), "minimum_distance"),
         (("--minimum-distance", "1", "--minimum-separation", "1"), "minimum_distance"),
+        (("--radius", "-1"), "radius holds -1.0"),
+        (("--radius", "start.ply=nan"), "radius holds nan"),
+        (("--radius", "thin"), "--radius thin: expected a number"),
+        (("--radius", "ghost=1"), "--radius ghost=1: no body has this name; expected one of start.ply"),
+        (("--radius", "1", "--minimum-separation", "1"), "minimum_separation is 1.0 and the mesh has a radius"),
         (("--t-max", "2"), "t_max"),
         (("--max-iterations", "0"), "max_iterations"),
         (("--length-scale", "-1"), "length_scale"),

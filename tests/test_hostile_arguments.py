@@ -58,6 +58,7 @@ BODIES = {
     "exclusion_rings": 1,
     "exclude_pairs": {"bodies": [(0, 1)]},
     "vertex_world": np.zeros(6, dtype=int),
+    "radius": np.full(6, 0.125),
     "names": ["face", "cable"],
 }
 PICTURE = viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8))
@@ -221,7 +222,7 @@ class _Anywhere:
 EVERY = [(call, argument) for call, (_, arguments) in _calls(_Anywhere()).items() for argument in arguments]
 
 REALS = {"tolerance", "minimum_separation", "minimum_distance", "start_gap_fraction", "t_max", "length_scale"}
-REALS |= {"inflation", "safety", "t"}
+REALS |= {"inflation", "safety", "t", "radius"}
 OPTIONAL = {
     *(
         "start_gap_fraction",
@@ -233,7 +234,7 @@ OPTIONAL = {
         "max_pairs",
         "camera",
     ),
-    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs"),
+    *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs", "radius"),
 }
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 PATHS = {"path", "folder", "start_path", "end_path"}
@@ -241,7 +242,7 @@ PATHS = {"path", "folder", "start_path", "end_path"}
 FLAGS = {"check_start", "self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
-    "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t"},
+    "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t", "radius"},
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
@@ -250,6 +251,8 @@ TAKEN = {
     "empty dict": {"static", "exclude_pairs"},
     "bool": FLAGS,
     "numpy bool": FLAGS,
+    "0-d float array": {"radius"},
+    "0-d int array": {"radius"},
     "0-d bool array": FLAGS - {"progress", "check_start"},
     "int beyond float64": {"memory_limit", "exclusion_rings", "max_work", "max_bytes"},
     "minus one": {"i"},
@@ -508,6 +511,7 @@ def test_mesh_stays_as_it_is_when_the_caller_changes_what_it_was_made_of():
         "codimensional_points": np.array([True, True]),
         "body_pairs": np.ones((2, 2), dtype=bool),
         "vertex_world": np.zeros(6, dtype=np.int32),
+        "radius": np.full(6, 0.125),
     }
     mesh = ccd.CollisionMesh.from_arrays(bodies, **others)
     before = copy.deepcopy(mesh)

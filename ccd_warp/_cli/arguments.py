@@ -72,6 +72,13 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="an obstacle that does not move; may be given several times",
     )
+    parser.add_argument(
+        "--radius",
+        metavar="[NAME=]R",
+        action="append",
+        default=[],
+        help="half the thickness of all bodies, or of one, in the unit of the files; may be given several times",
+    )
     parser.add_argument("--no-self-collision", action="store_true", help="leave out contacts of a body with itself")
     parser.add_argument(
         "--max-bytes",

@@ -16,14 +16,17 @@ from ccd_warp._mesh import CollisionMesh
 class FrameSequence:
     """The steps of a sequence: its bodies at both ends of each, and their mesh, which is kept while it is the same."""
 
-    def __init__(self, series: Sequence[Series], static: list[Body], *, self_collision: bool) -> None:
+    def __init__(
+        self, series: Sequence[Series], static: list[Body], *, self_collision: bool, radius: Sequence[str] = ()
+    ) -> None:
         self.series = series
         self.static = static
         self.self_collision = self_collision
+        self.radius = radius
         self.num_steps = len(series[0].labels) - 1
         self._read: dict[int, list[Mesh]] = {}
         self.first_bodies = self.bodies(0)
-        self.first_mesh = make_mesh(self.first_bodies, self_collision=self_collision)
+        self.first_mesh = self._make_mesh(self.first_bodies)
 
     def bodies(self, k: int) -> list[Body]:
         """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
@@ -41,7 +44,10 @@ class FrameSequence:
             len(a.vertices_t0) == len(b.vertices_t0) and np.array_equal(a.faces, b.faces)
             for a, b in zip(bodies, self.first_bodies, strict=False)
         )
-        return self.first_mesh if same else make_mesh(bodies, self_collision=self.self_collision)
+        return self.first_mesh if same else self._make_mesh(bodies)
+
+    def _make_mesh(self, bodies: list[Body]) -> CollisionMesh:
+        return make_mesh(bodies, self_collision=self.self_collision, radius=self.radius)
 
     def labels(self, k: int) -> tuple[str, str]:
         """Names of the frames at both ends of step ``k``, those of the first body, without control characters."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._display import shown_range
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 
@@ -44,16 +45,21 @@ class Lengths:
         lengths = (options.tolerance * scale, options.separation(scale))
         return cls(extents, largest_displacement, scale, *lengths, options.minimum_distance > 0)
 
-    def rows(self) -> list[tuple[str, str]]:
-        """What they are called, and their values."""
+    def rows(self, radius: NDArray[np.float64] | None = None) -> list[tuple[str, str]]:
+        """What they are called, and their values; with radii of vertices how large these are."""
         x, y, z = self.extents.tolist()
-        return [
+        is_distance = self.is_distance or radius is not None
+        rows = [
             ("extents at the start", f"{x:.6g} x {y:.6g} x {z:.6g}"),
             ("largest displacement", f"{self.largest_displacement:.6g}"),
             ("length scale", f"{self.length_scale:.6g}"),
             ("tolerance", f"{self.tolerance:.6g}"),
-            ("minimum distance" if self.is_distance else "minimum separation", f"{self.minimum_separation:.6g}"),
+            ("minimum distance" if is_distance else "minimum separation", f"{self.minimum_separation:.6g}"),
         ]
+        if radius is not None:
+            _, _, values = shown_range("radius", radius).partition(" ")
+            rows.append(("radius", values))
+        return rows
 
 
 def largest_displacement(vertices_t0: NDArray[np.float64], vertices_t1: NDArray[np.float64]) -> float:

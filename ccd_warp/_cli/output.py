@@ -13,6 +13,7 @@ from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.frames import InputError
 from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._version import __version__
@@ -141,6 +142,8 @@ def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
         "contact_gap": contacts.gap,
         "contact_width": contacts.width,
     }
+    if mesh.radius is not None:
+        arrays["radius"] = mesh.radius
     with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
         np.savez_compressed(file, **arrays)
 
@@ -187,6 +190,7 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
                 "first_vertex": int(mesh.body_vertex_range[k]),
                 "vertices": len(body.vertices_t0),
                 "faces": len(body.faces),
+                **_radius_of(mesh, k),
                 "toi": finite_or_none(result.body_toi[k]),
             }
             for k, (name, body) in enumerate(zip(mesh.names, step.bodies, strict=True))
@@ -201,6 +205,12 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
         "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in contact_rows(table)],
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _radius_of(mesh: CollisionMesh, body: int) -> dict[str, float]:
+    """The radius of a body, where radii are given: the command line gives one to each."""
+    begin, end = mesh.body_vertex_range[body : body + 2]
+    return {} if mesh.radius is None else {"radius": float(mesh.radius[begin:end].max(initial=0.0))}
 
 
 def _write_csv(path: Path, step: SolvedStep, table: ContactTable) -> list[Path]:

@@ -59,7 +59,7 @@ def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is
     """
     lines = [format_title(title, step.options), "", *_bodies(step), "", *_outcome(step), ""]
     lengths = Lengths.of(step.vertices_t0, largest_displacement(step.vertices_t0, step.vertices_t1), step.options)
-    lines += format_table(("in the unit of the files", ""), lengths.rows(), align="<<")
+    lines += format_table(("in the unit of the files", ""), lengths.rows(step.mesh.radius), align="<<")
     lines.append("")
     if is_verbose:
         rows = [(name, f"{count:,}") for name, count in count_rows(step.result.counts)]

@@ -34,9 +34,11 @@ def run_step(arguments: argparse.Namespace) -> int:
     timings = {"read files": time.perf_counter() - begin}
 
     options = given_options(arguments)
-    timings["load kernels"] = load_kernels(options, is_quiet=arguments.quiet)
+    timings["load kernels"] = load_kernels(options, is_quiet=arguments.quiet, has_radius=bool(arguments.radius))
     self_collision = not arguments.no_self_collision
-    step = solve_scene(bodies, options, self_collision=self_collision, is_quiet=arguments.quiet)
+    step = solve_scene(
+        bodies, options, self_collision=self_collision, is_quiet=arguments.quiet, radius=arguments.radius
+    )
     timings.update(step.timings)
     if not arguments.quiet:
         for line in motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max):

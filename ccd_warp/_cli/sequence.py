@@ -47,7 +47,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     if folder is not None:
         make_folder(folder, "--output")
         journal = _journal(folder, arguments, sequence, options)
-    load_kernels(given, is_quiet=arguments.quiet)
+    load_kernels(given, is_quiet=arguments.quiet, has_radius=bool(arguments.radius))
 
     report = sys.stderr if folder is None else sys.stdout
     records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
@@ -97,7 +97,7 @@ def _open(arguments: argparse.Namespace) -> FrameSequence:
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
     series = find_series(arguments.frames, max_bytes=limit, displacement=arguments.displacement, faces=arguments.faces)
     static = [body for path in arguments.static for body in read_static(path, max_bytes=limit).split()]
-    return FrameSequence(series, static, self_collision=not arguments.no_self_collision)
+    return FrameSequence(series, static, self_collision=not arguments.no_self_collision, radius=arguments.radius)
 
 
 def _solve_step(sequence: FrameSequence, k: int, options: Options, line: ItemsLine, *, is_quiet: bool) -> SolvedStep:
@@ -111,6 +111,7 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
     settings: dict[str, Any] = {
         "options": plain_options(options),
         "self_collision": sequence.self_collision,
+        **({"radius": list(sequence.radius)} if sequence.radius else {}),
         "displacement": arguments.displacement,
         "columns": COLUMNS,
         "labels": [each.labels for each in sequence.series],

@@ -59,7 +59,7 @@ def format_sequence(sequence: FrameSequence, records: Sequence[StepRecord], opti
     lines += [*scope_lines(mesh, options), ""]
     displacement = max(record.displacement for record in records)
     lengths = Lengths.of(mesh.vertices, displacement, options)
-    return "\n".join([*lines, *format_table(("in the unit of the files", ""), lengths.rows(), align="<<")])
+    return "\n".join([*lines, *format_table(("in the unit of the files", ""), lengths.rows(mesh.radius), align="<<")])
 
 
 def _first(record: StepRecord) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.process import notice, warnings_on_stderr
 from ccd_warp._cli.progress import ProgressLine
+from ccd_warp._cli.radii import radii_of
 from ccd_warp._cli.scope import check_kinds
 from ccd_warp._files.frames import Body, make_body
 from ccd_warp._input.names import distinct_names
@@ -45,13 +46,15 @@ class SolvedStep:
     timings: dict[str, float]
 
 
-def make_mesh(bodies: Sequence[Body], *, self_collision: bool) -> CollisionMesh:
-    """The bodies as one mesh."""
+def make_mesh(bodies: Sequence[Body], *, self_collision: bool, radius: Sequence[str] = ()) -> CollisionMesh:
+    """The bodies as one mesh, with the radii of the command line."""
+    names = distinct_names([body.name for body in bodies])
     return CollisionMesh.from_arrays(
         [(body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
-        names=distinct_names([body.name for body in bodies]),
+        names=names,
+        radius=radii_of(radius, names),
     )
 
 
@@ -93,10 +96,17 @@ def solve(
     return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, timings)
 
 
-def solve_scene(bodies: Sequence[Body], given: dict[str, Any], *, self_collision: bool, is_quiet: bool) -> SolvedStep:
+def solve_scene(
+    bodies: Sequence[Body],
+    given: dict[str, Any],
+    *,
+    self_collision: bool,
+    is_quiet: bool,
+    radius: Sequence[str] = (),
+) -> SolvedStep:
     """Make the mesh of one step and run ``mesh_ccd``."""
     begin = time.perf_counter()
-    mesh = make_mesh(bodies, self_collision=self_collision)
+    mesh = make_mesh(bodies, self_collision=self_collision, radius=radius)
     build_seconds = time.perf_counter() - begin
     options, line = make_options(given, mesh), ProgressLine(is_quiet)
     try:
@@ -106,7 +116,7 @@ def solve_scene(bodies: Sequence[Body], given: dict[str, Any], *, self_collision
     return replace(step, timings={"build mesh": build_seconds, **step.timings})
 
 
-def load_kernels(given: dict[str, Any], *, is_quiet: bool) -> float:
+def load_kernels(given: dict[str, Any], *, is_quiet: bool, has_radius: bool = False) -> float:
     """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
     begin = time.perf_counter()
     triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -118,5 +128,6 @@ def load_kernels(given: dict[str, Any], *, is_quiet: bool) -> float:
     ]
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
     with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
-        solve_scene(bodies, chosen, self_collision=False, is_quiet=True)
+        radius = ["0.1"] if has_radius else []
+        solve_scene(bodies, chosen, self_collision=False, is_quiet=True, radius=radius)
     return time.perf_counter() - begin
