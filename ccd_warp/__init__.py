@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
+from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.option_types import (
     CandidateOptions,
     IntersectionOptions,
@@ -54,6 +55,7 @@ __all__ = [
     "Counts",
     "DeviceContacts",
     "Frames",
+    "HalfSpace",
     "HostLaunchResult",
     "IntersectionKind",
     "IntersectionOptions",
@@ -67,6 +69,7 @@ __all__ = [
     "PairKind",
     "PairOptions",
     "PairResult",
+    "Planes",
     "__version__",
     "collision_free_step",
     "datasets",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.contact_corners import contact_corners, contact_vertices
+from ccd_warp._engine.planes import unit_normals
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 
@@ -119,9 +120,11 @@ def points_at_toi(
             if chosen[-1] - chosen[0] == len(chosen) - 1:
                 chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
             corners = contact_corners(mesh, kind, contacts.primitives[chosen])
-            points[chosen] = _midpoints(
-                kind, corners, start, end, contacts.toi[chosen, None], contacts.parameters[chosen]
-            )
+            toi, parameters = contacts.toi[chosen, None], contacts.parameters[chosen]
+            if kind == PairKind.VERTEX_PLANE:
+                points[chosen] = _at_planes(mesh, contacts.primitives[chosen], start, end, toi)
+            else:
+                points[chosen] = _midpoints(kind, corners, start, end, toi, parameters)
     return points
 
 
@@ -149,3 +152,24 @@ def _midpoints(
         for side_weights, side in zip(weights, corners, strict=True)
     ]
     return 0.5 * sides[0] + 0.5 * sides[1]
+
+
+def _at_planes(
+    mesh: CollisionMesh,
+    primitives: NDArray[np.int32],
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    t: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Midpoints of vertices and the points of their planes that are closest to them."""
+    vertices, number = primitives.T
+    x = (1.0 - t) * start.take(vertices, axis=0) + t * end.take(vertices, axis=0)
+    columns = x.shape[1]
+    # of a mesh in the plane the positions of a picture have three coordinates
+    point, unit = (mesh._in_space(a)[:, :columns] for a in (mesh.planes.points, unit_normals(mesh.planes.normals)))
+    half, normal = 0.5 * x - 0.5 * point[number], unit[number]
+    depth = half[:, 0] * normal[:, 0] + half[:, 1] * normal[:, 1]
+    if columns == 3:
+        depth += half[:, 2] * normal[:, 2]
+    midpoints: NDArray[np.float64] = x - depth[:, None] * normal
+    return midpoints

@@ -16,6 +16,7 @@ _CORNERS = {
     PairKind.EDGE_EDGE: (0, 1, 2, 3),
     PairKind.POINT_SEGMENT: (0, 2, 3),
     PairKind.POINT_POINT: (0, 2),
+    PairKind.VERTEX_PLANE: (0,),
 }
 
 
@@ -43,14 +44,15 @@ class Contacts(Placed):
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
         primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge (in the plane of any vertex and edge), or of the vertices of two codimensional
-            points, int32, shape [m, 2].
+            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
+            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
-        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
+        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, 0 of a vertex and a plane, float64, shape [m, 2].
         normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
             comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
             sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
-            or points along the gap where that velocity is zero. Of a mesh in the plane, shape [m, 2].
+            or points along the gap where that velocity is zero. Of a vertex and a plane it is the normal of the plane.
+            Of a mesh in the plane, shape [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
             minimum distance the gap beyond it, Euclidean.
@@ -119,8 +121,8 @@ class Contacts(Placed):
         """Position of each contact at its toi, a length, float64, shape [m, 3], or [m, 2] in the plane.
 
         It is halfway between the closest points. These have the parameters (u, v), and are v and
-        f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); or p and q.
-        Their distance is the gap.
+        f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); p and q; or v
+        and the point of the plane below it. Their distance is the gap.
         """
         points: NDArray[np.float64] | None = self._known().points_of(self)
         if points is None:
@@ -134,8 +136,8 @@ class Contacts(Placed):
     def vertices(self) -> NDArray[np.int32]:
         """Vertices of each contact, int32, shape [m, 4].
 
-        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q. Columns repeat the vertex of a point so
-        that there are always four.
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or of a vertex and a plane v, v, v, v.
+        Columns repeat the vertex of a point so that there are always four.
         """
         vertices: NDArray[np.int32] = self._known().vertices_of(self)
         return vertices
@@ -143,7 +145,10 @@ class Contacts(Placed):
     @property
     def bodies(self) -> NDArray[np.int32]:
         """Bodies of the first and the second primitive of each contact, int32, shape [m, 2]."""
-        bodies: NDArray[np.int32] = self._known().mesh.vertex_body[self.vertices[:, [0, 3]]]
+        mesh = self._known().mesh
+        bodies: NDArray[np.int32] = mesh.vertex_body[self.vertices[:, [0, 3]]]
+        is_plane = self.kind == int(PairKind.VERTEX_PLANE)
+        bodies[is_plane, 1] = mesh.planes.bodies[self.primitives[is_plane, 1]]
         return bodies
 
     @property
@@ -239,15 +244,15 @@ class Contact:
 
     @property
     def vertices(self) -> tuple[int, ...]:
-        """Vertices of the first primitive and then of the second, 2 to 4 in all."""
+        """Vertices of the first primitive and then of the second, 1 to 4 in all, as a plane has none."""
         row = self._row.vertices[0].tolist()
         return tuple(row[k] for k in _CORNERS[self.kind])
 
     @property
     def bodies(self) -> tuple[int, int]:
         """Bodies of the first and the second primitive."""
-        mesh, row = self._row._known().mesh, self._row.vertices[0]
-        return int(mesh.vertex_body[row[0]]), int(mesh.vertex_body[row[3]])
+        first, second = self._row.bodies[0].tolist()
+        return first, second
 
     @property
     def body_names(self) -> tuple[str, str]:

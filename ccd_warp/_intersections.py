@@ -19,6 +19,7 @@ PRIMITIVES_OF = {
     IntersectionKind.POINT_SEGMENT: ("vertex", "edge"),
     IntersectionKind.POINT_POINT: ("vertex", "vertex"),
     IntersectionKind.EDGE_FACE: ("edge", "face"),
+    IntersectionKind.VERTEX_PLANE: ("vertex", "plane"),
 }
 _FIELDS = ("kind", "primitives", "parameters", "edge_parameter", "points", "vertices", "bodies", "world")
 
@@ -33,15 +34,17 @@ class Intersections:
     Attributes:
         kind: :class:`ccd_warp.IntersectionKind` of each pair, int32, shape [m].
         primitives: Indices of a vertex and a face; of two edges, the lower first; of the vertex and the edge of a point
-            on a segment; of two points, the lower first; or of an edge and a face; int32, shape [m, 2].
+            on a segment; of two points, the lower first; of an edge and a face; or of a vertex and a plane of
+            ``mesh.planes``; int32, shape [m, 2].
         parameters: (u, v) of the common point as in :class:`ccd_warp.PairResult`, and of an edge through a face the
             place f0 + u (f1 − f0) + v (f2 − f0) in the face, within 1e-7 of the exact ones, float64, shape [m, 2].
             Where two edges overlap in a segment, those of its middle.
         edge_parameter: Of an edge through a face the place e0 + s (e1 − e0) on the edge, 0 for all other kinds,
             float64, shape [m].
-        points: The common points, a length, float64, shape [m, 3], or [m, 2] in the plane.
+        points: The common points, a length, float64, shape [m, 3], or [m, 2] in the plane. Of a vertex in a half-space
+            that of the vertex.
         vertices: Vertices of each pair, two columns for the first primitive and three for the second, which repeat the
-            last vertex of a primitive that has less, int32, shape [m, 5].
+            last vertex of a primitive that has less, and for a plane the vertex that meets it, int32, shape [m, 5].
         bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
         world: World of each pair, int32, shape [m].
         mesh: The mesh.
@@ -135,6 +138,8 @@ def located(
     is_edge = np.isin(kind, (int(IntersectionKind.EDGE_FACE), int(IntersectionKind.EDGE_EDGE)))[:, None]
     points = np.where(is_edge, (1.0 - along) * first + along * second, first)
     bodies, world = mesh.vertex_body[vertices[:, [0, 4]]], mesh.vertex_world[vertices[:, 0]]
+    is_plane = kind == int(IntersectionKind.VERTEX_PLANE)
+    bodies[is_plane, 1] = mesh.planes.bodies[primitives[is_plane, 1]]
     return Intersections(
         kind, primitives, parameters[:, :2].copy(), parameters[:, 2].copy(), points, vertices, bodies, world, mesh
     )
@@ -150,4 +155,6 @@ def _vertices_of(mesh: CollisionMesh, kind: NDArray[np.int32], primitives: NDArr
             ids = primitives[of_table, side]
             rows = ids[:, None] if table is None else table[ids]
             vertices[of_table, columns] = rows[:, np.minimum(np.arange(width), rows.shape[1] - 1)]
+    is_plane = kind == int(IntersectionKind.VERTEX_PLANE)
+    vertices[is_plane, 2:] = primitives[is_plane, :1]
     return vertices

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted, html_table, listed, shown_range
+from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
+from ccd_warp._input.half_spaces import planes_of
 from ccd_warp._input.mesh_checks import (
     as_positions,
     common_dimension,
@@ -33,6 +35,9 @@ from ccd_warp._input.trimesh_bodies import trimesh_bodies
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 
+# Vertices of a mesh with half-spaces: a bit of their index tells contacts with these from others (`contact_key`).
+_MOST_WITH_PLANES = 1 << 30
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CollisionMesh:
@@ -50,6 +55,9 @@ class CollisionMesh:
     A mesh **in the plane** has positions with two coordinates and no faces. Every vertex is tested against every edge,
     and codimensional points against each other. Wherever positions are taken or given, by NumPy or on a device, they
     have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
+
+    A body may also be a **half-space** (:class:`ccd_warp.HalfSpace`), such as the ground: static, without vertices, and
+    met by the vertices of all bodies that move.
 
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.
@@ -80,6 +88,8 @@ class CollisionMesh:
             has the largest of its vertices', and a pair counts as touching once its Euclidean distance is
             ``minimum_distance`` plus the radii of its primitives. In the unit of the positions, float64, shape [V];
             None if none was given.
+        planes: The planes of half-spaces in the order of their bodies: ``planes.points`` and ``planes.normals`` as
+            given, float64, shape [H, 3], or [H, 2] in the plane; ``planes.bodies``, int32, shape [H].
 
     A mesh can be copied and pickled at any time. What earlier calls have left on a device stays behind.
     """
@@ -102,6 +112,7 @@ class CollisionMesh:
     names: tuple[str, ...]
     exclude_pairs: Mapping[str, NDArray[np.int32]]
     radius: NDArray[np.float64] | None
+    planes: Planes
     # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
@@ -138,6 +149,7 @@ class CollisionMesh:
     def __repr__(self) -> str:
         parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
         parts += [f"{count} {name}" for name, count in self._sizes() if count]
+        parts += [counted(len(self.planes), "half-space", "half-spaces")] if len(self.planes) else []
         parts += ["in the plane"] if self.dimension == 2 else []
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
         parts += [f"{sum(map(len, self.exclude_pairs.values()))} excluded pairs"] if self.exclude_pairs else []
@@ -182,8 +194,9 @@ class CollisionMesh:
         Args:
             bodies: One object, or a list with one object for each body: a mesh (``trimesh.Trimesh``); a path of
                 straight lines (``trimesh.path.Path3D``), whose segments become codimensional edges; points
-                (``trimesh.PointCloud``), which become codimensional points; or a scene (``trimesh.Scene``), which is
-                one body for each node that has a geometry, placed by the node's transformation and called by its name.
+                (``trimesh.PointCloud``), which become codimensional points; a scene (``trimesh.Scene``), which is
+                one body for each node that has a geometry, placed by the node's transformation and called by its name;
+                or a :class:`ccd_warp.HalfSpace`.
             static: Indices or names of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
@@ -233,7 +246,7 @@ class CollisionMesh:
     @classmethod
     def from_arrays(
         cls,
-        bodies: Sequence[tuple[ArrayLike, ...]],
+        bodies: Sequence[tuple[ArrayLike, ...] | HalfSpace],
         static: Iterable[int | str] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
@@ -251,7 +264,8 @@ class CollisionMesh:
             bodies: One tuple for each body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape
                 [V_b, 3]; faces, integer indices into these vertices, shape [F_b, 3]; codimensional edges, also indices
                 into these vertices, shape [E_b, 2]. Or (vertices, edges) for each body of a mesh in the plane, with
-                vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points.
+                vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points. In place of
+                a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices.
             static: Indices or names of the bodies that do not move.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
@@ -288,14 +302,23 @@ class CollisionMesh:
         names = validated_names(names, len(bodies))
         all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
         with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
+        half_spaces = [(b, body_label(b, names), body) for b, body in enumerate(bodies) if isinstance(body, HalfSpace)]
+        if len(half_spaces) == len(bodies):
+            raise ValueError("bodies holds half-spaces alone; expected at least one body with vertices")
         for b, body in enumerate(bodies):
+            if isinstance(body, HalfSpace):
+                continue
             if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
                 raise ValueError(
                     f"{body_label(b, names)} is a {type(body).__name__}; "
                     f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
                 )
-        dimension = common_dimension(bodies, names)
+        vertices_of = {b: body[0] for b, body in enumerate(bodies) if not isinstance(body, HalfSpace)}
+        dimension = common_dimension(vertices_of, names)
         for b, body in enumerate(bodies):
+            if isinstance(body, HalfSpace):
+                offsets.append(offsets[-1])
+                continue
             label = body_label(b, names)
             vertices = validated_positions(body[0], f"vertices of {label}", dimension)
             faces, edges = (body[1], body[2:]) if dimension == 3 else ((), body[1:])
@@ -314,13 +337,19 @@ class CollisionMesh:
                 f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} codimensional edges; "
                 f"expected counts whose edges int32 can index"
             )
+        if half_spaces and offsets[-1] > _MOST_WITH_PLANES:
+            raise ValueError(
+                f"bodies hold {offsets[-1]} vertices; expected at most {_MOST_WITH_PLANES} with half-spaces"
+            )
         faces = np.concatenate(all_faces).astype(np.int32)
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)
+        static_bodies = validated_static(static, names)
+        static_bodies[[b for b, _, _ in half_spaces]] = True
         mesh = cls(
             vertices=np.concatenate(all_vertices),
             faces=faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
-            static=validated_static(static, names),
+            static=static_bodies,
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=edges,
             with_codimensional_points=with_points,
@@ -335,6 +364,7 @@ class CollisionMesh:
             names=names,
             exclude_pairs=ExcludedPairs(),
             radius=validated_radius(radius, offsets, lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names)),
+            planes=planes_of(half_spaces, dimension),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
 
@@ -345,11 +375,11 @@ class CollisionMesh:
             exclude_pairs: The pairs by what is paired, each an integer array of shape [k, 2]. ``"bodies"``: indices or
                 names; all pairs of their primitives are excluded, and a pair of a body with itself is the same as
                 ``self_collision=False`` for it. ``"vertices"``: all pairs of primitives with one of the vertices on
-                either side. ``"vertex_face"``, ``"edge_edge"``, ``"point_segment"``, ``"point_point"``: the pair of
-                primitives alone, with the indices of ``contacts.primitives`` and of :class:`ccd_warp.Candidates`, which
-                are those of ``vertices``, ``edges`` and ``faces``. Where both are of one kind, their order means
-                nothing. Pairs that are not tested anyway may be among them, and so may duplicates. The first call on
-                such a mesh compiles a search of its own.
+                either side. ``"vertex_face"``, ``"edge_edge"``, ``"point_segment"``, ``"point_point"``,
+                ``"vertex_plane"``: the pair of primitives alone, with the indices of ``contacts.primitives`` and of
+                :class:`ccd_warp.Candidates`, which are those of ``vertices``, ``edges``, ``faces`` and ``planes``.
+                Where both are of one kind, their order means nothing. Pairs that are not tested anyway may be among
+                them, and so may duplicates. The first call on such a mesh compiles a search of its own.
 
         Returns:
             A mesh with the same bodies and primitives, which excludes these pairs besides those of this mesh.
@@ -378,7 +408,8 @@ class CollisionMesh:
         Returns:
             A mesh with ``count`` times as many bodies, vertices and worlds, copy after copy. The bodies of copy w are
             called ``name[w]``. Wherever positions are taken, those of all copies may be given as one array of shape
-            [count, V, 3], with the vertices of this mesh in each copy.
+            [count, V, 3], with the vertices of this mesh in each copy. Half-spaces are not copied: each stays one body,
+            after those of all copies, with its own name, and all worlds share it.
 
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
@@ -523,7 +554,7 @@ class CollisionMesh:
         """
         start = self.frame(vertices_t0, "vertices_t0")
         by_world = self.rows_by_world
-        if not self.static.any():
+        if len(self.moving_vertices) == self.num_vertices:
             reason = "like vertices_t0"
             return start, validated_positions(
                 vertices_t1, "vertices_t1", self.dimension, self.num_vertices, reason, by_world, self._where

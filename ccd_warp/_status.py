@@ -12,10 +12,11 @@ class PairKind(IntEnum):
     EDGE_EDGE = int(pair_kind.EDGE_EDGE)
     POINT_SEGMENT = int(pair_kind.POINT_SEGMENT)
     POINT_POINT = int(pair_kind.POINT_POINT)
+    VERTEX_PLANE = int(pair_kind.VERTEX_PLANE)
 
 
 class IntersectionKind(IntEnum):
-    """Kind of a pair of primitives that intersect at one time; the first four are those of :class:`PairKind`."""
+    """Kind of a pair of primitives that intersect at one time; the first four have the numbers of :class:`PairKind`."""
 
     VERTEX_FACE = int(pair_kind.VERTEX_FACE)
     """A vertex is in a face, or on its boundary."""
@@ -31,6 +32,9 @@ class IntersectionKind(IntEnum):
 
     EDGE_FACE = 4
     """The inside of an edge passes through the inside of a face, from one side to the other."""
+
+    VERTEX_PLANE = 5
+    """A vertex is in a half-space, or on its plane."""
 
 
 class CCDStatus(IntEnum):

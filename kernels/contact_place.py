@@ -11,7 +11,7 @@ import warp as wp
 from .contacts import ContactList, contact_key, position
 from .in_space import make_in_space
 from .once import once
-from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -26,7 +26,7 @@ _ONE = wp.constant(wp.float64(1.0))
 def vertices_of(
     contacts: ContactList, n: int, edge_corners: wp.array[wp.vec3i], face_corners: wp.array[wp.vec3i]
 ) -> wp.vec4i:
-    """Vertices of a contact: v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q."""
+    """Vertices of a contact: v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or v alone, with a plane."""
     kind = contacts.kind[n]
     pair = contacts.primitives[n]
     if kind == EDGE_EDGE:
@@ -38,6 +38,8 @@ def vertices_of(
         return wp.vec4i(pair[0], f[0], f[1], f[2])
     if kind == POINT_POINT:
         return wp.vec4i(pair[0], pair[0], pair[1], pair[1])
+    if kind == VERTEX_PLANE:
+        return wp.vec4i(pair[0], pair[0], pair[0], pair[0])
     s = edge_corners[pair[1]]
     return wp.vec4i(pair[0], pair[0], s[0], s[1])
 
@@ -66,6 +68,7 @@ def fill_bodies(
     edge_corners: wp.array[wp.vec3i],
     face_corners: wp.array[wp.vec3i],
     vertex_body: wp.array[wp.int32],
+    plane_body: wp.array[wp.int32],
     # out
     bodies: wp.array[wp.vec2i],
 ):
@@ -73,7 +76,10 @@ def fill_bodies(
     n = begin + wp.tid()
     if n < contacts.count[0]:
         v = vertices_of(contacts, n, edge_corners, face_corners)
-        bodies[n] = wp.vec2i(vertex_body[v[0]], vertex_body[v[3]])
+        second = vertex_body[v[3]]
+        if contacts.kind[n] == VERTEX_PLANE:
+            second = plane_body[contacts.primitives[n][1]]
+        bodies[n] = wp.vec2i(vertex_body[v[0]], second)
 
 
 @wp.kernel
@@ -152,6 +158,8 @@ def make_contact_points(real, dimension: int) -> SimpleNamespace:
         vertices_t1: wp.array[vec],
         moving_row: wp.array[wp.int32],  # the place of each vertex among the moving ones; -1: it is static
         t1_by_vertex: int,  # 0: the rows are the moving vertices only
+        plane_point: wp.array[wp.vec3d],
+        plane_unit: wp.array[wp.vec3d],  # their unit normals
         # out
         points: wp.array[wp.vec3d],
     ):
@@ -168,7 +176,7 @@ def make_contact_points(real, dimension: int) -> SimpleNamespace:
             num_first = 1
         elif kind == EDGE_EDGE:
             weights = wp.vec4d(_ONE - uv[0], uv[0], _ONE - uv[1], uv[1])
-        elif kind != POINT_POINT:
+        elif kind != POINT_POINT and kind != VERTEX_PLANE:
             weights = wp.vec4d(_ONE, _ZERO, _ONE - uv[0], uv[0])
         v = vertices_of(contacts, n, edge_corners, face_corners)
         first = wp.vec3d()
@@ -185,5 +193,10 @@ def make_contact_points(real, dimension: int) -> SimpleNamespace:
             else:
                 second += p
         points[n] = _HALF * first + _HALF * second
+        if kind == VERTEX_PLANE:
+            k = contacts.primitives[n][1]
+            h = _HALF * first - _HALF * plane_point[k]
+            unit = plane_unit[k]
+            points[n] = first - (h[0] * unit[0] + h[1] * unit[1] + h[2] * unit[2]) * unit
 
     return SimpleNamespace(fill_points=fill_points)

@@ -4,7 +4,7 @@ import warp as wp
 
 from .atomics import atomic_min_int32
 from .minima import Minima
-from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -13,6 +13,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
 # In place of the index of a first contact: none.
 NO_CONTACT = wp.constant(2**31 - 1)
+_PLANE_BIT = wp.constant(wp.int64(1 << 30))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 
@@ -138,10 +139,18 @@ def normal_at(
 
 @wp.func
 def contact_key(contacts: ContactList, n: int) -> wp.int64:
-    """A key that orders contacts by kind, then by pair: two bits, and 31 for each index."""
+    """A key that orders contacts by kind, then by pair: two bits, and 31 for each index.
+
+    A vertex and a plane come after all pairs of points, as their kind with a larger first index: a mesh with planes has
+    at most 2^30 vertices.
+    """
     pair = contacts.primitives[n]
+    first = wp.int64(pair[0])
     kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
-    return (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
+    if contacts.kind[n] == VERTEX_PLANE:
+        first = first | _PLANE_BIT
+        kind = wp.int64(POINT_POINT - 2)
+    return (kind << wp.int64(62)) | (first << wp.int64(31)) | wp.int64(pair[1])
 
 
 @wp.kernel
@@ -240,6 +249,8 @@ def first_contacts(
         second = face_corners[pair[1]]
     elif kind == POINT_POINT:
         second = vertex_corners[pair[1]]
+    elif kind == VERTEX_PLANE:
+        second = first  # a plane has no vertices; for its body see `first_plane_contacts`
     else:
         second = edge_corners[pair[1]]
     first_of_primitive(first, minima, bits, n, vertex_contact, body_contact)

@@ -1,6 +1,7 @@
 """What the answers on meshes are compared with: all pairs, without a tree, and exact arithmetic."""
 
 import itertools
+from fractions import Fraction
 
 import numpy as np
 from ccd_warp.benchmarks.oracle import exact_tois
@@ -54,8 +55,26 @@ def brute_force(mesh, start, end, inflation=0.0):
                 (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
             ]
         found.append(pairs)
+    found.append(near_planes(mesh, (start, end), inflation))
     is_allowed = listing(mesh)
     return [[pair for pair in pairs if is_allowed(kind, pair)] for kind, pairs in enumerate(found)]
+
+
+def plane_value(mesh, plane, x):
+    """(x - point)·normal of a plane of a mesh, exactly."""
+    sides = (np.asarray(a).tolist() for a in (x, mesh.planes.points[plane], mesh.planes.normals[plane]))
+    return sum((Fraction(a) - Fraction(p)) * Fraction(n) for a, p, n in zip(*sides, strict=True))
+
+
+def near_planes(mesh, frames, inflation):
+    """Moving vertices whose boxes overlap half-spaces in a step, both enlarged, with the planes."""
+    found = []
+    for vertex in mesh.moving_vertices.tolist():
+        for plane, normal in enumerate(mesh.planes.normals.tolist()):
+            reach = 2 * Fraction(inflation) * sum(abs(Fraction(n)) for n in normal)
+            if any(plane_value(mesh, plane, x[vertex]) <= reach for x in frames):
+                found.append((vertex, plane))
+    return found
 
 
 def listing(mesh):
@@ -67,6 +86,10 @@ def listing(mesh):
     body, world = mesh.vertex_body.tolist(), mesh.vertex_world.tolist()
 
     def is_allowed(kind, pair):
+        if kind == ccd.PairKind.VERTEX_PLANE:
+            bodies_of = body[pair[0]], int(mesh.planes.bodies[pair[1]])
+            may_meet = mesh.body_pairs is None or mesh.body_pairs[bodies_of]
+            return may_meet and tuple(sorted(bodies_of)) not in bodies and pair not in of_kind[kind]
         a, b = (tables[name][i] for name, i in zip(("vf", "ee", "ve", "vv")[kind], pair, strict=True))
         return (
             world[a[0]] == world[b[0]]
@@ -93,8 +116,7 @@ def check_candidates(mesh, start, end, inflation=0.0, device=None, num_threads=1
     """Assert equality with brute force, order included; returns the number of pairs."""
     found = ccd.find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads).sorted()
     all_expected = brute_force(mesh, start, end, inflation)
-    kinds = (found.vertex_face, found.edge_edge, found.point_segment, found.point_point)
-    for pairs, expected in zip(kinds, all_expected, strict=True):
+    for pairs, expected in zip(vars(found).values(), all_expected, strict=True):
         assert pairs.dtype == np.int32 and pairs.ndim == 2 and pairs.shape[1] == 2
         assert [tuple(pair) for pair in pairs.tolist()] == expected
     return sum(map(len, all_expected))

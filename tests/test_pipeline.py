@@ -424,7 +424,7 @@ def test_sheet_cables_and_particles_match_brute_force(seed, precision):
         ccd.PairKind.POINT_POINT: [(p, q) for p in points for q in points if p < q],
     }
     vertex_toi = np.full(mesh.num_vertices, np.inf)
-    for kind in ccd.PairKind:
+    for kind in set(ccd.PairKind) - {ccd.PairKind.VERTEX_PLANE}:
         vertices = corners_of(mesh, kind, result.contacts.primitives[result.contacts.kind == kind])
         name = kind.name.lower().replace("_", "-")
         tois = contacts.toi[contacts.kind == kind]

@@ -63,12 +63,14 @@ class ContactTable:
             "vertex": mesh.body_vertex_range[:-1],
             "edge": np.searchsorted(mesh.edge_body, bodies),
             "face": np.searchsorted(mesh.face_body, bodies),
+            "plane": np.cumsum(np.isin(bodies, mesh.planes.bodies)) - 1,
         }
         sides = {
             PairKind.VERTEX_FACE: ("vertex", "face"),
             PairKind.EDGE_EDGE: ("edge", "edge"),
             PairKind.POINT_SEGMENT: ("vertex", "edge"),
             PairKind.POINT_POINT: ("vertex", "vertex"),
+            PairKind.VERTEX_PLANE: ("vertex", "plane"),
         }
         numbers = self.contacts.primitives.astype(np.int64)
         for kind, names in sides.items():
@@ -88,6 +90,8 @@ class ContactTable:
                 return f"edge {v[0]}-{v[1]} of {a} and edge {v[2]}-{v[3]} of {b}"
             case PairKind.POINT_SEGMENT:
                 return f"point {v[0]} of {a} and edge {v[2]}-{v[3]} of {b}"
+            case PairKind.VERTEX_PLANE:
+                return f"vertex {v[0]} of {a} and {b}"
             case _:
                 return f"point {v[0]} of {a} and point {v[2]} of {b}"
 

@@ -40,12 +40,14 @@ class Candidates:
         point_segment: Vertex indices of codimensional points and edge indices of codimensional edges, int32, shape
             [n, 2]; empty where the mesh has none. Of a mesh in the plane, indices of any vertices and edges.
         point_point: Vertex indices of codimensional points, first < second, int32, shape [l, 2]; likewise.
+        vertex_plane: Indices of vertices and of planes of ``mesh.planes``, in lexicographic order, int32, shape [h, 2].
     """
 
     vertex_face: NDArray[np.int32]
     edge_edge: NDArray[np.int32]
     point_segment: NDArray[np.int32]
     point_point: NDArray[np.int32]
+    vertex_plane: NDArray[np.int32]
 
     def __repr__(self) -> str:
         counts = (f"{len(pairs):,} {name.replace('_', '-')}" for name, pairs in vars(self).items() if len(pairs))
@@ -53,7 +55,7 @@ class Candidates:
 
     def sorted(self) -> "Candidates":
         """The same pairs in lexicographic order, in new arrays."""
-        return Candidates(*map(_sorted_pairs, (self.vertex_face, self.edge_edge, self.point_segment, self.point_point)))
+        return Candidates(*map(_sorted_pairs, vars(self).values()))
 
 
 @dataclass(frozen=True)

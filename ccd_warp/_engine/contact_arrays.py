@@ -32,7 +32,8 @@ class ContactArrays:
 
     def bodies(self) -> wp.array:
         """Bodies of both primitives, vec2i."""
-        return self._filled("bodies", wp.vec2i, kernels.fill_bodies, self._topology.vertex_body)
+        topology = self._topology
+        return self._filled("bodies", wp.vec2i, kernels.fill_bodies, topology.vertex_body, topology.planes.body)
 
     def world(self) -> wp.array:
         """World of each contact, int32."""
@@ -49,6 +50,7 @@ class ContactArrays:
         dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
         num_vertices = self._topology.mesh.num_vertices
         inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
+        inputs += [self._topology.planes.point, self._topology.planes.unit]
         return self._filled(name, wp.vec3d, kernels.make_contact_points(real, dimension).fill_points, *inputs)
 
     def order_by_toi(self) -> wp.array:

@@ -10,11 +10,14 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 
 # Columns that repeat the vertices of both primitives to make four, by the number of vertices.
-_FOUR = {4: [0, 1, 2, 3], 3: [0, 0, 1, 2], 2: [0, 0, 1, 1]}
+_FOUR = {4: [0, 1, 2, 3], 3: [0, 0, 1, 2], 2: [0, 0, 1, 1], 1: [0, 0, 0, 0]}
 
 
 def contact_vertices(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
-    """The vertices of each contact: v, f0, f1, f2, or ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; shape [m, 4]."""
+    """The vertices of each contact, shape [m, 4].
+
+    They are v, f0, f1, f2, or ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or v alone, which meets a plane.
+    """
     vertices = np.empty((len(contacts), 4), dtype=np.int32)
     for kind in np.unique(contacts.kind):
         of_kind = contacts.kind == kind
@@ -26,7 +29,7 @@ def contact_vertices(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int3
 def contact_corners(
     mesh: CollisionMesh, kind: PairKind, primitives: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Vertices of both primitives of each pair of a kind, int32, shapes [m, 1 to 3].
+    """Vertices of both primitives of each pair of a kind, int32, shapes [m, 1 to 3], and [m, 0] of a plane.
 
     Raises:
         ValueError: If the mesh does not have such primitives.
@@ -37,6 +40,7 @@ def contact_corners(
         PairKind.EDGE_EDGE: (("edges", mesh.edges), ("edges", mesh.edges)),
         PairKind.POINT_SEGMENT: (("vertices", vertices), ("edges", mesh.edges)),
         PairKind.POINT_POINT: (("vertices", vertices), ("vertices", vertices)),
+        PairKind.VERTEX_PLANE: (("vertices", vertices), ("planes", np.zeros((len(mesh.planes), 0), dtype=np.int32))),
     }
     sides = []
     for (name, table), ids in zip(tables[kind], primitives.T, strict=True):

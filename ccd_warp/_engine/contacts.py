@@ -15,6 +15,7 @@ from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels import contacts as kernels
+from ccd_warp.kernels import meet_planes
 from ccd_warp.kernels.minima import Minima
 
 CONTACT_DTYPES = {
@@ -105,6 +106,9 @@ class _Ordered:
         corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
         inputs = [self._contacts, *corners, minima]
         launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
+        if len(self._topology.mesh.planes):
+            inputs = [self._contacts, self._topology.planes.body, minima]
+            launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=self._first[1:])
 
     def first_contacts(self, count: int) -> list[NDArray[np.int32]]:
         """Index of the first of ``count`` contacts of every vertex and of every body, -1 where there is none."""
@@ -120,11 +124,12 @@ class ContactStore:
         minima: The minima that the narrow phase updates; a step begins by setting them to infinity.
         count: Number of contacts in the list, int32, shape [1].
         total: Number of contacts found.
+        num_with_planes: Number of contacts of vertices and planes for which steps begin with capacity.
     """
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
         mesh = topology.mesh
-        self.total = 0
+        self.total, self.num_with_planes = 0, _FEW
         self._topology, self._buffers = topology, buffers
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._bounds = [0, *itertools.accumulate(sizes.values())]

@@ -12,6 +12,7 @@ from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.grids import Grid, choose_cell
+from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
@@ -144,7 +145,7 @@ class DeviceStep:
         """
         self.topology = topology
         self._mesh = mesh = topology.mesh
-        self._has_static = bool(mesh.static.any())
+        self._has_static = len(mesh.moving_vertices) < mesh.num_vertices
         _ = topology.corners, topology.collision_filter  # computed now, not during a capture
         self._options = options
         self._flag = StopFlag(topology.device)
@@ -200,6 +201,8 @@ class DeviceStep:
             flags=result.flags,
         )
         kinds = dict.fromkeys(tree_pair.kind for tree_pair in tree_pairs)
+        has_planes = PairKind.VERTEX_PLANE in possible_kinds(mesh, options)
+        _ = topology.planes if has_planes else None  # likewise
         max_candidates = CANDIDATES_EACH * capacities.max_pairs if execution.is_cuda else 0
         self._stages = Stages(
             topology,
@@ -224,6 +227,7 @@ class DeviceStep:
             minima=minima,
             contacts=new_contact_list(vars(result.contacts)),
             queue=new_queue(capacities.max_pairs, topology.device) if execution.is_cuda else None,
+            plane_query=plane_query(options, separation) if has_planes else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
@@ -426,7 +430,10 @@ class DeviceStep:
         stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
         self._record_input(recording, form, stages, is_copied, is_first)
         is_line_search = form.line_search is not None
-        stages.fill_vertex_aabbs(recording, topology.moving_vertices, self._touched if is_line_search else self._active)
+        active = self._touched if is_line_search else self._active
+        if stages.plane_query is not None:
+            stages.meet_planes(recording, active, only_moving=is_line_search, gaps_moved=gaps_moved)
+        stages.fill_vertex_aabbs(recording, topology.moving_vertices, active)
         self._fill(stages, recording, self._moving_trees)
         with recording.at_once():
             for tree_pair in stages.tree_pairs:

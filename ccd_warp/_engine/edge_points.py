@@ -207,7 +207,7 @@ class EdgePointTopology(Topology):
             PairKind.POINT_SEGMENT: mesh.dimension == 2 or len(mesh.codimensional_points) > 0,
             PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
         }
-        return tuple(kind for kind in PairKind if possible[kind])
+        return tuple(kind for kind in PairKind if possible.get(kind))
 
     def primitives_of(self, kind: PairKind) -> tuple[str, str]:
         """The kinds of the two primitives of a pair."""

@@ -128,6 +128,7 @@ class HostPlan:
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
         self._has_queue = self.execution.is_cuda and has_narrow_phase
+        self.has_planes = PairKind.VERTEX_PLANE in self.kinds
         self._queue_arrays: list[wp.array] = []
         self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
         self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
@@ -136,7 +137,7 @@ class HostPlan:
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
-        names += ["search options", "options", "contacts", "queue"]
+        names += ["search options", "options", "contacts", "queue", "plane query"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
         grids = {name: Slot(f"{name} cells") for name in trees if self._has_grids}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
@@ -175,12 +176,12 @@ class HostPlan:
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
         self.num_searches = dict(_NONE)
-        self.num_batches = 0
+        self.num_batches = self._num_met_by_planes = 0
         self.begin_candidates()
 
     def begin_candidates(self) -> None:
         """Count the candidates of the next search."""
-        self.num_candidates = dict(_NONE)
+        self.num_candidates = _NONE | {PairKind.VERTEX_PLANE: self._num_met_by_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -204,6 +205,26 @@ class HostPlan:
         """Do not keep the caller's arrays alive."""
         for name in () if self._are_copied else _POSITIONS:
             self._recording.release(name)
+
+    def set_plane_query(self, query: Any) -> None:
+        """Ask this of vertices and planes."""
+        self._recording.bind("plane query", query)
+
+    def meet_planes(self) -> int:
+        """Let vertices meet planes, with all contacts; returns the number of pairs that touch."""
+        return self._play_planes("planes", lambda stages, recording: stages.meet_planes(recording))
+
+    def bound_by_planes(self) -> int:
+        """The same, for the least toi alone."""
+        return self._play_planes("planes", lambda stages, recording: stages.bound_by_planes(recording))
+
+    def _play_planes(self, section: str, record: Callable[[Stages, Recording], None]) -> int:
+        self._clear_counts()
+        self.play(section, record)
+        kind = PairKind.VERTEX_PLANE
+        self._num_met_by_planes = int(self.counts()[kind, FOUND])
+        self.num_searches[kind], self.num_candidates[kind] = 1, self._num_met_by_planes
+        return self._num_met_by_planes
 
     def set_contacts(self, contacts: Any) -> None:
         """Append contacts to this list."""

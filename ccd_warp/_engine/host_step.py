@@ -20,6 +20,7 @@ from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.planes import plane_candidates
 from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.search import KEY_BYTES, PairSearch
 from ccd_warp._engine.topology import Positions
@@ -193,9 +194,16 @@ class Step:
             with self.timed("copy"):
                 collector.take(ranges)
         plan.release_positions()
-        self.finish_counts(search.num_launches, search.candidates, search.num_batches)
+        num_launches, num_candidates = search.num_launches, search.candidates
         with self.timed("copy"):
-            return collector.candidates()
+            candidates = collector.candidates()
+        if plan.has_planes:
+            with self.timed("planes"):
+                near = plane_candidates(self.mesh, self.positions, inflation)
+            candidates = replace(candidates, vertex_plane=near)
+            num_launches[PairKind.VERTEX_PLANE], num_candidates[PairKind.VERTEX_PLANE] = 1, len(near)
+        self.finish_counts(num_launches, num_candidates, search.num_batches)
+        return candidates
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
         """Earliest toi of all pairs, inf if none touches.
@@ -210,7 +218,16 @@ class Step:
         best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
         plan.set_options(self.workspace.packed(self.options, self.length_scale))
-        for stride in (_SAMPLE_STRIDE, 1):
+        strides: tuple[int, ...] = (_SAMPLE_STRIDE, 1)
+        if plan.has_planes:
+            with self.timed("planes"):
+                plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
+                plan.set_least(best)
+                plan.bound_by_planes()
+                best = plan.least()
+            if best <= 0.0 or (any_suffices and best < np.inf):
+                strides = ()
+        for stride in strides:
             if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
                 continue
             if best <= _WORTH_SHORTENING * t_end:
@@ -276,6 +293,9 @@ class Step:
             plan.set_search(t_max, self.inflation, self.separation)
             batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
         survivors: Counter[PairKind] = Counter()
+        if plan.has_planes:
+            with self.timed("planes"):
+                survivors[PairKind.VERTEX_PLANE] = self._meet_planes(plan)
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
         for batch in self.timed_batches(batches):
             with self.timed("narrow phase"):
@@ -318,6 +338,20 @@ class Step:
             gathered.body_contact,
             gathered.world_toi,
         )
+
+    def _meet_planes(self, plan: HostPlan) -> int:
+        """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
+        store = self.workspace.contacts
+        plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
+        expected = store.num_with_planes
+        while True:
+            plan.set_contacts(store.begin_batch(expected))
+            found = plan.meet_planes()
+            if found <= expected:
+                break
+            expected = store.num_with_planes = found
+        store.end_batch()
+        return found
 
     def finish_counts(
         self,

@@ -14,6 +14,7 @@ from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.host_plan import HostPlan
 from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.planes import vertices_in_half_spaces
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -169,6 +170,9 @@ class IntersectionStep(Step):
 
     def _of_kind(self, kind: IntersectionKind) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
         """The kind, the primitives and the parameters of all intersections of a kind, in lexicographic order."""
+        if kind == IntersectionKind.VERTEX_PLANE and len(self.original.planes):
+            pairs = vertices_in_half_spaces(self.original, self.x)
+            return np.full(len(pairs), int(kind), dtype=np.int32), pairs, np.zeros((len(pairs), 3))
         found, is_open = _distinct(self._found[kind]), _distinct(self._open[kind])
         if len(found) + len(is_open) == 0:
             return np.zeros(0, dtype=np.int32), np.zeros((0, 2), dtype=np.int32), np.zeros((0, 3))

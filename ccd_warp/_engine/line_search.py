@@ -12,6 +12,7 @@ from ccd_warp._contacts import Contacts
 from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
+from ccd_warp._status import PairKind
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -156,17 +157,22 @@ def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray
 
     The reported gap of a contact with toi 0 is no less than the gap at the start, so a pair that closes it head-on
     touches within a quarter of this motion, unless rounding makes up most of the gap; then the next round shortens the
-    motion again.
+    motion again. The four vertices of a contact with a plane, which does not move, are one.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        share = _GAPS * contacts.gap / np.ptp(end - start, axis=1).max(axis=1, initial=0.0)
+        motion = end - start
+        motion[contacts.kind == int(PairKind.VERTEX_PLANE), 1:] = 0.0
+        share = _GAPS * contacts.gap / np.ptp(motion, axis=1).max(axis=1, initial=0.0)
     return np.where(share < _LARGEST_CUT, share, _LARGEST_CUT)  # also where the share is NaN
 
 
 def _keys(contacts: Contacts) -> NDArray[np.uint64]:
     """Each pair as one number; ascending keys give the order of :class:`ccd_warp.Contacts`."""
     first, second = contacts.primitives.astype(np.uint64).T
-    return contacts.kind.astype(np.uint64) << np.uint64(62) | first << np.uint64(31) | second
+    is_plane = contacts.kind == int(PairKind.VERTEX_PLANE)  # which has no bits of its own, as in `contact_key`
+    kind = np.where(is_plane, int(PairKind.POINT_POINT), contacts.kind).astype(np.uint64)
+    first |= is_plane.astype(np.uint64) << np.uint64(30)
+    return kind << np.uint64(62) | first << np.uint64(31) | second
 
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:

@@ -26,6 +26,7 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
         possible = {
             PairKind.POINT_SEGMENT: mesh.num_edges > 0,
             PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
+            PairKind.VERTEX_PLANE: len(mesh.planes) > 0,
         }
         return tuple(kind for kind in options.kinds if possible.get(kind))
     possible = {
@@ -33,6 +34,7 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
         PairKind.EDGE_EDGE: mesh.num_edges > 0,
         PairKind.POINT_SEGMENT: len(mesh.codimensional_points) > 0 and len(mesh.codimensional_edges) > 0,
         PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
+        PairKind.VERTEX_PLANE: len(mesh.planes) > 0,
     }
     return tuple(kind for kind in options.kinds if possible[kind])
 

@@ -14,7 +14,7 @@ from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, candidate_cull, device_step
+from ccd_warp.kernels import box_tree, candidate_cull, device_step, meet_planes
 from ccd_warp.kernels.minima import FOUND, OPEN
 from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
 
@@ -67,6 +67,7 @@ class Stages:
         least_bits: The least toi as bits, where no contacts are kept, shape [1].
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
+        plane_query: What vertices and planes are asked for; None where there are no half-spaces.
     """
 
     topology: Topology
@@ -93,6 +94,7 @@ class Stages:
     least_bits: Any = None
     open_toi: dict[PairKind, Any] | None = None
     queue: Any = None
+    plane_query: Any = None
 
     @property
     def kinds(self) -> list[PairKind]:
@@ -278,6 +280,33 @@ class Stages:
         items = range(0, count, num_groups)
         part = search_range(0, int(kind), items, len(self.candidates[kind]), marks_overflow=marks_overflow)
         self._search_in_half_warps(launcher, tree_pair, part, num_groups, CULL, self.keys[kind])
+
+    def meet_planes(
+        self, launcher: Launcher, active: Any = None, *, only_moving: bool = False, gaps_moved: float = 0.0
+    ) -> None:
+        """Let vertices meet planes: lower the minima, and list the contacts; nothing is left open.
+
+        Args:
+            launcher: Where to launch, or to record.
+            active: The bodies whose vertices do; all by default.
+            only_moving: As for :meth:`solve`.
+            gaps_moved: Likewise.
+        """
+        every: wp.array = wp.empty(0, dtype=wp.int32, device=self.topology.device)
+        inputs = [*self._met_by_planes(), every if active is None else active]
+        inputs += [self.vertices_t0, self.vertices_t1, int(only_moving), float(gaps_moved)]
+        outputs = [self.counts, self.minima, self.contacts]
+        launcher.launch(meet_planes.meet_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+
+    def bound_by_planes(self, launcher: Launcher) -> None:
+        """The same, for the least toi alone."""
+        inputs = [*self._met_by_planes(), self.vertices_t0, self.vertices_t1]
+        outputs = [self.counts, self.least_bits]
+        launcher.launch(meet_planes.bound_by_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+
+    def _met_by_planes(self) -> list[Any]:
+        topology = self.topology
+        return [topology.moving_vertices, topology.planes, self.plane_query, topology.vertex_body]
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
         """A round of the narrow phase: lower the minima, and list the contacts.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.planes import planes_on
 from ccd_warp._engine.rings import excluded_vertices
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
@@ -46,7 +47,7 @@ CORNER_ARRAYS = {
     PairKind.POINT_POINT: ("vertex", "vertex"),
 }
 # What the listed pairs of the collision filter are, in the order of the pair kinds, and the bodies.
-_LISTED = (*(kind.name.lower() for kind in PairKind), "bodies")
+_LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,11 @@ class Topology:
         a, b = np.concatenate([mesh.edges, mesh.edges[:, ::-1]]).T
         begin = np.concatenate([[0], np.cumsum(np.bincount(a, minlength=mesh.num_vertices))])
         return self.array(begin.astype(np.int32)), self.array(b[np.argsort(a, kind="stable")])
+
+    @lazy_property
+    def planes(self) -> Any:
+        """The planes of half-spaces, as the struct of the kernels."""
+        return planes_on(self.mesh, self.array)
 
     @lazy_property
     def may_have_inactive_bodies(self) -> bool:

@@ -233,6 +233,8 @@ def tree_pairs_of(
 
     tree_pairs = []
     for kind in kinds:
+        if kind == PairKind.VERTEX_PLANE:
+            continue  # every plane meets every vertex
         first, second = topology.primitives_of(kind)
         for a_static, b_static in ((False, False), (False, True), (True, False)):
             is_mirrored = a_static and first == second

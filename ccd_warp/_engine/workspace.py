@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes import StepBoxes
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import ContactStore
+from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -89,4 +90,13 @@ class Workspace:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
             self._packed[key] = options.for_kernel(length_scale, stop=self.flag.array, radius=self.topology.radius)
+        return self._packed[key]
+
+    def plane_query(self, options: Options, length_scale: float) -> Any:
+        """What vertices and planes are asked for, as a struct of the kernels, packed once likewise."""
+        key = ("planes", options, length_scale)
+        if key not in self._packed:
+            if len(self._packed) >= _MOST_OPTIONS:
+                self._packed.clear()
+            self._packed[key] = plane_query(options, options.separation(length_scale))
         return self._packed[key]

@@ -11,7 +11,7 @@ from ccd_warp._input.arrays import as_array
 from ccd_warp._input.foreign import on_host
 
 # What is paired, by key.
-KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point")
+KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane")
 # Keys whose two columns are of one kind, so that the order within a pair means nothing.
 _SYMMETRIC = ("bodies", "vertices", "edge_edge", "point_point")
 _MOST_PAIRS = 1 << 27
@@ -101,6 +101,7 @@ def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | N
         "edge_edge": (edge, edge),
         "point_segment": (point, segment),
         "point_point": (point, point),
+        "vertex_plane": (vertex, ("plane", len(mesh.planes), None)),
     }
     chosen: tuple[tuple[str, int, NDArray[np.int32] | None], ...] = columns[key]
     return chosen

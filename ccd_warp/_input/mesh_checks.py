@@ -1,7 +1,7 @@
 """Validation of the parts of a mesh: indices, flags, worlds and positions."""
 
 import numbers
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,15 +28,15 @@ def find_codimensional_points(
     return np.flatnonzero(is_codimensional).astype(np.int32)
 
 
-def common_dimension(bodies: Sequence[Sequence[Any]], names: Sequence[str]) -> int:
-    """2 if the vertices of all bodies are in the plane, shape [n, 2], and 3 otherwise.
+def common_dimension(vertices: Mapping[int, Any], names: Sequence[str]) -> int:
+    """2 if the vertices of all bodies, given by body, are in the plane, shape [n, 2], and 3 otherwise.
 
     Raises:
         ValueError: If those of some bodies are in the plane and those of others are not.
     """
     columns = {}
-    for b, body in enumerate(bodies):
-        shape = np.shape(as_any_array(on_host(body[0], "vertices"), f"vertices of {body_label(b, names)}", "positions"))
+    for b, given in vertices.items():
+        shape = np.shape(as_any_array(on_host(given, "vertices"), f"vertices of {body_label(b, names)}", "positions"))
         if len(shape) == 2:
             columns[b] = shape[1]
     planar = [b for b, count in columns.items() if count == 2]

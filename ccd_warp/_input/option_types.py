@@ -10,7 +10,7 @@ from ccd_warp._status import PairKind
 Precision = Literal["float64", "float32"]
 Method = Literal["clipping", "bisection"]
 BroadPhase = Literal["tree", "hash"]
-PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point"]
+PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane"]
 
 
 # Disjoint parts of the public definitions below: a type checker rejects a key that comes from two bases.

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.names import distinct_names
 
-_OBJECTS = "a trimesh.Trimesh, Path3D, PointCloud or Scene"
+_OBJECTS = "a trimesh.Trimesh, Path3D, PointCloud or Scene, or a HalfSpace"
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,13 @@ class TrimeshBody:
 
     Attributes:
         name: Name of its node in a scene; None for an object outside a scene.
-        arrays: Vertices, faces and, for a path, edges, as :meth:`ccd_warp.CollisionMesh.from_arrays` takes them.
+        arrays: Vertices, faces and, for a path, edges, as :meth:`ccd_warp.CollisionMesh.from_arrays` takes them; or a
+            half-space.
         is_cloud: Whether it is a point cloud.
     """
 
     name: str | None
-    arrays: tuple[ArrayLike, ...]
+    arrays: tuple[ArrayLike, ...] | HalfSpace
     is_cloud: bool
 
 
@@ -35,7 +37,7 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
         TypeError: If it is neither, or one of the list is no such object.
         ValueError: If a path is curved, or a scene is empty.
     """
-    if _is_shape(given) or _is_scene(given):
+    if _is_shape(given) or _is_scene(given) or isinstance(given, HalfSpace):
         objects = [given]
     else:
         if not isinstance(given, Iterable) or isinstance(given, (str, bytes, bytearray, memoryview, Mapping)):
@@ -48,6 +50,8 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
     for index, each in enumerate(objects):
         if _is_scene(each):
             bodies += _bodies_of_scene(each, index)
+        elif isinstance(each, HalfSpace):
+            bodies.append(TrimeshBody(None, each, False))
         else:
             bodies.append(TrimeshBody(None, *_arrays_of(each, f"body {index}")))
     if any(body.name for body in bodies):

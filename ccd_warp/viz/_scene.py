@@ -178,7 +178,7 @@ def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
 def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:
     """Longest side of the smaller body of a contact."""
     corners = contact_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
-    bodies = {int(mesh.vertex_body[side[0, 0]]) for side in corners}
+    bodies = {int(mesh.vertex_body[side[0, 0]]) for side in corners if side.size}
     return min(float(np.ptp(start[mesh.vertex_body == body], axis=0).max()) for body in bodies)
 
 

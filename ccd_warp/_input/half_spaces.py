@@ -1,0 +1,46 @@
+"""Checks of half-spaces."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._half_space import HalfSpace, Planes
+from ccd_warp._input.arrays import as_array, as_float64
+from ccd_warp._input.foreign import on_host
+
+
+def planes_of(half_spaces: Iterable[tuple[int, str, HalfSpace]], dimension: int) -> Planes:
+    """The planes of half-spaces, each given with its body and what messages call that.
+
+    Raises:
+        ValueError: If a point or a normal does not have as many finite numbers as the mesh has coordinates, or a normal
+            is 0.
+    """
+    points, normals, bodies = [], [], []
+    for body, label, half_space in half_spaces:
+        points.append(_vector(half_space.point, f"point of {label}", dimension))
+        normal = _vector(half_space.normal, f"normal of {label}", dimension)
+        if not normal.any():
+            raise ValueError(f"normal of {label} is {normal.tolist()}; expected a direction, which 0 is not")
+        normals.append(normal)
+        bodies.append(body)
+    shape = (-1, dimension)
+    return Planes(
+        np.array(points, dtype=np.float64).reshape(shape),
+        np.array(normals, dtype=np.float64).reshape(shape),
+        np.array(bodies, dtype=np.int32),
+    )
+
+
+def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:
+    """As many finite float64 numbers as there are coordinates, or a ValueError."""
+    array = as_array(on_host(values, name), name, f"{dimension} numbers")
+    if array.shape != (dimension,):
+        raise ValueError(f"{name} has shape {array.shape}; expected {(dimension,)}")
+    rows = values if array is values else [values]
+    vector = as_float64(array[None], name, rows)[0]
+    if not np.isfinite(vector).all():
+        raise ValueError(f"{name} is {vector.tolist()}; expected finite numbers")
+    return vector

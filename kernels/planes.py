@@ -1,0 +1,166 @@
+"""When a vertex meets the plane of a half-space, in closed form, and why the answer is never late.
+
+The solid is where (x - p)·n < 0. A vertex moves on a straight line, so f(t) = (x(t) - p)·n is linear, and f at both
+ends of the step says all: edges and faces are hulls of their vertices, and meet the plane with one of these first.
+There is nothing to iterate, so the tolerance plays no part.
+
+Rounding, with u = 2^-53. All numbers of the input are exact, those of the normal and the point too.
+
+1. **Scale.** Coordinates are multiplied by 2^-16 if one exceeds 2^1000, so that nothing overflows, and by 2^600 if all
+   are below 2^-400, so that no product is subnormal: exact, but for 2^-1075 where small ones lose bits beside those
+   above 2^1000. The normal is multiplied by the power of two with which its largest component is in [1, 2): exact, but
+   for 2^-1075 where a component becomes subnormal. ``lost`` is then 2^-1070, and 0 for all other normals.
+2. **Value.** F = fl(Σ n_k (x_k - p_k)): each term has the roundings of a difference, a product and two sums, so
+   |F - f| ≤ 4.1u Σ|n_k (x_k - p_k)|, of which S, the sum that is computed, loses at most 4.1u itself. E = 8u S covers
+   that and the rounding of E. What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a
+   component of the normal has lost bits, by lost·Σ|x_k - p_k|. Where each term has a factor 0, f and E are 0 as
+   computed, which proves nothing: L of step 4 is then at most 0, a contact, whatever step 1 has lost.
+3. **Distance.** A point is within a distance D of the half-space where f ≤ D·|n|, with the Euclidean length of n, or
+   the sum of its magnitudes if D is in the maximum norm: the largest d·n of a vector d of that length. |n| is rounded
+   up on the host, so θ = D·|n|·(1 + 8u) is an upper bound. A ``start_gap_fraction`` reduces θ to that fraction of F - E
+   at the start, which is no more than the gap there.
+4. **Time.** Let L = fl(F - (E + θ)(1 + 8u)) at both ends. The sum in parentheses is an upper bound of E + θ, so the
+   exact difference is a lower bound of f - θ, and L has its sign. If L ≤ 0 at the start, toi is 0. If L > 0 at both
+   ends, the vertex is free. Otherwise the exact f - θ is above the line through both differences, which vanishes at
+   a/(a - b) with a > 0 ≥ b. Computed from L, with both and their difference rounded once each, and the quotient, it is
+   within 4.1u of that; times (1 - 8u), the rounding of the product included, it is a lower bound. A quotient below
+   2^-1000 becomes 0, as its own roundings are not relative.
+
+The gap that is reported is an upper bound in the same way, with a slack of 16u of all its terms.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_U = 2.0**-53
+_LARGE = wp.constant(wp.float64(2.0**1000))
+_SMALL = wp.constant(wp.float64(2.0**-400))
+_SHRINK = wp.constant(wp.float64(2.0**-16))
+_GROW = wp.constant(wp.float64(2.0**600))
+# Beyond any value of f, so that no distance is infinite.
+_FAR = wp.constant(wp.float64(2.0**1015))
+_VALUE = wp.constant(wp.float64(8.0 * _U))
+_ABSOLUTE = wp.constant(wp.float64(2.0**-1000))
+_UP = wp.constant(wp.float64(1.0 + 8.0 * _U))
+_DOWN = wp.constant(wp.float64(1.0 - 8.0 * _U))
+_GAP = wp.constant(wp.float64(16.0 * _U))
+_GAP_UP = wp.constant(wp.float64(1.0 + 64.0 * _U))
+_LEAST_TOI = wp.constant(wp.float64(2.0**-1000))
+_LEAST_GAP = wp.constant(wp.float64(2.0**-1074))
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+
+
+@wp.struct
+class Planes:
+    """The planes of all half-spaces, in space; those of a mesh in the plane have z = 0."""
+
+    point: wp.array[wp.vec3d]
+    normal: wp.array[wp.vec3d]  # times a power of two: the largest component is in [1, 2)
+    lost: wp.array[wp.float64]  # step 1
+    length: wp.array[wp.float64]  # of the normal, Euclidean, rounded up
+    sum: wp.array[wp.float64]  # of its magnitudes, rounded up
+    unit: wp.array[wp.vec3d]  # the unit normal
+    body: wp.array[wp.int32]
+    meets: wp.array2d[wp.uint8]  # whether the collision filter leaves a plane (row) and a body (column)
+    excluded: wp.array[wp.int64]  # keys of excluded pairs of a vertex and a plane, ascending
+
+
+@wp.struct
+class PlaneQuery:
+    """What vertices and planes are asked for."""
+
+    distance: wp.float64  # at which they count as touching, a length
+    is_euclidean: int  # 1: it is Euclidean; 0: in the maximum norm
+    start_gap_fraction: wp.float64  # 0: the distance applies to every pair
+    t_max: wp.float64
+
+
+@wp.struct
+class Meeting:
+    """When a vertex meets a plane."""
+
+    toi: wp.float64  # inf: not in [0, t_max]
+    gap: wp.float64  # upper bound of the gap beyond the distance at toi, a length
+
+
+@wp.struct
+class Value:
+    """f at a time, and the bound of its error."""
+
+    f: wp.float64
+    error: wp.float64
+
+
+@wp.func
+def value_of(x: wp.vec3d, p: wp.vec3d, n: wp.vec3d, lost: wp.float64) -> Value:
+    """(x - p)·n of scaled coordinates, within its error (step 2)."""
+    d = x - p
+    v = Value()
+    if (n[0] == _ZERO or d[0] == _ZERO) and (n[1] == _ZERO or d[1] == _ZERO) and (n[2] == _ZERO or d[2] == _ZERO):
+        return v
+    a = n[0] * d[0]
+    b = n[1] * d[1]
+    c = n[2] * d[2]
+    v.f = a + b + c
+    v.error = _VALUE * (wp.abs(a) + wp.abs(b) + wp.abs(c)) + _ABSOLUTE
+    if lost > _ZERO:
+        v.error += lost * (wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2]))
+    return v
+
+
+@wp.func
+def scale_of(largest: wp.float64) -> wp.float64:
+    """The power of two by which coordinates up to ``largest`` are multiplied (step 1)."""
+    if largest > _LARGE:
+        return _SHRINK
+    if largest < _SMALL:
+        return _GROW
+    return _ONE
+
+
+@wp.func
+def meeting_of(x0: wp.vec3d, x1: wp.vec3d, planes: Planes, k: int, query: PlaneQuery) -> Meeting:
+    """When a vertex that moves from x0 to x1 comes within the distance of a half-space; its toi is never late."""
+    meeting = Meeting()
+    meeting.toi = wp.float64(wp.inf)
+    p = planes.point[k]
+    n = planes.normal[k]
+    size = planes.sum[k]
+    if query.is_euclidean != 0:
+        size = planes.length[k]
+    s = scale_of(wp.max(wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1))), wp.max(wp.abs(p))))
+    if s != _ONE:
+        x0 = s * x0
+        x1 = s * x1
+        p = s * p
+    start = value_of(x0, p, n, planes.lost[k])
+    end = value_of(x1, p, n, planes.lost[k])
+    reach = wp.min(query.distance * s * size * _UP, _FAR)
+    if query.start_gap_fraction > _ZERO:
+        reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
+    a = start.f - (start.error + reach) * _UP
+    b = end.f - (end.error + reach) * _UP
+    if a > _ZERO and b > _ZERO:
+        return meeting
+    t = _ZERO
+    if a > _ZERO:
+        t = a / (a - b) * _DOWN
+        if t < _LEAST_TOI:
+            t = _ZERO
+    if t > query.t_max:
+        return meeting
+    meeting.toi = t
+    before = _ONE - t
+    beyond = before * (start.f + start.error) - reach
+    terms = before * (wp.abs(start.f) + start.error) + reach
+    if t > _ZERO:
+        beyond += t * (end.f + end.error)
+        terms += t * (wp.abs(end.f) + end.error)
+    beyond = (beyond + _GAP * terms) * _GAP_UP
+    if beyond > _ZERO:
+        meeting.gap = beyond / size / s
+        if s > _ONE:
+            meeting.gap += _LEAST_GAP
+    return meeting
