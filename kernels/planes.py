@@ -11,22 +11,23 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    above 2^1000. The normal is multiplied by the power of two with which its largest component is in [1, 2): exact, but
    for 2^-1075 where a component becomes subnormal. ``lost`` is then 2^-1070, and 0 for all other normals.
 2. **Value.** F = fl(Σ n_k (x_k - p_k)): each term has the roundings of a difference, a product and two sums, so
-   |F - f| ≤ 4.1u Σ|n_k (x_k - p_k)|, of which S, the sum that is computed, loses at most 4.1u itself. E = 8u S covers
-   that and the rounding of E. What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a
-   component of the normal has lost bits, by lost·Σ|x_k - p_k|. Where each term has a factor 0, f and E are 0 as
-   computed, which proves nothing: L of step 4 is then at most 0, a contact, whatever step 1 has lost.
+   |F - f| ≤ 4.01u Σ|n_k (x_k - p_k)|. S, that sum as it is computed, is at most 4.01u less, so E = 4.5u S covers the
+   error. What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a component of the
+   normal has lost bits, by lost·Σ|x_k - p_k|. Where step 1 has lost nothing and each term has a factor 0, f is 0, and
+   so is E.
 3. **Distance.** A point is within a distance D of the half-space where f ≤ D·|n|, with the Euclidean length of n, or
    the sum of its magnitudes if D is in the maximum norm: the largest d·n of a vector d of that length. |n| is rounded
-   up on the host, so θ = D·|n|·(1 + 8u) is an upper bound. A ``start_gap_fraction`` reduces θ to that fraction of F - E
+   up on the host, so θ = D·|n|·(1 + 4u) is an upper bound. A ``start_gap_fraction`` reduces θ to that fraction of F - E
    at the start, which is no more than the gap there.
-4. **Time.** Let L = fl(F - (E + θ)(1 + 8u)) at both ends. The sum in parentheses is an upper bound of E + θ, so the
+4. **Time.** Let L = fl(F - (E + θ)(1 + 4u)) at both ends. The sum in parentheses is an upper bound of E + θ, so the
    exact difference is a lower bound of f - θ, and L has its sign. If L ≤ 0 at the start, toi is 0. If L > 0 at both
    ends, the vertex is free. Otherwise the exact f - θ is above the line through both differences, which vanishes at
    a/(a - b) with a > 0 ≥ b. Computed from L, with both and their difference rounded once each, and the quotient, it is
-   within 4.1u of that; times (1 - 8u), the rounding of the product included, it is a lower bound. A quotient below
+   within 4.01u of that; times (1 - 6u), the rounding of the product included, it is a lower bound. A quotient below
    2^-1000 becomes 0, as its own roundings are not relative.
 
-The gap that is reported is an upper bound in the same way, with a slack of 16u of all its terms.
+So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
+bound in the same way, with a slack of 8u of all its terms.
 """
 
 import warp as wp
@@ -40,12 +41,12 @@ _SHRINK = wp.constant(wp.float64(2.0**-16))
 _GROW = wp.constant(wp.float64(2.0**600))
 # Beyond any value of f, so that no distance is infinite.
 _FAR = wp.constant(wp.float64(2.0**1015))
-_VALUE = wp.constant(wp.float64(8.0 * _U))
+_VALUE = wp.constant(wp.float64(4.5 * _U))
 _ABSOLUTE = wp.constant(wp.float64(2.0**-1000))
-_UP = wp.constant(wp.float64(1.0 + 8.0 * _U))
-_DOWN = wp.constant(wp.float64(1.0 - 8.0 * _U))
-_GAP = wp.constant(wp.float64(16.0 * _U))
-_GAP_UP = wp.constant(wp.float64(1.0 + 64.0 * _U))
+_UP = wp.constant(wp.float64(1.0 + 4.0 * _U))
+_DOWN = wp.constant(wp.float64(1.0 - 6.0 * _U))
+_GAP = wp.constant(wp.float64(8.0 * _U))
+_GAP_UP = wp.constant(wp.float64(1.0 + 32.0 * _U))
 _LEAST_TOI = wp.constant(wp.float64(2.0**-1000))
 _LEAST_GAP = wp.constant(wp.float64(2.0**-1074))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -94,12 +95,13 @@ class Value:
 
 
 @wp.func
-def value_of(x: wp.vec3d, p: wp.vec3d, n: wp.vec3d, lost: wp.float64) -> Value:
+def value_of(x: wp.vec3d, p: wp.vec3d, n: wp.vec3d, is_exact: bool, lost: wp.float64) -> Value:
     """(x - p)·n of scaled coordinates, within its error (step 2)."""
     d = x - p
     v = Value()
-    if (n[0] == _ZERO or d[0] == _ZERO) and (n[1] == _ZERO or d[1] == _ZERO) and (n[2] == _ZERO or d[2] == _ZERO):
-        return v
+    if is_exact:
+        if (n[0] == _ZERO or d[0] == _ZERO) and (n[1] == _ZERO or d[1] == _ZERO) and (n[2] == _ZERO or d[2] == _ZERO):
+            return v
     a = n[0] * d[0]
     b = n[1] * d[1]
     c = n[2] * d[2]
@@ -135,8 +137,10 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, planes: Planes, k: int, query: PlaneQ
         x0 = s * x0
         x1 = s * x1
         p = s * p
-    start = value_of(x0, p, n, planes.lost[k])
-    end = value_of(x1, p, n, planes.lost[k])
+    lost = planes.lost[k]
+    is_exact = s >= _ONE and lost == _ZERO
+    start = value_of(x0, p, n, is_exact, lost)
+    end = value_of(x1, p, n, is_exact, lost)
     reach = wp.min(query.distance * s * size * _UP, _FAR)
     if query.start_gap_fraction > _ZERO:
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))

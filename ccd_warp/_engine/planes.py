@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
 
 _U = 2.0**-53
-_UP = 1.0 + 8.0 * _U
+_UP = 1.0 + 4.0 * _U
 # The largest relative error of a length or sum of three numbers is 2u.
 _LENGTH_UP = 1.0 + 8.0 * _U
 # Components of a scaled normal below this may have lost bits.
@@ -26,7 +26,7 @@ _LOST = 2.0**-1070
 # As in `kernels.planes`.
 _LARGE, _SMALL, _SHRINK, _GROW = 2.0**1000, 2.0**-400, 2.0**-16, 2.0**600
 _FAR = 2.0**1015
-_VALUE, _ABSOLUTE = 8.0 * _U, 2.0**-1000
+_VALUE, _ABSOLUTE = 4.5 * _U, 2.0**-1000
 
 
 class ScaledPlanes(NamedTuple):
@@ -153,9 +153,9 @@ def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> ND
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
             chosen = vertices[of_plane[k, mesh.vertex_body[vertices]]]
-            f, error, s = _values(x[chosen], scaled, k)
+            f, error, _ = _values(x[chosen], scaled, k)
             is_in = f <= error
-            is_open = is_in & (f >= -error) & ((error > 0.0) | (s < 1.0) | (scaled.lost[k] > 0.0))
+            is_open = is_in & (f >= -error) & (error > 0.0)
             point, normal = mesh.planes.points[k].tolist(), mesh.planes.normals[k].tolist()
             for row in np.flatnonzero(is_open).tolist():
                 is_in[row] = _exact_value(x[chosen[row], : mesh.dimension].tolist(), point, normal) <= 0
@@ -180,7 +180,8 @@ def _values(
     difference = s[:, None] * x - s[:, None] * p
     terms = n * difference
     error = _VALUE * np.abs(terms).sum(axis=1) + _ABSOLUTE + planes.lost[k] * np.abs(difference).sum(axis=1)
-    error[((n == 0.0) | (difference == 0.0)).all(axis=1)] = 0.0
+    is_exact = (s >= 1.0) & (planes.lost[k] == 0.0)
+    error[is_exact & ((n == 0.0) | (difference == 0.0)).all(axis=1)] = 0.0
     return terms.sum(axis=1), error, s
 
 

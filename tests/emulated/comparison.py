@@ -20,7 +20,7 @@ _PLAN = {
     "launches": tuple(STEPS),
     "batches": ("crowd", "excluded pairs", "in the plane"),
     "line_searches": _SOME,
-    "launched_line_searches": (*_SOME, "little work"),
+    "launched_line_searches": (*_SOME, "half-spaces", "little work"),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
     "with_radii": tuple(THICK),
 }

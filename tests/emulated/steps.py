@@ -34,12 +34,12 @@ def _crowd(num_faces: int = 150, size: float = 0.1) -> Made:
     return scenes.crowd(np.random.default_rng(21), num_faces, size)
 
 
-def _every_kind(**arguments: Any) -> Made:
-    """Faces, cables and particles, which form pairs of all kinds, in three bodies."""
+def _every_kind(half_spaces: tuple[ccd.HalfSpace, ...] = (), **arguments: Any) -> Made:
+    """Faces, cables and particles, which form pairs of all kinds, in three bodies, and half-spaces."""
     rng = np.random.default_rng(22)
     vertices, faces, edges = scenes.cables_and_particles(rng, 14, 0.1)
     bodies = [(vertices + 0.05 * k, faces, edges) for k in range(3)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **arguments)
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, *half_spaces], codimensional_points=True, **arguments)
     start = mesh.vertices
     moves = 0.15 * rng.standard_normal(start.shape) * ~mesh.static[mesh.vertex_body][:, None]
     return mesh, start, start + moves
@@ -49,6 +49,13 @@ def _thick() -> Made:
     """Every kind of pair, one body static, with radii that differ within primitives; some are 0."""
     vertices = np.arange(3 * len(scenes.cables_and_particles(np.random.default_rng(22), 14, 0.1)[0]))
     return _every_kind(static=[1], radius=0.03 * np.random.default_rng(28).random(len(vertices)) * (vertices % 3))
+
+
+def _between_walls() -> Made:
+    """The same on a ground and beside a wall; some vertices start in the solid, and some pairs are excluded."""
+    walls = ccd.HalfSpace([0, 0, 0.1], [0.1, 0, 2]), ccd.HalfSpace([0.8, 0, 0], [-1, 1e-3, 0])
+    excluded = {"bodies": [(0, 3)], "vertex_plane": [(v, 0) for v in range(140, 180)]}
+    return _every_kind(walls, static=[2], exclude_pairs=excluded)
 
 
 def _in_plane(**arguments: Any) -> Made:
@@ -160,6 +167,7 @@ STEPS = {
     "little work for the bisection": StepCase(_needles, {**_NEEDLES, "max_work": 100_000, "method": "bisection"}),
     "spatial hash": StepCase(lambda: _every_kind(static=[1]), {"broad_phase": "hash", "minimum_separation": 0.004}),
     "spatial hash, excluded pairs": StepCase(_excluding, {"broad_phase": "hash"}),
+    "half-spaces": StepCase(_between_walls, {"minimum_separation": 0.004}),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
