@@ -175,3 +175,35 @@ def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: f
     bits = 2 * max(0, 200 + (least.denominator.bit_length() - least.numerator.bit_length()) // 2)
     root = math.isqrt((least.numerator << bits) // least.denominator)
     return float(Fraction(root, 1 << (bits // 2)))
+
+
+def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> list[Fraction]:
+    """The vector from the closest point of the second primitive to that of the first at the time t, rational."""
+    p0, p1 = oracle._validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
+    corners, scale = _lines(kind, p0[0], p1[0], 1.0, 1.0)
+    time = Fraction(*float(t).as_integer_ratio())
+    at = [[Fraction(a) + time * b for a, b in zip(*line, strict=True)] for line in corners]
+    gaps = list(at)  # the nearest points of the features, as far as these hold them
+    for i, j in oracle._PAIRS[kind]:
+        side = _apart(at[j], at[i])
+        along = _inner(side, side)
+        if along and 0 <= -_inner(at[i], side) <= along:
+            gaps.append([a - _inner(at[i], side) / along * s for a, s in zip(at[i], side, strict=True)])
+    for i, j, m in oracle._TRIANGLES[kind]:
+        a, b, c = at[i], at[j], at[m]
+        normal = _crossed(_apart(b, a), _apart(c, a))
+        if any(normal) and all(_inner(_crossed(x, y), normal) >= 0 for x, y in ((a, b), (b, c), (c, a))):
+            gaps.append([_inner(a, normal) / _inner(normal, normal) * n for n in normal])
+    return [x / scale for x in min(gaps, key=lambda gap: _inner(gap, gap))]
+
+
+def _inner(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+
+
+def _apart(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _crossed(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    return [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]

@@ -47,12 +47,15 @@ class Contacts(Placed):
             and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
             or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
-        parameters: (u, v) at toi, as in :class:`ccd_warp.PairResult`, 0 of a vertex and a plane, float64, shape [m, 2].
-        normal: Unit normal of the contact at toi, from the second primitive towards the side from which the first
-            comes; zero where nothing moves and no side defines a direction; float64, shape [m, 3]. A point has no
-            sides: there the normal opposes the relative velocity (its component across the segment, if there is one),
-            or points along the gap where that velocity is zero. Of a vertex and a plane it is the normal of the plane.
-            Of a mesh in the plane, shape [m, 2].
+        parameters: (u, v) of the closest points at toi, between which the gap is, as in :class:`ccd_warp.PairResult`,
+            0 of a vertex and a plane, float64, shape [m, 2].
+        normal: Unit vector along the gap at toi, from the closest point of the second primitive to that of the first,
+            wherever a gap of more than rounding is left (32 roundings of the largest distance between the two in the
+            step): with a distance or separation nearly always, and also of a pair that starts within it. Of a pair that
+            touches without a gap it is the normal of the face or of both edges, from the second primitive towards the
+            side from which the first comes; a point has no sides, and there it opposes the relative velocity (its
+            component across the segment, if there is one). Zero where nothing moves and no side defines a direction.
+            Of a vertex and a plane it is the normal of the plane. float64, shape [m, 3], of a mesh in the plane [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
             minimum distance the gap beyond it, Euclidean.

@@ -29,7 +29,7 @@ class DeviceContacts(Placed):
         primitives: vec2i.
         toi: float64.
         parameters: vec2d.
-        normal: vec3d; of a mesh in the plane z is 0.
+        normal: vec3d, as in :class:`Contacts`; of a mesh in the plane z is 0.
         status: int32.
         gap: float64.
         width: float64.

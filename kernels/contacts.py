@@ -1,16 +1,13 @@
-"""Contacts: their normals, their order, and the first contact of each vertex and each body."""
+"""Contacts: the list of them, their order, and the first contact of each vertex and each body."""
 
 import warp as wp
 
 from .atomics import atomic_min_int32
 from .minima import Minima
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
-from .rounding import inverse_power_of_two
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Sine below which two sides count as parallel, so that their cross product is not used as a direction.
-_PARALLEL = wp.constant(wp.float64(1.0e-12))
 # In place of the index of a first contact: none.
 NO_CONTACT = wp.constant(2**31 - 1)
 _PLANE_BIT = wp.constant(wp.int64(1 << 30))
@@ -34,58 +31,6 @@ class ContactList:
 
 
 @wp.func
-def to_unit_size(a: wp.vec3d) -> wp.vec3d:
-    """A vector scaled by a power of two so that its products neither overflow nor underflow."""
-    return a * inverse_power_of_two(wp.max(wp.abs(a)))
-
-
-@wp.func
-def contact_normal(q: wp.vec3d, r: wp.vec3d, velocity: wp.vec3d) -> wp.vec3d:
-    """Unit normal of two sides, directed against the relative velocity of the first primitive; 0 if there is none.
-
-    Parallel or vanishing sides do not determine a normal: then the part of the velocity across the longer side is used.
-    """
-    a = to_unit_size(q)
-    b = to_unit_size(r)
-    w = to_unit_size(velocity)
-    n = wp.cross(a, b)
-    if wp.length(n) <= _PARALLEL * wp.length(a) * wp.length(b):
-        along = wp.where(wp.max(wp.abs(r)) > wp.max(wp.abs(q)), b, a)
-        n = w
-        if wp.dot(along, along) > _ZERO:
-            n = w - (wp.dot(w, along) / wp.dot(along, along)) * along
-    n = wp.normalize(n)
-    if wp.dot(n, w) > _ZERO:
-        n = -n
-    return n
-
-
-@wp.func
-def across(w: wp.vec3d, side: wp.vec3d) -> wp.vec3d:
-    """The part of w orthogonal to a side, 0 if it consists of rounding only; all of w if the side has no length."""
-    s = to_unit_size(side)
-    n = to_unit_size(w)
-    if wp.dot(s, s) > _ZERO:
-        n = n - (wp.dot(n, s) / wp.dot(s, s)) * s
-        if wp.length(n) <= _PARALLEL:
-            n = wp.vec3d(_ZERO, _ZERO, _ZERO)
-    return n
-
-
-@wp.func
-def point_normal(side: wp.vec3d, velocity: wp.vec3d, gap: wp.vec3d) -> wp.vec3d:
-    """Unit normal of a point at a segment, or at a point if the side is 0, directed against the relative velocity.
-
-    If the velocity has no part across the side, the normal is along the gap, which a minimum separation leaves. It is 0
-    if both vanish.
-    """
-    n = -across(velocity, side)
-    if wp.dot(n, n) == _ZERO:
-        n = across(gap, side)
-    return wp.normalize(n)
-
-
-@wp.func
 def position(p_t0: wp.vec3d, p_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
     """Position of a point at time t."""
     return (_ONE - t) * p_t0 + t * p_t1
@@ -102,39 +47,6 @@ def lift(
     i, j = wp.tid()
     p = points[i, j]
     lifted[i, j] = wp.vec3d(p[0], p[1], _ZERO)
-
-
-@wp.func
-def normal_at(
-    kind: int,
-    first: wp.vec3i,
-    second: wp.vec3i,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    t: wp.float64,
-    uv: wp.vec2d,
-) -> wp.vec3d:
-    """Unit normal of a contact of two primitives, given by their vertices."""
-    a0 = position(vertices_t0[first[0]], vertices_t1[first[0]], t)
-    b0 = position(vertices_t0[second[0]], vertices_t1[second[0]], t)
-    b1 = position(vertices_t0[second[1]], vertices_t1[second[1]], t)
-    # motion of the two points in contact over the step
-    va = vertices_t1[first[0]] - vertices_t0[first[0]]
-    vb = vertices_t1[second[0]] - vertices_t0[second[0]]
-    vb1 = vertices_t1[second[1]] - vertices_t0[second[1]]
-    if kind == EDGE_EDGE:
-        q = position(vertices_t0[first[1]], vertices_t1[first[1]], t) - a0
-        r = b1 - b0
-        va = (_ONE - uv[0]) * va + uv[0] * (vertices_t1[first[1]] - vertices_t0[first[1]])
-        vb = (_ONE - uv[1]) * vb + uv[1] * vb1
-    else:
-        q = b1 - b0
-        r = position(vertices_t0[second[2]], vertices_t1[second[2]], t) - b0
-        vb = (_ONE - uv[0] - uv[1]) * vb + uv[0] * vb1 + uv[1] * (vertices_t1[second[2]] - vertices_t0[second[2]])
-    if kind == EDGE_EDGE or kind == VERTEX_FACE:
-        return contact_normal(q, r, va - vb)
-    # missing vertices repeat the last one, so q is the segment, or 0 for a point
-    return point_normal(q, va - vb, a0 - b0 - uv[0] * q)
 
 
 @wp.func

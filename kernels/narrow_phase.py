@@ -306,13 +306,16 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                 if only_moving != 0:
                     is_needed = not is_stationary(a, b)
                 if is_needed:
-                    outcome = outcome_of(answer, lane, options)
-                    if not is_set(finished_lanes(answer, options), lane):
+                    if is_set(answer.contact, lane):
+                        outcome = outcome_of(answer, lane, options)
+                    else:
+                        so_far = wp.int32(lane_of(answer.iterations, lane))
+                        t_reached = lane_of(answer.t, lane)
                         if wp.static(is_thick):
                             own_options = options_of_pair(options, first, second)
-                            outcome = rest_of(outcome, answer, lane, kind, a, b, own_options, cap)
+                            outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
                         else:
-                            outcome = rest_of(outcome, answer, lane, kind, a, b, options, cap)
+                            outcome = finished(kind, t_reached, so_far, False, a, b, options, cap)
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     claim(counts, kind, OPEN, 1)

@@ -7,8 +7,8 @@ ways do not burden the common ones. A pair gets the answer, in every bit, that t
 CPU: it goes through the same functions in the same order.
 
 The second kernel takes the queue as it is, without gaps. It leaves open pairs in their places and marks the others as
-settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a contact within a
-separation the second kernel finds a point and not the closest one, so the last one completes it.
+settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a pair of points in contact
+within a separation the second kernel finds a point and not the closest one, so the last one completes it.
 
 In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less,
 and no other pair at all.
@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .atomics import atomic_min_int64, claim
-from .contacts import ContactList, normal_at
+from .contacts import ContactList
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
@@ -27,7 +27,7 @@ from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .pair_key import pair_of
 from .pair_outcome import make_pair_outcome
-from .points import is_stationary, points_of, row_points
+from .points import is_stationary, row_points
 from .query import CLIPPING, make_query
 from .simd import fingerprint
 from .solver import make_solver
@@ -57,7 +57,7 @@ vec3d = wp.vec3d
 class Queue:
     """Pairs that are open, each free on [0, t), in any order; their number is in the counts."""
 
-    rows: wp.array[wp.int32]  # of its points, or of its key; then `_SETTLED`, or `_SETTLED` - 1 - what to complete
+    rows: wp.array[wp.int32]  # of its points, or of its key; then `_SETTLED`, or `_SETTLED` - 1 - a row to complete
     t: wp.array[wp.float64]
     used: wp.array[wp.int8]  # iterations so far
 
@@ -214,29 +214,6 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
 
         return points_toi
 
-    @wp.func
-    def complete(
-        kind: int,
-        place: int,
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3d],
-        vertices_t1: wp.array[vec3d],
-        options: Options,
-        # in and out
-        contacts: ContactList,
-    ):
-        """Write the parameters and the normal of a contact within a separation, whose other fields are known."""
-        pair = contacts.primitives[place]
-        toi = contacts.toi[place]
-        first = first_corners[pair[0]]
-        second = second_corners[pair[1]]
-        a = points_of(kind, first, second, vertices_t0)
-        b = points_of(kind, first, second, vertices_t1)
-        parameters = parameters_at(kind, toi, a, b, options)
-        contacts.parameters[place] = parameters
-        contacts.normal[place] = normal_at(kind, first, second, vertices_t0, vertices_t1, toi, parameters)
-
     def make_solve_pairs(stage: str):
         is_initial, is_last = stage == "first", stage == "last"
 
@@ -298,21 +275,6 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                     used = wp.int32(queue.used[n])
                     if k == _SETTLED:
                         continue
-                    if wp.static(is_last):
-                        if k < 0 and not writes:
-                            continue
-                        if k < 0:
-                            complete(
-                                kind,
-                                _SETTLED - 1 - k,
-                                first_corners,
-                                second_corners,
-                                vertices_t0,
-                                vertices_t1,
-                                options,
-                                contacts,
-                            )
-                            continue
                 a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
                 is_needed = only_moving == 0 or not is_stationary(a, b)
                 outcome = Outcome()
@@ -358,12 +320,9 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 pair = pair_of(key)
                 first = first_corners[pair[0]]
                 second = second_corners[pair[1]]
-                place = record_contact(
+                record_contact(
                     kind, pair, first, second, outcome, vertices_t0, vertices_t1, gaps_moved, minima, contacts
                 )
-                if wp.static(stage == "later"):
-                    if skips_first and place >= 0:
-                        queue.rows[n] = _SETTLED - 1 - place
 
         return solve_pairs
 

@@ -389,7 +389,10 @@ def test_particle_passes_a_cable_at_less_than_the_separation(precision):
     assert (result.body_toi == result.toi).all()
     (normal,) = result.contacts.normal
     assert np.linalg.norm(normal) == pytest.approx(1) and normal @ (cable[2] - cable[1]) == pytest.approx(0, abs=1e-12)
-    assert normal[0] < -0.9
+    # away from the closest point of the cable, in whose box the particle is
+    at_toi, (u, _) = particle[0] + [2 * result.toi, 0, 0], result.contacts.parameters[0]
+    gap = at_toi - ((1 - u) * cable[1] + u * cable[2])
+    assert normal == pytest.approx(gap / np.linalg.norm(gap), abs=1e-12) and normal[0] < -0.8
     assert result.toi == ccd.collision_free_step(mesh, mesh.vertices, end, minimum_separation=0.05, **options)
 
 
