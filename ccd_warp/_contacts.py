@@ -58,7 +58,7 @@ class Contacts(Placed):
             Of a vertex and a plane it is the normal of the plane. float64, shape [m, 3], of a mesh in the plane [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
-            minimum distance the gap beyond it, Euclidean.
+            minimum distance, or radii, the gap beyond the distance of the pair, Euclidean.
         width: Width of the time interval left open, 0 except at a limit, as in :class:`ccd_warp.PairResult`, float64,
             shape [m].
     """

@@ -26,7 +26,8 @@ def find_candidates(
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
 
     The box of a primitive encloses its vertices at both ends of the step, is enlarged by ``inflation`` on every side,
-    rounded outward, and is closed: boxes that only touch overlap. The collision filter of the mesh excludes pairs that
+    rounded outward, and is closed: boxes that only touch overlap. Where the mesh has radii, the box of each vertex also
+    grows by the largest radius of the primitives that contain it. The collision filter of the mesh excludes pairs that
     share a vertex, pairs of two static bodies, pairs within a body whose self-collision is off, and pairs excluded by
     ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
 
@@ -71,7 +72,8 @@ def find_candidates(
         and section 7 (grids); Eitz and Lixu 2007, "Hierarchical spatial hashing for real-time collision detection".
 
     Guarantee: every pair that passes the filter and whose boxes overlap is found, exactly once, and no other pair. The
-    boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap.
+    boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap; with radii those of
+    two that come within ``inflation`` and both radii.
     """
     chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
@@ -99,7 +101,8 @@ def find_intersections(
     lost by the first: two faces that share vertices, and where they meet have anything else in common than these
     vertices and the edge between them, have a pair of other primitives that is found. So a mesh without intersections
     and with no pairs excluded is embedded. Of two codimensional edges with a common vertex only their ends in the plane
-    are tested. One body inside another, with surfaces apart, is no intersection.
+    are tested. One body inside another, with surfaces apart, is no intersection. Radii of the mesh play no part: what
+    intersects are the surfaces and curves themselves, without their thickness.
 
     Args:
         mesh: The bodies.

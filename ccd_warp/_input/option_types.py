@@ -61,7 +61,8 @@ class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
             least 0. Default: ``0.0``.
         minimum_distance: Euclidean distance at which a pair counts as touching, a length in the unit of the positions,
             at least 0. Unlike ``minimum_separation`` it is the same in every direction, so turning a scene changes
-            nothing, and ``length_scale`` plays no part. Only one of the two can be above 0. Default: ``0.0``.
+            nothing, and ``length_scale`` plays no part. Only one of the two can be above 0. The radii of a mesh, which
+            are distances, too, are added to it. Default: ``0.0``.
         start_gap_fraction: In (0, 1), or None. The separation of a pair, in either norm, is reduced to at most this
             fraction of its gap at the start. The toi of a pair that starts closer than the minimum separation, or close
             to it, is then positive, unless the pair touches at the start (``CCDStatus.INITIAL_CONTACT``), when there is
