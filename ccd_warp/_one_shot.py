@@ -72,8 +72,8 @@ def find_candidates(
         and section 7 (grids); Eitz and Lixu 2007, "Hierarchical spatial hashing for real-time collision detection".
 
     Guarantee: every pair that passes the filter and whose boxes overlap is found, exactly once, and no other pair. The
-    boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap; with radii those of
-    two that come within ``inflation`` and both radii.
+    boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap; where there are
+    radii, those of two that come within ``inflation`` and both radii.
     """
     chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:

@@ -18,11 +18,11 @@ def on_lattice(radius):
     return np.round(np.asarray(radius) / STEP) * STEP
 
 
-def crowd(seed, count=24, motion=0.08, largest=0.04, **options):
+def crowd(seed, count=20, motion=0.08, largest=0.04, **options):
     """Small faces, edges and points at random places with random radii, some 0: mesh, start and end."""
     rng = np.random.default_rng(seed)
     parts = [
-        (rng.random((n, 1, 3)) + 0.06 * rng.normal(size=(n, corners, 3))).reshape(-1, 3)
+        (0.7 * rng.random((n, 1, 3)) + 0.06 * rng.normal(size=(n, corners, 3))).reshape(-1, 3)
         for n, corners in ((count, 3), (count // 2, 2), (count // 2, 1))
     ]
     faces, edges = np.arange(3 * count).reshape(-1, 3), np.arange(2 * (count // 2)).reshape(-1, 2)
