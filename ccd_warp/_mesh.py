@@ -213,10 +213,11 @@ class CollisionMesh:
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
             radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
-                positions, at least 0; one number, or one for each body, shape [B], or for each vertex, shape [V]. A
-                pair counts as touching once its Euclidean distance is ``minimum_distance`` plus the radii of its two
-                primitives, each the largest of its vertices'. Where one is given, even 0, distances are Euclidean,
-                and :attr:`CollisionPipeline.radius` can change it on the device. By default there is none.
+                positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
+                vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
+                the radii of its two primitives, each the largest of its vertices'. Where one is given, even 0,
+                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. By default
+                there is none.
 
         Returns:
             The mesh.
@@ -282,10 +283,11 @@ class CollisionMesh:
             vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
                 worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
             radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
-                positions, at least 0; one number, or one for each body, shape [B], or for each vertex, shape [V]. A
-                pair counts as touching once its Euclidean distance is ``minimum_distance`` plus the radii of its two
-                primitives, each the largest of its vertices'. Where one is given, even 0, distances are Euclidean,
-                and :attr:`CollisionPipeline.radius` can change it on the device. By default there is none.
+                positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
+                vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
+                the radii of its two primitives, each the largest of its vertices'. Where one is given, even 0,
+                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. By default
+                there is none.
 
         Returns:
             The mesh.
@@ -363,7 +365,12 @@ class CollisionMesh:
             ),
             names=names,
             exclude_pairs=ExcludedPairs(),
-            radius=validated_radius(radius, offsets, lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names)),
+            radius=validated_radius(
+                radius,
+                offsets,
+                lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
+                {b: label for b, label, _ in half_spaces},
+            ),
             planes=planes_of(half_spaces, dimension),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)

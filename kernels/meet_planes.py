@@ -48,6 +48,7 @@ def meet_planes(
     planes: Planes,
     query: PlaneQuery,
     vertex_body: wp.array[wp.int32],
+    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
     active: wp.array[wp.int32],  # by body: 0, its vertices are left out; empty, none is
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
@@ -73,9 +74,12 @@ def meet_planes(
         return
     if only_moving != 0 and x0 == x1:
         return
+    radius = _ZERO
+    if box_radius.shape[0] > 0:
+        radius = box_radius[v]
     for k in range(planes.point.shape[0]):
         if planes.meets[k, body] != wp.uint8(0):
-            meeting = meeting_of(x0, x1, planes, k, query)
+            meeting = meeting_of(x0, x1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
                     toi = meeting.toi
@@ -114,6 +118,7 @@ def bound_by_planes(
     planes: Planes,
     query: PlaneQuery,
     vertex_body: wp.array[wp.int32],
+    box_radius: wp.array[wp.float64],
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
     # out
@@ -123,9 +128,12 @@ def bound_by_planes(
     """Like ``meet_planes``, for the least toi alone."""
     v = vertices[begin + wp.tid()]
     body = vertex_body[v]
+    radius = _ZERO
+    if box_radius.shape[0] > 0:
+        radius = box_radius[v]
     for k in range(planes.point.shape[0]):
         if planes.meets[k, body] != wp.uint8(0):
-            meeting = meeting_of(vertices_t0[v], vertices_t1[v], planes, k, query)
+            meeting = meeting_of(vertices_t0[v], vertices_t1[v], radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)

@@ -16,9 +16,10 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    normal has lost bits, by lost·Σ|x_k - p_k|. Where step 1 has lost nothing and each term has a factor 0, f is 0, and
    so is E.
 3. **Distance.** A point is within a distance D of the half-space where f ≤ D·|n|, with the Euclidean length of n, or
-   the sum of its magnitudes if D is in the maximum norm: the largest d·n of a vector d of that length. |n| is rounded
-   up on the host, so θ = D·|n|·(1 + 4u) is an upper bound. A ``start_gap_fraction`` reduces θ to that fraction of F - E
-   at the start, which is no more than the gap there.
+   the sum of its magnitudes if D is in the maximum norm: the largest d·n of a vector d of that length. D is the sum of
+   the distance asked for and the largest radius of the primitives around the vertex, if there are radii. |n| is rounded
+   up on the host by 4u or more, so θ = D·|n|·(1 + 4u), with three roundings, is an upper bound. A
+   ``start_gap_fraction`` reduces θ to that fraction of F - E at the start, which is no more than the gap there.
 4. **Time.** Let L = fl(F - (E + θ)(1 + 4u)) at both ends. The sum in parentheses is an upper bound of E + θ, so the
    exact difference is a lower bound of f - θ, and L has its sign. If L ≤ 0 at the start, toi is 0. If L > 0 at both
    ends, the vertex is free. Otherwise the exact f - θ is above the line through both differences, which vanishes at
@@ -73,7 +74,7 @@ class PlaneQuery:
     """What vertices and planes are asked for."""
 
     distance: wp.float64  # at which they count as touching, a length
-    is_euclidean: int  # 1: it is Euclidean; 0: in the maximum norm
+    is_euclidean: int  # 1: it is Euclidean, as radii are; 0: in the maximum norm
     start_gap_fraction: wp.float64  # 0: the distance applies to every pair
     t_max: wp.float64
 
@@ -123,8 +124,8 @@ def scale_of(largest: wp.float64) -> wp.float64:
 
 
 @wp.func
-def meeting_of(x0: wp.vec3d, x1: wp.vec3d, planes: Planes, k: int, query: PlaneQuery) -> Meeting:
-    """When a vertex that moves from x0 to x1 comes within the distance of a half-space; its toi is never late."""
+def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k: int, query: PlaneQuery) -> Meeting:
+    """When a vertex that moves from x0 to x1 comes within its distance of a half-space; its toi is never late."""
     meeting = Meeting()
     meeting.toi = wp.float64(wp.inf)
     p = planes.point[k]
@@ -141,7 +142,7 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, planes: Planes, k: int, query: PlaneQ
     is_exact = s >= _ONE and lost == _ZERO
     start = value_of(x0, p, n, is_exact, lost)
     end = value_of(x1, p, n, is_exact, lost)
-    reach = wp.min(query.distance * s * size * _UP, _FAR)
+    reach = wp.min((query.distance + radius) * s * size * _UP, _FAR)
     if query.start_gap_fraction > _ZERO:
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
     a = start.f - (start.error + reach) * _UP

@@ -151,6 +151,37 @@ def test_random_vertices_meet_planes_in_time_and_no_earlier(options, distance):
     assert check_never_late(mesh, start, end, result, distance, "minimum_distance" in options) > 400
 
 
+@pytest.mark.parametrize("distance", [0.0, 0.02])
+def test_a_vertex_keeps_the_radius_of_the_thickest_primitive_around_it(distance):
+    """A cable whose ends are thinner than its middle is as thick there; a particle has its own radius."""
+    rng = np.random.default_rng(12)
+    cable, dust = rng.uniform(-1, 1, (20, 3)), rng.uniform(-1, 1, (20, 3))
+    edges = np.stack([np.arange(0, 20, 2), np.arange(1, 20, 2)], axis=1)
+    radius = 0.1 * rng.random(40) * (np.arange(40) % 3)
+    slope = ccd.HalfSpace([0.1, 0, 0], [-1, 2, 3])
+    mesh = ccd.CollisionMesh.from_arrays([(cable, NO_FACES, edges), (dust, NO_FACES), slope], radius=radius)
+    start, end = mesh.vertices, rng.uniform(-1, 1, (40, 3))
+    largest = radius.copy()
+    largest[edges] = radius[edges].max(axis=1, keepdims=True)
+    options = {"minimum_distance": distance, "device": "cpu", "pair_kinds": ["vertex_plane"]}
+    result = ccd.mesh_ccd(mesh, start, end, **options)
+    toi, gap = tois_of(result, 40, 1)
+    for v in range(40):
+        truth, own, t = Truth(mesh, start, end, v, 0), Fraction(distance) + Fraction(largest[v]), float(toi[v, 0])
+        assert not truth.is_late(t, own, is_euclidean=True)
+        assert t == np.inf or truth.excess(truth.at(t), own + Fraction(gap[v, 0]), True) <= 0 <= gap[v, 0] + 1e-15
+        assert t in (0, np.inf) or gap[v, 0] < 1e-14
+    assert 10 < np.isfinite(toi).sum() and 3 < (np.isfinite(toi) & (toi > 0)).sum()
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    check_same(pipeline.launch(on_device(start), on_device(end)), result)
+    pipeline.radius.zero_()
+    thin = ccd.CollisionMesh.from_arrays([(cable, NO_FACES, edges), (dust, NO_FACES), slope])
+    launched = pipeline.launch(on_device(start), on_device(end))
+    assert np.array_equal(launched.vertex_toi.numpy(), ccd.mesh_ccd(thin, start, end, **options).vertex_toi)
+    near = ccd.find_candidates(mesh, start, end, 0.5 * distance).vertex_plane
+    assert set(result.contacts.primitives[:, 0]) <= set(near[:, 0])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_hostile_vertices_and_planes_are_never_late(seed):
     rng = np.random.default_rng(seed)
@@ -503,6 +534,14 @@ def test_kinds_of_pairs_choose_planes_or_leave_them_out():
 def test_half_spaces_that_are_none_are_named(half_space, message):
     with pytest.raises(ValueError, match=message):
         ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), half_space], names=["cloth", "floor"])
+
+
+def test_half_spaces_have_no_radius():
+    bodies, names = [(TRIANGLE, FACE), GROUND], ["cloth", "floor"]
+    assert ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0]).radius.tolist() == [0.1] * 3
+    assert ccd.CollisionMesh.from_arrays(bodies, radius=0.1).radius.tolist() == [0.1] * 3
+    with pytest.raises(ValueError, match=r"radius holds 0.2 for body 1 \(floor\); expected 0, as a half-space has no"):
+        ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0.2], names=names)
 
 
 def test_half_spaces_alone_are_no_mesh():

@@ -199,7 +199,7 @@ class Step:
             candidates = collector.candidates()
         if plan.has_planes:
             with self.timed("planes"):
-                near = plane_candidates(self.mesh, self.positions, inflation)
+                near = plane_candidates(self.mesh, self.positions, inflation, self.topology.box_radius.numpy())
             candidates = replace(candidates, vertex_plane=near)
             num_launches[PairKind.VERTEX_PLANE], num_candidates[PairKind.VERTEX_PLANE] = 1, len(near)
         self.finish_counts(num_launches, num_candidates, search.num_batches)

@@ -104,10 +104,10 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
     return planes
 
 
-def plane_query(options: "Options", separation: float) -> Any:
+def plane_query(options: "Options", separation: float, *, is_euclidean: bool) -> Any:
     """What vertices and planes are asked for, as the struct of the kernels; ``separation`` as of `Options`."""
     query = kernels.PlaneQuery()
-    query.is_euclidean = int(options.minimum_distance > 0)
+    query.is_euclidean = int(is_euclidean)
     query.distance = separation
     if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
         query.distance = min(math.nextafter(separation, math.inf), sys.float_info.max)
@@ -117,12 +117,16 @@ def plane_query(options: "Options", separation: float) -> Any:
 
 
 def plane_candidates(
-    mesh: "CollisionMesh", positions: tuple[NDArray[np.float64], NDArray[np.float64]], inflation: float
+    mesh: "CollisionMesh",
+    positions: tuple[NDArray[np.float64], NDArray[np.float64]],
+    inflation: float,
+    box_radius: NDArray[np.float64],
 ) -> NDArray[np.int32]:
     """Vertices and planes whose boxes, enlarged by ``inflation``, overlap in a step, in lexicographic order.
 
-    The enlarged half-space is where f ≤ inflation·Σ|n_k|, and the box of a vertex reaches as far beyond it. So they
-    overlap where f of the vertex is at most twice that, and it is least at one of both ends of the step.
+    The enlarged half-space is where f ≤ inflation·Σ|n_k|, and the box of a vertex reaches as far beyond it, and by its
+    radius more where there are any. So they overlap where f of the vertex is at most the sum of both, and f is least at
+    one of both ends of the step.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
     vertices = mesh.moving_vertices
@@ -133,7 +137,8 @@ def plane_candidates(
             is_near = np.zeros(len(chosen), dtype=bool)
             for x in positions:
                 f, error, s = _values(x[chosen], scaled, k)
-                reach = np.minimum(2.0 * inflation * s * scaled.sum[k] * _UP, _FAR)
+                enlarged = 2.0 * inflation + (box_radius[chosen] if len(box_radius) else 0.0)
+                reach = np.minimum(enlarged * s * scaled.sum[k] * _UP, _FAR)
                 is_near |= f <= (error + reach) * _UP
             found.append(_pairs_with(chosen[is_near], k))
     pairs = np.concatenate(found)

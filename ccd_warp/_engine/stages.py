@@ -306,7 +306,7 @@ class Stages:
 
     def _met_by_planes(self) -> list[Any]:
         topology = self.topology
-        return [topology.moving_vertices, topology.planes, self.plane_query, topology.vertex_body]
+        return [topology.moving_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
         """A round of the narrow phase: lower the minima, and list the contacts.

@@ -10,6 +10,7 @@ from ccd_warp._engine.boxes import StepBoxes
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import ContactStore
 from ccd_warp._engine.planes import plane_query
+from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -17,6 +18,7 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
+from ccd_warp.kernels.norm import MAXIMUM_NORM
 
 _MOST_OPTIONS = 8
 
@@ -98,5 +100,7 @@ class Workspace:
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            self._packed[key] = plane_query(options, options.separation(length_scale))
+            is_euclidean = norm_of(self.topology.mesh, options) != MAXIMUM_NORM
+            separation = options.separation(length_scale)
+            self._packed[key] = plane_query(options, separation, is_euclidean=is_euclidean)
         return self._packed[key]

@@ -164,7 +164,7 @@ def validated_rings(value: int) -> int:
 
 
 def validated_radius(
-    values: ArrayLike | None, first_vertices: Sequence[int], where: Callable[[int], str]
+    values: ArrayLike | None, first_vertices: Sequence[int], where: Callable[[int], str], half_spaces: dict[int, str]
 ) -> NDArray[np.float64] | None:
     """A radius for each vertex, or a ValueError.
 
@@ -172,6 +172,7 @@ def validated_radius(
         values: One number, or one for each body or vertex; None stays.
         first_vertices: First vertex of each body, and the number of all vertices.
         where: What a message adds to the number of a vertex.
+        half_spaces: What messages call the bodies that are half-spaces, which have no radius.
     """
     if values is None:
         return None
@@ -192,6 +193,9 @@ def validated_radius(
     given = given + 0.0  # a copy, with -0.0 as 0.0
     if array.ndim == 0:
         return np.full(num_vertices, given[0])
+    for body, label in half_spaces.items() if len(given) == num_bodies else ():
+        if given[body] != 0.0:
+            raise ValueError(f"radius holds {given[body]} for {label}; expected 0, as a half-space has no radius")
     of_bodies = np.repeat(given, np.diff(first_vertices)) if len(given) == num_bodies else given
     if len(given) == num_vertices and not np.array_equal(given, of_bodies):
         raise ValueError(
