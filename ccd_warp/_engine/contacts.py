@@ -15,7 +15,6 @@ from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels import contacts as kernels
-from ccd_warp.kernels import meet_planes
 from ccd_warp.kernels.minima import Minima
 
 CONTACT_DTYPES = {
@@ -107,6 +106,8 @@ class _Ordered:
         inputs = [self._contacts, *corners, minima]
         launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
         if len(self._topology.mesh.planes):
+            from ccd_warp.kernels import meet_planes  # not before a scene needs it
+
             inputs = [self._contacts, self._topology.planes.body, minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=self._first[1:])
 

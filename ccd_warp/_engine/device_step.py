@@ -204,7 +204,6 @@ class DeviceStep:
         kinds = dict.fromkeys(tree_pair.kind for tree_pair in tree_pairs)
         has_planes = PairKind.VERTEX_PLANE in possible_kinds(mesh, options)
         _ = topology.planes if has_planes else None  # likewise
-        query = plane_query(options, separation, is_euclidean=norm != MAXIMUM_NORM)
         max_candidates = CANDIDATES_EACH * capacities.max_pairs if execution.is_cuda else 0
         self._stages = Stages(
             topology,
@@ -229,7 +228,7 @@ class DeviceStep:
             minima=minima,
             contacts=new_contact_list(vars(result.contacts)),
             queue=new_queue(capacities.max_pairs, topology.device) if execution.is_cuda else None,
-            plane_query=query if has_planes else None,
+            plane_query=plane_query(options, separation, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)

@@ -10,8 +10,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp.kernels import planes as kernels
-
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
     from ccd_warp._mesh import CollisionMesh
@@ -90,7 +88,9 @@ def excluded_keys(mesh: "CollisionMesh") -> NDArray[np.int64]:
 
 def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.array]) -> Any:
     """The planes of a mesh as the struct of the kernels; ``array`` puts values of a dtype on a device."""
-    planes = kernels.Planes()
+    from ccd_warp.kernels.planes import Planes  # not before a scene needs it
+
+    planes = Planes()
     if len(mesh.planes) == 0:
         return planes
     scaled = scaled_planes(mesh)
@@ -106,7 +106,9 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
 
 def plane_query(options: "Options", separation: float, *, is_euclidean: bool) -> Any:
     """What vertices and planes are asked for, as the struct of the kernels; ``separation`` as of `Options`."""
-    query = kernels.PlaneQuery()
+    from ccd_warp.kernels.planes import PlaneQuery  # not before a scene needs it
+
+    query = PlaneQuery()
     query.is_euclidean = int(is_euclidean)
     query.distance = separation
     if separation > 0.0 and not query.is_euclidean:  # a product of two numbers

@@ -14,7 +14,7 @@ from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, candidate_cull, device_step, meet_planes
+from ccd_warp.kernels import box_tree, candidate_cull, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
 from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
 
@@ -292,6 +292,8 @@ class Stages:
             only_moving: As for :meth:`solve`.
             gaps_moved: Likewise.
         """
+        from ccd_warp.kernels import meet_planes  # not before a scene needs it
+
         every: wp.array = wp.empty(0, dtype=wp.int32, device=self.topology.device)
         inputs = [*self._met_by_planes(), every if active is None else active]
         inputs += [self.vertices_t0, self.vertices_t1, int(only_moving), float(gaps_moved)]
@@ -300,6 +302,8 @@ class Stages:
 
     def bound_by_planes(self, launcher: Launcher) -> None:
         """The same, for the least toi alone."""
+        from ccd_warp.kernels import meet_planes  # not before a scene needs it
+
         inputs = [*self._met_by_planes(), self.vertices_t0, self.vertices_t1]
         outputs = [self.counts, self.least_bits]
         launcher.launch(meet_planes.bound_by_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
