@@ -34,12 +34,6 @@ def is_pair_excluded(v: int, k: int, excluded: wp.array[wp.int64]) -> bool:
     return False
 
 
-@wp.func
-def is_finite(x: wp.vec3d) -> bool:
-    """Whether all coordinates are finite."""
-    return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
-
-
 @wp.kernel
 def meet_planes(
     begin: int,
@@ -59,10 +53,7 @@ def meet_planes(
     minima: Minima,
     contacts: ContactList,
 ):
-    """Meet every plane with a vertex that moves; lower the minima, list the contacts.
-
-    A position that is not finite is met by nothing: its world has toi 0 for that.
-    """
+    """Meet every plane with a vertex that moves; lower the minima, list the contacts."""
     v = vertices[begin + wp.tid()]
     body = vertex_body[v]
     if active.shape[0] > 0:
@@ -70,8 +61,6 @@ def meet_planes(
             return
     x0 = vertices_t0[v]
     x1 = vertices_t1[v]
-    if not (is_finite(x0) and is_finite(x1)):
-        return
     if only_moving != 0 and x0 == x1:
         return
     radius = _ZERO

@@ -27,6 +27,10 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    within 4.01u of that; times (1 - 6u), the rounding of the product included, it is a lower bound. A quotient below
    2^-1000 becomes 0, as its own roundings are not relative.
 
+5. **Most vertices** stay far from a plane. Where S is between 2^-300 and 2^900 at both ends, and the normal has lost
+   nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is 0.4u S.
+   So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
+
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.
 """
@@ -40,6 +44,8 @@ _LARGE = wp.constant(wp.float64(2.0**1000))
 _SMALL = wp.constant(wp.float64(2.0**-400))
 _SHRINK = wp.constant(wp.float64(2.0**-16))
 _GROW = wp.constant(wp.float64(2.0**600))
+_LEAST_CLEAR = wp.constant(wp.float64(2.0**-300))
+_MOST_CLEAR = wp.constant(wp.float64(2.0**900))
 # Beyond any value of f, so that no distance is infinite.
 _FAR = wp.constant(wp.float64(2.0**1015))
 _VALUE = wp.constant(wp.float64(4.5 * _U))
@@ -124,8 +130,28 @@ def scale_of(largest: wp.float64) -> wp.float64:
 
 
 @wp.func
+def is_finite(x: wp.vec3d) -> bool:
+    """Whether all coordinates are finite."""
+    return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
+
+
+@wp.func
+def is_clear(x: wp.vec3d, p: wp.vec3d, n: wp.vec3d, reach: wp.float64) -> bool:
+    """Whether a position is certainly beyond the reach of a plane whose normal has lost nothing (step 5)."""
+    d = x - p
+    a = n[0] * d[0]
+    b = n[1] * d[1]
+    c = n[2] * d[2]
+    s = wp.abs(a) + wp.abs(b) + wp.abs(c)
+    return s > _LEAST_CLEAR and s < _MOST_CLEAR and a + b + c > (_VALUE * s + reach) * _UP
+
+
+@wp.func
 def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k: int, query: PlaneQuery) -> Meeting:
-    """When a vertex that moves from x0 to x1 comes within its distance of a half-space; its toi is never late."""
+    """When a vertex that moves from x0 to x1 comes within its distance of a half-space; its toi is never late.
+
+    A position that is not finite meets nothing: its world has toi 0 for that.
+    """
     meeting = Meeting()
     meeting.toi = wp.float64(wp.inf)
     p = planes.point[k]
@@ -133,16 +159,23 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k
     size = planes.sum[k]
     if query.is_euclidean != 0:
         size = planes.length[k]
+    lost = planes.lost[k]
+    distance = query.distance + radius
+    if lost == _ZERO:
+        reach = distance * size * _UP
+        if is_clear(x0, p, n, reach) and is_clear(x1, p, n, reach):
+            return meeting
+    if not (is_finite(x0) and is_finite(x1)):
+        return meeting
     s = scale_of(wp.max(wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1))), wp.max(wp.abs(p))))
     if s != _ONE:
         x0 = s * x0
         x1 = s * x1
         p = s * p
-    lost = planes.lost[k]
     is_exact = s >= _ONE and lost == _ZERO
     start = value_of(x0, p, n, is_exact, lost)
     end = value_of(x1, p, n, is_exact, lost)
-    reach = wp.min((query.distance + radius) * s * size * _UP, _FAR)
+    reach = wp.min(distance * s * size * _UP, _FAR)
     if query.start_gap_fraction > _ZERO:
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
     a = start.f - (start.error + reach) * _UP
