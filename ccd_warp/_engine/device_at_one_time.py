@@ -1,0 +1,197 @@
+"""The device driver at one time: what is near, and how far vertices may move, in launches of fixed sizes.
+
+A step on the device whose two ends are the same positions, with the boxes, trees and search of every other step and
+kernels for distances in place of the narrow phase. How near is near may change from launch to launch; the boxes of
+static bodies are made again where they had another size.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
+from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
+from ccd_warp._engine.proximities import (
+    PROXIMITY_DTYPES,
+    largest_distance,
+    new_proximity_list,
+    reach_of,
+    rounded_sum,
+)
+from ccd_warp._engine.proximity_step import largest_bound
+from ccd_warp._engine.scene import half_up, moves_alone
+from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.topology import Topology
+from ccd_warp._engine.trees import search_options
+from ccd_warp._input.interop import without_worlds
+from ccd_warp._input.options import Options
+from ccd_warp._runtime.launch import Recording, Slot
+from ccd_warp.kernels import proximity as kernels
+from ccd_warp.kernels.norm import EUCLIDEAN_NORM
+
+_SLOTS = ("inflation", "search options", "reach", "largest")
+
+
+class _Values(NamedTuple):
+    """What a launch is asked for, as the values of the slots."""
+
+    inflation: float
+    search_options: Any
+    reach: Any
+    largest: float
+
+
+class DeviceAtOneTime(DeviceStep):
+    """A step on the device at one time."""
+
+    _has_narrow_phase = False
+
+    def __init__(
+        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+    ) -> None:
+        """Allocate everything, with trees for ``vertices``; every launch gives the positions of all bodies."""
+        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices)
+        self._of_static = self._full(1, float(self._stages.inflation), wp.float64)
+        self._values: dict[tuple[float, float], _Values] = {}  # the last ones
+        self._next: _Values  # those of the launch that is recorded
+        self._stages = replace(
+            self._stages, inflation=Slot("inflation"), search_options=Slot("search options"), reach=Slot("reach")
+        )
+
+    def prepare_positions(self, positions: Any) -> PreparedLaunch:
+        """Check the positions of a launch, one row for every vertex."""
+        mesh = self._mesh
+        positions = without_worlds(positions, "positions", mesh.rows_by_world, mesh.dimension)
+        prepared = self.prepare(positions, positions, name_t0="positions", name_t1="positions")
+        if not prepared.form.t0_by_vertex:
+            raise ValueError(
+                f"positions has {len(prepared.vertices_t0)} rows; expected {mesh.num_vertices}, one a vertex"
+            )
+        return prepared
+
+    def _values_of(self, distance: float, kept: float, largest: float) -> _Values:
+        """The values for a distance, packed once, since packing takes as long as a launch."""
+        key = (distance, largest)
+        if key not in self._values:
+            self._values.clear()
+            topology = self.topology
+            most = largest_distance(topology, distance)
+            inflation = half_up(most)
+            searched = search_options(1.0, inflation, most, EUCLIDEAN_NORM, self._flag)
+            reach = reach_of(topology, distance, self._flag.array, kept)
+            self._values[key] = _Values(inflation, searched, reach, largest)
+        return self._values[key]
+
+    def launch_within(self, prepared: PreparedLaunch, values: _Values) -> None:
+        """Launch. If this raises, the step is in an inconsistent state and must not be used again."""
+        recording = self._recordings.get(prepared.form)
+        if recording is not None:
+            for name, value in zip(_SLOTS, values, strict=True):
+                recording.bind(name, value)
+        self._next = values
+        self.launch(prepared)
+
+    def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
+        """All launches."""
+        values = dict(zip(_SLOTS, self._next, strict=True))
+        initial = {"vertices_t0": vertices_t0, "vertices_t1": vertices_t1, "safety": 1.0, **values}
+        recording = Recording(self._execution, initial)
+        with recording.section("step"):
+            self._record_reset(recording)
+            if self._static_trees:
+                recording.launch(
+                    kernels.note_inflation, 1, inputs=[Slot("inflation")], outputs=[self._of_static, self._is_moved]
+                )
+            self._record_distances(recording, self._record_pairs(recording, form))
+        return recording
+
+    def _record_distances(self, recording: Recording, stages: Stages) -> None:
+        """Record what takes the place of the narrow phase."""
+        raise NotImplementedError
+
+
+class DeviceProximityStep(DeviceAtOneTime):
+    """The pairs within a distance.
+
+    Attributes:
+        proximities: The arrays to which launches write.
+    """
+
+    def __init__(
+        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+    ) -> None:
+        """Allocate everything."""
+        super().__init__(topology, options, capacities, vertices)
+        arrays = {name: self._empty(capacities.max_contacts, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
+        self._count = self._full(1, 0, wp.int32)
+        self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
+        result = self.result
+        self.proximities = DeviceProximities(
+            count=self._count,
+            **arrays,
+            flags=result.flags,
+            world_flags=result.world_flags,
+            num_pairs=result.num_pairs,
+            _step=self,
+        )
+
+    def values(self, distance: float) -> _Values:
+        """The values of a launch with a distance."""
+        return self._values_of(distance, 0.0, 0.0)
+
+    def positions(self) -> NDArray[np.float64]:
+        """What the positions of the last launch are now; this waits for the device."""
+        last = self._last_positions()
+        assert last is not None
+        positions: NDArray[np.float64] = last[0].numpy().reshape(-1, 3)[:, : self._mesh.dimension].copy()
+        return positions
+
+    def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
+        self._stages.reset(recording, self._count, self._flag.array, kept_flags)
+
+    def _record_distances(self, recording: Recording, stages: Stages) -> None:
+        stages.list_proximities(recording)
+
+
+class DeviceDisplacementStep(DeviceAtOneTime):
+    """How far vertices may move.
+
+    Attributes:
+        displacements: The arrays to which launches write.
+    """
+
+    def __init__(
+        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+    ) -> None:
+        """Allocate everything."""
+        super().__init__(topology, options, capacities, vertices)
+        self._is_alone = moves_alone(self._mesh)
+        _ = topology.body_static  # computed now, not during a capture
+        result = self.result
+        self.displacements = DeviceDisplacements(
+            bounds=result.vertex_toi,
+            flags=result.flags,
+            world_flags=result.world_flags,
+            num_pairs=result.num_pairs,
+            _step=self,
+        )
+
+    def values(self, search_radius: float) -> _Values:
+        """The values of a launch with a search radius."""
+        kept = self._options.minimum_distance
+        return self._values_of(rounded_sum(search_radius, kept), kept, largest_bound(search_radius, self._is_alone))
+
+    def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
+        super()._record_input(recording, form, stages, is_copied, is_first)
+        recording.launch(
+            kernels.reset_bounds,
+            self._mesh.num_vertices,
+            inputs=[Slot("largest"), self.topology.body_static],
+            outputs=[stages.minima],
+        )
+
+    def _record_distances(self, recording: Recording, stages: Stages) -> None:
+        stages.bound_displacements(recording)

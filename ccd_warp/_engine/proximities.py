@@ -1,0 +1,95 @@
+"""Lists of pairs that are near at one time, and what kernels are told of how near that is."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.contacts import sort_places
+from ccd_warp._engine.topology import Topology
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels import proximity as kernels
+
+PROXIMITY_DTYPES = {
+    "kind": wp.int32,
+    "primitives": wp.vec2i,
+    "parameters": wp.vec2d,
+    "distance": wp.float64,
+    "direction": wp.vec3d,
+    "features": wp.int32,
+}
+BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
+
+
+def reach_of(topology: Topology, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
+    """What is near, as the struct of the kernels."""
+    reach = kernels.Reach()
+    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, topology.radius, stop
+    return reach
+
+
+def largest_distance(topology: Topology, distance: float) -> float:
+    """The largest distance of a pair of primitives with their radii, rounded up."""
+    radius = topology.mesh.radius
+    largest = 0.0 if radius is None or len(radius) == 0 else float(radius.max())
+    return distance if largest == 0.0 else rounded_sum(distance, rounded_sum(largest, largest))
+
+
+def rounded_sum(a: float, b: float) -> float:
+    """The sum of two lengths, rounded up."""
+    if a == 0.0 or b == 0.0:
+        return a + b
+    return min(math.nextafter(a + b, math.inf), np.finfo(np.float64).max.item())
+
+
+def new_proximity_list(arrays: Mapping[str, wp.array]) -> Any:
+    """The struct that kernels append to: the arrays of a list, and its count."""
+    proximities = kernels.ProximityList()
+    for name, array in arrays.items():
+        setattr(proximities, name, array)
+    return proximities
+
+
+class ProximityStore:
+    """The pairs that batches of a search find, in one list, which stays for the next call.
+
+    Attributes:
+        total: Number of pairs found.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers, execution: Execution) -> None:
+        self.total = 0
+        self._buffers, self._execution = buffers, execution
+        self._count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
+        self._list: Any = None
+
+    def begin_batch(self, num_pairs: int) -> Any:
+        """The list that a batch of so many pairs appends to, with a place for each of them."""
+        arrays = {
+            name: self._buffers.grown(f"pair {name}", self.total, self.total + num_pairs, dtype)
+            for name, dtype in PROXIMITY_DTYPES.items()
+        }
+        self._list = new_proximity_list({"count": self._count, **arrays})
+        return self._list
+
+    def end_batch(self) -> None:
+        """Count what the batch has appended."""
+        self.total = int(self._count.numpy()[0])
+
+    def gather(self) -> dict[str, NDArray[Any]]:
+        """All pairs, sorted by kind and pair, in new arrays."""
+        device, count = self._execution.device, self.total
+        arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in PROXIMITY_DTYPES.items()}
+        if count > 0:
+            keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
+            order: wp.array = wp.empty(count, dtype=wp.int32, device=device)
+            launch = self._execution.launch
+            launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
+            sort_places(keys, order, count, self._execution)
+            ordered = new_proximity_list({"count": self._count, **arrays})
+            launch(kernels.order_proximities, count, inputs=[order, self._list], outputs=[ordered])
+        return {name: array.numpy() for name, array in arrays.items()}

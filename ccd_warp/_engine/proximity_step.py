@@ -1,0 +1,121 @@
+"""What is near at one time: a step whose two ends are the same positions, with distances in place of times."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.proximities import (
+    BYTES_PER_PROXIMITY,
+    ProximityStore,
+    largest_distance,
+    reach_of,
+    rounded_sum,
+)
+from ccd_warp._engine.scene import half_up, moves_alone
+from ccd_warp._engine.topology import Positions
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.options import Options
+from ccd_warp._proximities import Proximities
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._status import PairKind
+from ccd_warp.kernels import proximity as kernels
+
+
+def largest_bound(search_radius: float, is_alone: bool) -> float:
+    """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
+    return search_radius if is_alone else 0.5 * search_radius
+
+
+class _StepAtOneTime(Step):
+    """A step with a workspace of its own, in which boxes have the size of its goal."""
+
+    goal: Goal
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        positions: Positions,
+        options: Options,
+        checking_seconds: float = 0.0,
+        show: Callable[[Progress], None] | None = None,
+    ) -> None:
+        """Begin at the first of these positions."""
+        super().__init__(
+            workspace.at_one_time(self.goal), (positions[0], positions[0]), options, checking_seconds, show
+        )
+        self.survivors: Counter[PairKind] = Counter()
+
+    def search(self, distance: float) -> HostPlan:
+        """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
+        most = largest_distance(self.topology, distance)
+        plan = self.begin(self.goal, 1.0, half_up(most))
+        plan.set_search(1.0, half_up(most), most)
+        return plan
+
+    def finish(self, plan: HostPlan) -> None:
+        """Release what the call has used, and count what it has done."""
+        plan.release_positions()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
+        self.counts = replace(self.counts, num_after_cull={kind: self.survivors[kind] for kind in plan.kinds})
+
+
+class ProximityStep(_StepAtOneTime):
+    """The pairs within a distance."""
+
+    goal = "proximities"
+
+    def proximities(self, distance: float) -> Proximities:
+        """All pairs within a distance and their radii."""
+        plan = self.search(distance)
+        with self.timed("pairs"):
+            store = ProximityStore(self.topology, self.buffers, self.execution)
+            plan.set_reach(reach_of(self.topology, distance, self.workspace.flag.array))
+            batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.set_proximities(store.begin_batch(sum(batch.found.values())))
+                plan.list_proximities()
+                store.end_batch()
+        with self.timed("gather"):
+            arrays = store.gather()
+            dimension = self.mesh.dimension
+            if dimension == 2:
+                arrays["direction"] = arrays["direction"][:, :2].copy()
+            x = self.positions[0][:, :dimension].copy()
+        self.finish(plan)
+        return Proximities(**arrays, mesh=self.mesh, positions=x)
+
+
+class DisplacementStep(_StepAtOneTime):
+    """How far vertices may move."""
+
+    goal = "displacements"
+
+    def bounds(self, search_radius: float) -> NDArray[np.float64]:
+        """For each vertex the length by which it may move."""
+        kept = self.options.minimum_distance
+        distance = rounded_sum(search_radius, kept)
+        plan = self.search(distance)
+        minima = self.workspace.contacts.minima
+        with self.timed("pairs"):
+            largest = largest_bound(search_radius, moves_alone(self.mesh))
+            inputs = [largest, self.topology.body_static]
+            self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
+            plan.set_reach(reach_of(self.topology, distance, self.workspace.flag.array, kept))
+            batches = plan.batches(1, self.capacity(plan.key_bytes))
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.bound_displacements()
+        with self.timed("gather"):
+            bounds: wp.array = minima.vertex.view(wp.float64)
+            result = bounds.numpy().copy()
+        self.finish(plan)
+        return result

@@ -1,0 +1,176 @@
+"""What is near at one time: the pairs, where they are nearest, and what follows from the mesh."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._display import counted, html_table, named_counts, pairs_of_bodies
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._status import PairKind
+
+_FIELDS = ("kind", "primitives", "parameters", "distance", "direction", "features")
+# Bits of `features`, one for each column of `vertices`; what spans the inside of a face, or of both edges.
+_BITS = np.array([1, 2, 4, 8], dtype=np.int32)
+_ALL = 15
+_NONE = np.iinfo(np.int32).max
+# The columns of `Proximities.vertices` that hold the vertices of both primitives, and their tables.
+_COLUMNS: dict[PairKind, tuple[tuple[str, list[int]], tuple[str, list[int]]]] = {
+    PairKind.VERTEX_FACE: (("vertex", [0]), ("face", [1, 2, 3])),
+    PairKind.EDGE_EDGE: (("edge", [0, 1]), ("edge", [2, 3])),
+    PairKind.POINT_SEGMENT: (("vertex", [0, 1]), ("edge", [2, 3])),
+    PairKind.POINT_POINT: (("vertex", [0, 1]), ("vertex", [2, 3])),
+}
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Proximities:
+    """Pairs of primitives that are near at one time: :func:`ccd_warp.find_proximity`.
+
+    They are ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives. ``proximities[chosen]``,
+    with a slice, a mask or an array of indices, is a ``Proximities`` of these alone.
+
+    The closest point of a face may lie on its rim, and that of an edge at an end: a vertex near the common edge of two
+    faces is near both, at one and the same point, and near its edges besides. ``features`` says which vertices span the
+    closest point of each primitive, and :meth:`unique` keeps each such proximity once.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
+        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
+            and a codimensional edge (in the plane of any vertex and edge), or of the vertices of two codimensional
+            points, int32, shape [m, 2].
+        parameters: (u, v) of the closest points, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
+        distance: Euclidean distance of the closest points, a length, float64, shape [m]. Radii are not subtracted.
+        direction: Unit vector from the closest point of the second primitive to that of the first, float64, shape
+            [m, 3], or [m, 2] in the plane. It is 0 where the two points are the same.
+        features: Which of the four ``vertices`` span the closest features, one bit each, 1, 2, 4 and 8 from the first
+            column on, int32, shape [m]. 15 is the inside of a face or of two edges.
+        mesh: The mesh.
+        positions: Positions of all vertices, float64, shape [V, 3], or [V, 2] in the plane.
+    """
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int32]
+    parameters: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    features: NDArray[np.int32]
+    mesh: CollisionMesh
+    positions: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __getitem__(self, index: slice | NDArray[Any] | list[int] | list[bool]) -> "Proximities":
+        if isinstance(index, (int, np.integer)):
+            raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
+        chosen = index if isinstance(index, slice) or len(index) else np.zeros(0, dtype=np.int64)
+        arrays = {name: getattr(self, name)[chosen] for name in _FIELDS}
+        return Proximities(**arrays, mesh=self.mesh, positions=self.positions)
+
+    @lazy_property
+    def vertices(self) -> NDArray[np.int32]:
+        """Vertices of each pair, int32, shape [m, 4].
+
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q, as those of :class:`ccd_warp.Contacts`.
+        """
+        vertices = np.empty((len(self), 4), dtype=np.int32)
+        for kind, sides in _COLUMNS.items():
+            rows = np.flatnonzero(self.kind == int(kind))
+            for (name, columns), ids in zip(sides, self.primitives[rows].T, strict=True):
+                table = {"face": self.mesh.faces, "edge": self.mesh.edges}.get(name)
+                vertices[rows[:, None], columns] = ids[:, None] if table is None else table[ids]
+        return vertices
+
+    @lazy_property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the four ``vertices`` in the closest points, float64, shape [m, 4].
+
+        Those of each primitive add up to 1; a column that repeats a vertex has weight 0. With them a force on the two
+        points is shared among the vertices, and ``direction`` times these weights, negative for the second primitive,
+        is the derivative of ``distance`` by the positions.
+        """
+        u, v = self.parameters.T
+        one, zero = np.ones(len(self)), np.zeros(len(self))
+        by_kind = {
+            PairKind.VERTEX_FACE: (one, 1.0 - u - v, u, v),
+            PairKind.EDGE_EDGE: (1.0 - u, u, 1.0 - v, v),
+            PairKind.POINT_SEGMENT: (one, zero, 1.0 - u, u),
+            PairKind.POINT_POINT: (one, zero, one, zero),
+        }
+        weights = np.empty((len(self), 4))
+        for kind, columns in by_kind.items():
+            rows = self.kind == int(kind)
+            weights[rows] = np.stack(columns, axis=1)[rows]
+        return weights
+
+    @lazy_property
+    def points(self) -> NDArray[np.float64]:
+        """The closest points of the first and the second primitive, a length, float64, shape [m, 2, 3] or [m, 2, 2]."""
+        weights, x = self.weights[..., None], self.positions
+        vertices = self.vertices
+        of_first = np.where((self.kind != int(PairKind.VERTEX_FACE))[:, None], weights[:, 1], 0.0)
+        points = np.empty((len(self), 2, x.shape[1]))
+        points[:, 0] = weights[:, 0] * x[vertices[:, 0]]
+        between = x[vertices[:, 1]]
+        points[:, 0] += of_first * between
+        points[:, 1] = (weights[:, 1] - of_first) * between
+        for column in (2, 3):
+            points[:, 1] += weights[:, column] * x[vertices[:, column]]
+        return points
+
+    @property
+    def bodies(self) -> NDArray[np.int32]:
+        """Bodies of the first and the second primitive, int32, shape [m, 2]."""
+        bodies: NDArray[np.int32] = self.mesh.vertex_body[self.vertices[:, [0, 3]]]
+        return bodies
+
+    @property
+    def world(self) -> NDArray[np.int32]:
+        """World of each pair, int32, shape [m]."""
+        world: NDArray[np.int32] = self.mesh.vertex_world[self.vertices[:, 0]]
+        return world
+
+    def unique(self) -> "Proximities":
+        """The same proximities with each two closest features once, by the first pair that has them.
+
+        They are two vertices, a vertex and an edge, two edges, or a vertex and a face. What a vertex has to do with an
+        edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.
+        """
+        rows = np.flatnonzero(self.features != _ALL)
+        vertices, bits = self.vertices[rows], self.features[rows, None] & _BITS
+        is_first = _BITS <= np.where(self.kind[rows] == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
+        ends = []  # the lowest and the highest vertex that spans the feature of each side
+        for side in (is_first, ~is_first):
+            chosen = side & (bits != 0)
+            ends.append(np.where(chosen, vertices, _NONE).min(axis=1).astype(np.int64))
+            ends.append(np.where(chosen, vertices, -1).max(axis=1).astype(np.int64))
+        a, a_end, b, b_end = ends
+        # the side that is a single vertex comes first, and of two vertices the lower one
+        is_turned = (a != a_end) | ((b == b_end) & (b < a))
+        a, b, b_end = np.where(is_turned, b, a), np.where(is_turned, a, b), np.where(is_turned, a_end, b_end)
+        a = a << 32 | b
+        order = np.lexsort((b_end, a))  # stable: of equal ones the first pair comes first
+        a, b_end = a[order], b_end[order]
+        is_repeated = np.zeros(len(self), dtype=bool)
+        is_repeated[rows[order[1:]]] = (a[1:] == a[:-1]) & (b_end[1:] == b_end[:-1])
+        return self[~is_repeated]
+
+    def __repr__(self) -> str:
+        if len(self) == 0:
+            return "Proximities(no pair)"
+        named = ", ".join(named_counts(pairs_of_bodies(self.mesh.names, self.bodies)))
+        pairs = counted(len(self), "pair", "pairs")
+        return f"Proximities({pairs}: {named}; the least distance is {self.distance.min():.6g})"
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), ("kind", "primitives", "bodies", "distance"), list(self._rows()))
+
+    def _rows(self) -> Iterator[tuple[str, str, str, float]]:
+        names = self.mesh.names
+        columns = (self.kind, self.primitives, self.bodies, self.distance)
+        for kind, (i, j), (a, b), distance in zip(*(column.tolist() for column in columns), strict=True):
+            yield PairKind(kind).name.lower().replace("_", "-"), f"{i}, {j}", f"{names[a]}, {names[b]}", distance
