@@ -14,29 +14,35 @@ both precisions, for every finite input.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.option_types import (
     CandidateOptions,
+    DisplacementOptions,
     IntersectionOptions,
     LineSearchOptions,
     MeshOptions,
     PairOptions,
+    ProximityOptions,
 )
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._one_shot import (
     collision_free_step,
+    displacement_bounds,
     find_candidates,
     find_intersections,
+    find_proximity,
     is_step_collision_free,
     line_search,
     mesh_ccd,
 )
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
@@ -54,6 +60,9 @@ __all__ = [
     "Contacts",
     "Counts",
     "DeviceContacts",
+    "DeviceDisplacements",
+    "DeviceProximities",
+    "DisplacementOptions",
     "Frames",
     "HalfSpace",
     "HostLaunchResult",
@@ -70,12 +79,16 @@ __all__ = [
     "PairOptions",
     "PairResult",
     "Planes",
+    "Proximities",
+    "ProximityOptions",
     "__version__",
     "collision_free_step",
     "datasets",
+    "displacement_bounds",
     "edge_edge_ccd",
     "find_candidates",
     "find_intersections",
+    "find_proximity",
     "is_step_collision_free",
     "line_search",
     "mesh_ccd",

@@ -4,15 +4,24 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 
 from typing import Unpack
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
-from ccd_warp._input.option_types import CandidateOptions, IntersectionOptions, LineSearchOptions, MeshOptions
+from ccd_warp._input.option_types import (
+    CandidateOptions,
+    DisplacementOptions,
+    IntersectionOptions,
+    LineSearchOptions,
+    MeshOptions,
+    ProximityOptions,
+)
 from ccd_warp._input.options import options_of
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
 
 
@@ -127,6 +136,82 @@ def find_intersections(
     chosen = options_of("find_intersections", IntersectionOptions, options)
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
         return pipeline.find_intersections(positions)
+
+
+def find_proximity(
+    mesh: CollisionMesh, positions: ArrayLike, distance: float, **options: Unpack[ProximityOptions]
+) -> Proximities:
+    """Find the pairs of primitives within a Euclidean distance of each other at one time, with their closest points.
+
+    For forces of contact and repulsion, cohesion, or the neighbours of particles. The kinds of pairs are those of
+    :func:`find_candidates`, and so is the collision filter; the two points in which surfaces that are apart are closest
+    belong to such a pair. One and the same proximity often shows in several pairs, as a closest point may lie on the
+    rim of a face or at the end of an edge: :meth:`Proximities.unique` keeps each once.
+
+    Args:
+        mesh: The bodies. Where they have radii, those of both primitives are added to ``distance``.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        distance: Largest distance of a pair, a length in the unit of the positions, finite and at least 0.
+        **options: Options of :class:`ccd_warp.ProximityOptions`.
+
+    Returns:
+        The pairs, by kind and then in lexicographic order; equal in every bit for every number of threads, memory limit
+        and broad phase.
+
+    Raises:
+        ValueError: If the positions do not match the mesh or are not finite, ``distance`` or an option is out of its
+            range, or ``memory_limit`` is too small; the message then says the least that suffices.
+        TypeError: If there is no such option.
+
+    References:
+        Ericson 2005, "Real-time collision detection", section 5.1 (closest points).
+
+    Guarantee: every pair that passes the filter and whose distance is at most ``distance`` (plus radii) is found,
+    exactly once, and no pair that is farther apart by more than 2e-15 of its size. The distance that is reported is
+    exact to within 1e-15 of that size, whatever the shape of the primitives and however far they are from the origin.
+    """
+    chosen = options_of("find_proximity", ProximityOptions, options, others=["distance"])
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+        return pipeline.find_proximity(positions, distance)
+
+
+def displacement_bounds(
+    mesh: CollisionMesh, positions: ArrayLike, search_radius: float, **options: Unpack[DisplacementOptions]
+) -> NDArray[np.float64]:
+    """For each vertex a length by which it may move, along any path, without a collision.
+
+    A pair shares what is between its primitives: the bound of a vertex is half the distance from one of its primitives
+    to the nearest primitive outside its filter, less ``minimum_distance`` and radii, and all of it where the other one
+    is static. What is farther away than ``search_radius`` counts as just that far, so no bound is above half of it; it
+    is the whole of it where a single body moves that does not collide with itself. One call serves several iterations
+    of a solver, until a vertex reaches its bound.
+
+    Args:
+        mesh: The bodies.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        search_radius: Distance beyond which nothing counts as near, a length, finite and above 0. A few times the
+            longest displacement is enough; the time grows with the number of pairs within it.
+        **options: Options of :class:`ccd_warp.DisplacementOptions`.
+
+    Returns:
+        The bounds, lengths, float64, shape [V]. They are 0 for vertices of static bodies, which do not move, and for
+        those of pairs that touch, or are within ``minimum_distance``, already.
+
+    Raises:
+        ValueError: If the positions do not match the mesh or are not finite, ``search_radius`` or an option is out of
+            its range, or ``memory_limit`` is too small; the message then says the least that suffices.
+        TypeError: If there is no such option.
+
+    References:
+        Chen et al. 2025, "Offset geometric contact" (displacements that are bounded per vertex).
+
+    Guarantee: if every vertex stays closer to its position than its bound, or where that is 0 does not move, no pair
+    that passes the mesh's filter comes to touch (or within ``minimum_distance`` plus radii), by whatever paths they
+    move. Bounds are rounded down.
+    """
+    chosen = options_of("displacement_bounds", DisplacementOptions, options, others=["search_radius"])
+    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+        return pipeline.displacement_bounds(positions, search_radius)
 
 
 def mesh_ccd(

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_step import (
     MOST_CONTACTS,
@@ -41,6 +42,7 @@ from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
 
@@ -112,6 +114,7 @@ class CollisionPipeline:
         self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
         self._is_placing = False  # whether that launch may have moved some of the static bodies
         self._radius: wp.array | None = None
+        self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out likewise
         norm_of(self.mesh, options)
 
     @property
@@ -246,6 +249,7 @@ class CollisionPipeline:
         if placed is layout:
             self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step
+        self._at_one_time.clear()
 
     def launch(self, vertices_t0: Any, vertices_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
         """Check a step for collisions on the device, without waiting for the result.
@@ -372,6 +376,69 @@ class CollisionPipeline:
             self._interrupted, self._is_placing = None, False
             return step.result
 
+    def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
+        """Find what is near at one time on the device, without waiting for the result.
+
+        As :meth:`launch`, for loops on the device: a call allocates nothing after the first, does not wait, and can be
+        captured in a graph, with the distance of that call. Two launches of this kind write to one result.
+
+        Args:
+            positions: Positions of all vertices, those of static bodies as well, as ``vertices_t0`` of :meth:`launch`.
+            distance: Largest Euclidean distance of a pair, as in :func:`ccd_warp.find_proximity`.
+
+        Returns:
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`. They have capacity for
+            ``max_contacts`` pairs, of ``max_pairs`` that the cull leaves of each kind.
+
+        Raises:
+            ValueError: If the positions are not as described, or the distance is out of its range.
+            RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
+
+        Guarantee: as for :func:`ccd_warp.find_proximity`, where no flag is set; a flag says that pairs may be missing.
+        """
+        from ccd_warp._engine.device_at_one_time import DeviceProximityStep  # few programs need it
+
+        with naming("launch_proximity"):
+            distance = validated_distance(distance)
+        return self._launch_at_one_time(DeviceProximityStep, positions, distance).proximities
+
+    def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
+        """For each vertex a length by which it may move, on the device, without waiting for the result.
+
+        Args:
+            positions: Positions of all vertices, those of static bodies as well, as ``vertices_t0`` of :meth:`launch`.
+            search_radius: Distance beyond which nothing counts as near, as in :func:`ccd_warp.displacement_bounds`.
+
+        Returns:
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
+
+        Raises:
+            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described.
+            RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
+
+        Guarantee: as for :func:`ccd_warp.displacement_bounds`, whatever the flags. The vertices of a pair that exceeds
+        the capacity, and those of a world with a coordinate that is not finite, have bound 0.
+        """
+        from ccd_warp._engine.device_at_one_time import DeviceDisplacementStep
+
+        with naming("launch_displacement_bounds"):
+            search_radius = self._validated_radius(search_radius)
+        return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius).displacements
+
+    def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
+        """Launch on a step of a kind, which is made now if there is none; returns the step."""
+        with self._lock:
+            step = self._at_one_time.get(kind)
+            if step is None:
+                if self._topology.device.is_capturing:
+                    raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
+                step = kind(self._topology, self._options, self._capacities, self._layout, self.radius)
+            prepared = step.prepare_positions(positions)
+            self._at_one_time.pop(kind, None)
+            step.launch_within(prepared, step.values(length))
+            self._at_one_time[kind] = step
+            return step
+
     @property
     def num_allocations(self) -> int:
         """Number of device arrays allocated so far."""
@@ -415,11 +482,64 @@ class CollisionPipeline:
 
         from ccd_warp._engine.intersection_step import IntersectionStep  # few programs need it
 
-        def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            frame = self.mesh.frame(positions, "positions")
-            return frame, frame
+        return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
 
-        return self._run(IntersectionStep, frames, IntersectionStep.intersections)
+    def find_proximity(self, positions: ArrayLike, distance: float) -> Proximities:
+        """Like :func:`ccd_warp.find_proximity`.
+
+        Args:
+            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
+            distance: Largest Euclidean distance of a pair, a length; separations of the pipeline play no part.
+
+        Returns:
+            The pairs, by kind and then in lexicographic order.
+
+        Raises:
+            ValueError: As in that function.
+
+        Guarantee: as for that function; every pair that passes the filter and is within the distance is found.
+        """
+        from ccd_warp._engine.proximity_step import ProximityStep  # few programs need it
+
+        with naming("find_proximity"):
+            distance = validated_distance(distance)
+        return self._run(ProximityStep, lambda: self._one_frame(positions), lambda step: step.proximities(distance))
+
+    def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
+        """Like :func:`ccd_warp.displacement_bounds`, with the ``minimum_distance`` of the pipeline.
+
+        Args:
+            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
+            search_radius: Distance beyond which nothing counts as near, a length.
+
+        Returns:
+            For each vertex the length by which it may move, float64, shape [V].
+
+        Raises:
+            ValueError: As in that function, or if the pipeline has a ``minimum_separation``, which is none in the
+                Euclidean norm.
+
+        Guarantee: as for that function; while no vertex leaves its ball, no pair that passes the filter touches.
+        """
+        from ccd_warp._engine.proximity_step import DisplacementStep
+
+        with naming("displacement_bounds"):
+            search_radius = self._validated_radius(search_radius)
+        return self._run(DisplacementStep, lambda: self._one_frame(positions), lambda step: step.bounds(search_radius))
+
+    def _validated_radius(self, search_radius: float) -> float:
+        """The argument ``search_radius``, validated, for which the options must have no other separation."""
+        if self._options.minimum_separation > 0:
+            raise ValueError(
+                f"minimum_separation is {self._options.minimum_separation}; expected 0, and minimum_distance in its "
+                f"place: bounds of displacements are Euclidean"
+            )
+        return check_real("search_radius", search_radius, "a finite length above 0", lambda x: x > 0)
+
+    def _one_frame(self, positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at one time, as both ends of a step."""
+        frame = self.mesh.frame(positions, "positions")
+        return frame, frame
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False) -> MeshResult:
         """Like :func:`ccd_warp.mesh_ccd`.
@@ -522,6 +642,11 @@ class CollisionPipeline:
         return search_step(
             self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
         )
+
+
+def validated_distance(distance: float) -> float:
+    """The argument ``distance``, validated."""
+    return check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
 
 
 def _validated_line_search(per: Per, safety: float) -> tuple[Per, float]:

@@ -8,7 +8,7 @@ the cancellation. A computed point is therefore a point of the patch to within a
 and no point is nearer by more than that: so accurate is the distance.
 
 The decision does not rest on it. As everywhere, any direction is a proof: along the difference vector, whatever it is
-worth, all corners lie beyond the bound that is reported (rounding, step 14).
+worth, all corners lie beyond the bound that is reported (rounding, step 15).
 """
 
 import warp as wp
@@ -234,7 +234,7 @@ def closest_of_edges(w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d,
 
 @wp.func
 def measured(kind: int, given: Points) -> PairDistance:
-    """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 14)."""
+    """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15)."""
     p = given
     c = corners(kind, p)
     restored = _ONE

@@ -14,13 +14,12 @@ from .pair_distance import UNDERFLOW, PairDistance, measured
 from .pair_key import pair_of
 from .points import points_of
 from .rounding import RELATIVE, UNIT_ROUNDOFF
-from .thickness import radius_of
+from .thickness import distance_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
-_UP = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 _DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 
 
@@ -45,14 +44,6 @@ class ProximityList:
     distance: wp.array[wp.float64]
     direction: wp.array[wp.vec3d]
     features: wp.array[wp.int32]
-
-
-@wp.func
-def with_radii(distance: wp.float64, a: wp.vec3i, b: wp.vec3i, radius: wp.array[wp.float64]) -> wp.float64:
-    """A distance plus the radii of two primitives, rounded up; exactly the distance where there are no radii."""
-    if radius.shape[0] == 0:
-        return distance
-    return (distance + radius_of(radius, a) + radius_of(radius, b)) * _UP + UNDERFLOW
 
 
 @wp.func
@@ -100,7 +91,7 @@ def list_proximities(
             a = first_corners[pair[0]]
             b = second_corners[pair[1]]
             found = measured(kind, points_of(kind, a, b, x))
-            if found.least <= with_radii(reach.distance, a, b, reach.radius):  # a NaN is not
+            if found.least <= distance_of(reach.distance, reach.radius, a, b):  # a NaN is not
                 record_proximity(kind, pair, a[0], found, minima, proximities)
         if first > 2147483647 - num_solvers * chunk:
             return
@@ -118,11 +109,13 @@ def lower_bounds(c: wp.vec3i, bits: wp.int64, minima: Minima):
 def bound_pair(
     a: wp.vec3i, b: wp.vec3i, least: wp.float64, kept: wp.float64, body_static: wp.array[wp.int32], minima: Minima
 ):
-    """Lower the bounds of a pair that is at least ``least`` apart, and is to keep a distance (rounding, step 15).
+    """Lower the bounds of a pair that is at least ``least`` apart, and is to keep a distance (rounding, step 16).
 
     The two sides share what is between; a static one leaves all of it to the other.
     """
-    gap = wp.max((least - kept) * _DOWN - UNDERFLOW, _ZERO)
+    gap = (least - kept) * _DOWN - UNDERFLOW
+    if not gap > _ZERO:
+        gap = _ZERO  # also where a radius is not finite
     is_static_a = body_static[minima.vertex_body[a[0]]] != 0
     is_static_b = body_static[minima.vertex_body[b[0]]] != 0
     if not is_static_a and not is_static_b:
@@ -164,7 +157,7 @@ def bound_displacements(
             least = measured(kind, points_of(kind, a, b, x)).least
             if not (least >= _ZERO):
                 least = _ZERO  # a coordinate that is not finite
-            bound_pair(a, b, least, with_radii(reach.kept, a, b, reach.radius), body_static, minima)
+            bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
         if first > 2147483647 - num_solvers * chunk:
             return
         first += num_solvers * chunk

@@ -73,7 +73,12 @@ below are in the normalised units of step 2.
    squares and sums lose 5u, and the slack of σ² is 26u. In the cull the length of the normal at any time is at most the
    greatest of those of its Bernstein coefficients, computed from products within 6u of the sums of their magnitudes:
    NORMAL = 16 times the sum of those sums, times the distance, is added.
-14. **Distance at one time.** The pair is scaled by one power of two, as in step 13. For the difference vector d that
+14. **Thickness.** The distance of a pair is the minimum distance and two radii, D = D_0 + (r_a + r_b), each sum rounded
+   up: with s = fl(a + b) and c = s - a the error of s is exactly (a - (s - c)) + (b - c), and where it is positive, s
+   becomes the next number above. So D is never below what is asked for, and exact where it can be, for lanes as for
+   single pairs. A sum beyond the largest number is infinite and cut as in step 13, beyond every corner. A box grows by
+   half the minimum distance and then by its radius, rounded outward each time.
+15. **Distance at one time.** The pair is scaled by one power of two, as in step 13. For the difference vector d that
    was found, whatever it is worth, every corner has d·W ≥ a - Σ|d_k|·E_k, a the least computed projection and E_k that
    of step 4 for the root; the patch is the hull of its corners, so (a - Σ|d_k|·E_k)/|d| bounds its distance from below.
    d has its largest component in [1/2, 1), so √(d·d) is within 3.1u; with the difference, the quotient and their
@@ -82,17 +87,11 @@ below are in the normalised units of step 2.
    patch: its weights are computed, and its products and sums round by at most 4u·M_k on each axis, of which those along
    the feature are taken out again; and no other point is nearer by more, since a foot off by a rounding of M moves the
    distance by less.
-15. **Bounds of displacements.** A pair that is at least L apart is to stay farther apart than m. A vertex that moves by
+16. **Bounds of displacements.** A pair that is at least L apart is to stay farther apart than m. A vertex that moves by
    less than b moves every point of a primitive by less than the largest b of its vertices, so two sides with b ≤
    (L-m)/2 each, or one with b ≤ L-m beside a static one, leave more than m. m is rounded up and L down; L - m rounds
    once, and the factor 1 - 8u covers it and itself. The half is exact but for a result that is subnormal, from which
    2^-1070 is subtracted.
-
-14. **Thickness.** The distance of a pair is the minimum distance and two radii, D = D_0 + (r_a + r_b), each sum rounded
-   up: with s = fl(a + b) and c = s - a the error of s is exactly (a - (s - c)) + (b - c), and where it is positive, s
-   becomes the next number above. So D is never below what is asked for, and exact where it can be, for lanes as for
-   single pairs. A sum beyond the largest number is infinite and cut as in step 13, beyond every corner. A box grows by
-   half the minimum distance and then by its radius, rounded outward each time.
 
 Constants are in units of u.
 """

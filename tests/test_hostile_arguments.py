@@ -47,6 +47,7 @@ OPTIONS = {
     "num_threads": 1,
 }
 MESH_OPTIONS = OPTIONS | {"max_work": 1000, "broad_phase": "tree", "pair_kinds": None, "memory_limit": None}
+AT_ONE_TIME = {"broad_phase": "hash", "pair_kinds": None, "memory_limit": None, "device": "cpu", "num_threads": 1}
 FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
 SEARCH = {"per": "scene", "safety": 0.5, "max_rounds": 16}
 BODIES = {
@@ -125,6 +126,14 @@ def _calls(folder):
             ccd.find_intersections,
             {"mesh": MESH, "positions": START, "memory_limit": None, "device": "cpu", "num_threads": 1},
         ),
+        "find_proximity": (
+            ccd.find_proximity,
+            {"mesh": MESH, "positions": START, "distance": 0.1} | AT_ONE_TIME,
+        ),
+        "displacement_bounds": (
+            ccd.displacement_bounds,
+            {"mesh": MESH, "positions": START, "search_radius": 0.1, "minimum_distance": 0.01} | AT_ONE_TIME,
+        ),
         "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"check_start": False}),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
         "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS),
@@ -159,6 +168,13 @@ def _calls(folder):
             {"vertices_t0": START, "vertices_t1": END, "inflation": 0.0},
         ),
         "pipeline.find_intersections": (PIPELINE.find_intersections, {"positions": START}),
+        "pipeline.find_proximity": (PIPELINE.find_proximity, {"positions": START, "distance": 0.1}),
+        "pipeline.displacement_bounds": (PIPELINE.displacement_bounds, {"positions": START, "search_radius": 0.1}),
+        "launch_displacement_bounds": (
+            PIPELINE.launch_displacement_bounds,
+            {"positions": START, "search_radius": 0.1},
+        ),
+        "launch_proximity": (PIPELINE.launch_proximity, {"positions": START, "distance": 0.1}),
         "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "check_start": False}),
         "pipeline.collision_free_step": (PIPELINE.collision_free_step, {"vertices_t0": START, "vertices_t1": END}),
         "pipeline.is_step_collision_free": (
@@ -222,7 +238,7 @@ class _Anywhere:
 EVERY = [(call, argument) for call, (_, arguments) in _calls(_Anywhere()).items() for argument in arguments]
 
 REALS = {"tolerance", "minimum_separation", "minimum_distance", "start_gap_fraction", "t_max", "length_scale"}
-REALS |= {"inflation", "safety", "t", "radius"}
+REALS |= {"inflation", "safety", "t", "radius", "distance", "search_radius"}
 OPTIONAL = {
     *(
         "start_gap_fraction",
@@ -242,7 +258,7 @@ PATHS = {"path", "folder", "start_path", "end_path"}
 FLAGS = {"check_start", "self_collision", "codimensional_points", "progress"}
 TAKEN = {
     "None": OPTIONAL,
-    "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t", "radius"},
+    "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t", "radius", "distance"},
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
@@ -367,6 +383,9 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.Contacts,
         ccd.Counts,
         ccd.DeviceContacts,
+        ccd.DeviceDisplacements,
+        ccd.DeviceProximities,
+        ccd.DisplacementOptions,
         ccd.Frames,
         ccd.HostLaunchResult,
         ccd.IntersectionKind,
@@ -378,6 +397,8 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.MeshOptions,
         ccd.MeshResult,
         ccd.PairOptions,
+        ccd.Proximities,
+        ccd.ProximityOptions,
         viz.Picture,
     }
     outputs |= {ccd.PairResult, ccd.CCDStatus, ccd.LaunchFlag, ccd.PairKind, datasets.SimulationStep, ccd.CollisionMesh}

@@ -124,6 +124,12 @@ def _intersections(mesh, start, end, **options):
     return [found.kind, found.primitives, found.parameters, found.points]
 
 
+def _proximities(mesh, start, end, **options):
+    found = ccd.find_proximity(mesh, end, 0.05, **options)
+    bounds = ccd.displacement_bounds(mesh, end, 0.05, **options)
+    return [found.kind, found.primitives, found.parameters, found.distance, bounds]
+
+
 class Steps:
     """Calls on a sphere that flies into a static one, on the host and on the device.
 
@@ -175,6 +181,7 @@ class Steps:
             "collision_free_step": self.of_mesh(ccd.collision_free_step),
             "find_candidates": self.of_mesh(ccd.find_candidates),
             "find_intersections": self.of_mesh(_intersections),
+            "find_proximity": self.of_mesh(_proximities),
             "line_search": self.of_mesh(ccd.line_search, per="vertex"),
             "launch": lambda: self.launch(self.pipeline),
             "launch_line_search": self.launch_line_search,

@@ -33,6 +33,8 @@ MESH_FUNCTIONS = (
     ccd.line_search,
     ccd.find_candidates,
     ccd.find_intersections,
+    ccd.find_proximity,
+    ccd.displacement_bounds,
 )
 NAMES = ["CollisionPipeline", *(f.__name__ for f in (*PAIR_FUNCTIONS, *MESH_FUNCTIONS))]
 
@@ -45,6 +47,8 @@ def call(name, **options):
         return function(*points, **options)
     if function is ccd.find_intersections:
         return function(MESH, START, **options)
+    if function in (ccd.find_proximity, ccd.displacement_bounds):
+        return function(MESH, START, 0.1, **options)
     return function(MESH, **options) if name == "CollisionPipeline" else function(MESH, START, END, **options)
 
 
@@ -77,6 +81,8 @@ def test_a_misspelled_argument_beside_the_options_is_told_too(name, misspelled, 
         ("line_search", "t_max"),
         ("find_candidates", "tolerance"),
         ("find_intersections", "pair_kinds"),
+        ("find_proximity", "minimum_distance"),
+        ("displacement_bounds", "minimum_separation"),
     ],
 )
 def test_an_option_of_another_function_is_told_from_a_misspelled_one(name, option):

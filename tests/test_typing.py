@@ -24,6 +24,8 @@ free: bool = ccd.is_step_collision_free(mesh, x[0], x[0], t_max=0.5)
 ccd.line_search(mesh, x[0], x[0], per="vertex", safety=0.5, minimum_separation=0.1)
 ccd.find_candidates(mesh, x[0], x[0], 0.1, pair_kinds=("edge_edge",), broad_phase="hash", num_threads=1)
 found = ccd.find_intersections(mesh, x[0], num_threads=1, memory_limit=None)
+near = ccd.find_proximity(mesh, x[0], 0.1, pair_kinds=["vertex_face"], memory_limit=10).unique().points[0, 1, 2]
+bound: float = ccd.displacement_bounds(mesh, x[0], 0.1, minimum_distance=0.01)[0]
 through: int = len(found[found.is_crossing]) + found.by_bodies()["a", "b"]
 ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0], per="world")
 ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
@@ -52,6 +54,8 @@ ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
 ccd.find_intersections(mesh, x[0], tolerance=0.1)
 ccd.find_intersections(mesh, x[0], x[0])
+ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
+ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)

@@ -188,14 +188,14 @@ class ContactStore:
             ordered = _Ordered(self._topology, self.count, count, self._execution.is_cuda)
             if count > 0:
                 ordered.fill_keys(self._execution, self._list)
-                self._sort(ordered)
+                sort_places(ordered.keys, ordered.order, count, self._execution)
                 ordered.fill(self._execution, self._list, self.minima)
             contacts = {name: array.numpy() for name, array in ordered.arrays.items()}
         else:
             ordered = self._few
             if count > 0:
                 self._play("keys", lambda found: ordered.fill_keys(self._recording, found))
-                self._sort(ordered)
+                sort_places(ordered.keys, ordered.order, count, self._execution)
                 self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
             contacts = {name: values[:count].copy() for name, values in ordered.views.items()}
         toi = self._toi.numpy().copy()
@@ -226,33 +226,32 @@ class ContactStore:
                 record(Slot("found"))
         self._recording.play(section)
 
-    def _sort(self, ordered: "_Ordered") -> None:
-        """Find the order of the contacts by ascending kind and pair."""
-        count = self.total
-        if self._execution.is_cuda:
-            places: wp.array = wp.array(
-                np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=ordered.keys.device
-            )
-            wp.utils.radix_sort_pairs(ordered.keys, places, count)
-            wp.copy(ordered.order, places, count=count)
-        else:
-            ordered.order.numpy()[:count] = self._sorted_places(ordered.keys.numpy()[:count])
 
-    def _sorted_places(self, keys: NDArray[np.int64]) -> NDArray[np.int32]:
-        """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""
-        if len(keys) < _WORTH_THREADS or self._execution.num_threads == 1:
-            return np.argsort(keys).astype(np.int32)
-        sample = np.sort(keys[:: len(keys) // _SAMPLES])
-        pieces = self._execution.num_threads
-        pivots = sample[[len(sample) * k // pieces for k in range(1, pieces)]]
-        bounds = [None, *pivots.tolist(), None]
+def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution) -> None:
+    """Write the permutation that sorts the first ``count`` keys; on CUDA the keys have capacity for twice as many."""
+    if execution.is_cuda:
+        places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=keys.device)
+        wp.utils.radix_sort_pairs(keys, places, count)
+        wp.copy(order, places, count=count)
+    else:
+        order.numpy()[:count] = _sorted_places(keys.numpy()[:count], execution)
 
-        def sort(low: int | None, high: int | None) -> NDArray[np.int32]:
-            chosen = np.ones(len(keys), dtype=bool) if low is None else keys >= low
-            if high is not None:
-                chosen &= keys < high
-            places = np.flatnonzero(chosen)
-            return places[np.argsort(keys[places])].astype(np.int32)
 
-        tasks = [lambda low=low, high=high: sort(low, high) for low, high in itertools.pairwise(bounds)]  # type: ignore[misc]
-        return np.concatenate(self._execution.run(tasks))
+def _sorted_places(keys: NDArray[np.int64], execution: Execution) -> NDArray[np.int32]:
+    """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""
+    if len(keys) < _WORTH_THREADS or execution.num_threads == 1:
+        return np.argsort(keys).astype(np.int32)
+    sample = np.sort(keys[:: len(keys) // _SAMPLES])
+    pieces = execution.num_threads
+    pivots = sample[[len(sample) * k // pieces for k in range(1, pieces)]]
+    bounds = [None, *pivots.tolist(), None]
+
+    def sort(low: int | None, high: int | None) -> NDArray[np.int32]:
+        chosen = np.ones(len(keys), dtype=bool) if low is None else keys >= low
+        if high is not None:
+            chosen &= keys < high
+        places = np.flatnonzero(chosen)
+        return places[np.argsort(keys[places])].astype(np.int32)
+
+    tasks = [lambda low=low, high=high: sort(low, high) for low, high in itertools.pairwise(bounds)]  # type: ignore[misc]
+    return np.concatenate(execution.run(tasks))

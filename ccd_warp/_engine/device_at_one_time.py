@@ -16,7 +16,6 @@ from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
 from ccd_warp._engine.proximities import (
     PROXIMITY_DTYPES,
-    largest_distance,
     new_proximity_list,
     reach_of,
     rounded_sum,
@@ -50,10 +49,19 @@ class DeviceAtOneTime(DeviceStep):
     _has_narrow_phase = False
 
     def __init__(
-        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+        self,
+        topology: Topology,
+        options: Options,
+        capacities: Capacities,
+        vertices: NDArray[np.float64],
+        radius: wp.array | None,
     ) -> None:
-        """Allocate everything, with trees for ``vertices``; every launch gives the positions of all bodies."""
-        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices)
+        """Allocate everything, with trees for ``vertices``; every launch gives the positions of all bodies.
+
+        ``radius`` are the radii of the vertices, as for every step on the device.
+        """
+        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices, radius)
+        self._radii = topology.radius if radius is None else radius
         self._of_static = self._full(1, float(self._stages.inflation), wp.float64)
         self._values: dict[tuple[float, float], _Values] = {}  # the last ones
         self._next: _Values  # those of the launch that is recorded
@@ -77,11 +85,9 @@ class DeviceAtOneTime(DeviceStep):
         key = (distance, largest)
         if key not in self._values:
             self._values.clear()
-            topology = self.topology
-            most = largest_distance(topology, distance)
-            inflation = half_up(most)
-            searched = search_options(1.0, inflation, most, EUCLIDEAN_NORM, self._flag)
-            reach = reach_of(topology, distance, self._flag.array, kept)
+            inflation, radii = half_up(distance), (self._radii, self._box_radius)
+            searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
+            reach = reach_of(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
         return self._values[key]
 
@@ -121,10 +127,15 @@ class DeviceProximityStep(DeviceAtOneTime):
     """
 
     def __init__(
-        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+        self,
+        topology: Topology,
+        options: Options,
+        capacities: Capacities,
+        vertices: NDArray[np.float64],
+        radius: wp.array | None,
     ) -> None:
         """Allocate everything."""
-        super().__init__(topology, options, capacities, vertices)
+        super().__init__(topology, options, capacities, vertices, radius)
         arrays = {name: self._empty(capacities.max_contacts, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
@@ -164,10 +175,15 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     """
 
     def __init__(
-        self, topology: Topology, options: Options, capacities: Capacities, vertices: NDArray[np.float64]
+        self,
+        topology: Topology,
+        options: Options,
+        capacities: Capacities,
+        vertices: NDArray[np.float64],
+        radius: wp.array | None,
     ) -> None:
         """Allocate everything."""
-        super().__init__(topology, options, capacities, vertices)
+        super().__init__(topology, options, capacities, vertices, radius)
         self._is_alone = moves_alone(self._mesh)
         _ = topology.body_static  # computed now, not during a capture
         result = self.result

@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,6 +132,8 @@ class DeviceStep:
         contact_arrays: What its contacts are asked for beside their own arrays.
     """
 
+    _has_narrow_phase = True
+
     def __init__(
         self,
         topology: Topology,
@@ -209,7 +212,7 @@ class DeviceStep:
             topology,
             tree_pairs,
             _NUM_AABBS,
-            narrow_phase_on(topology.device, options.real, norm),
+            narrow_phase_on(topology.device, options.real, norm) if self._has_narrow_phase else SimpleNamespace(),
             self._counts,
             vertices_t0=self._start,
             vertices_t1=self._end,
@@ -227,7 +230,9 @@ class DeviceStep:
             options=options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
             minima=minima,
             contacts=new_contact_list(vars(result.contacts)),
-            queue=new_queue(capacities.max_pairs, topology.device) if execution.is_cuda else None,
+            queue=new_queue(capacities.max_pairs, topology.device)
+            if execution.is_cuda and self._has_narrow_phase
+            else None,
             plane_query=plane_query(options, separation, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
         )
         if self._static_trees:
@@ -274,6 +279,7 @@ class DeviceStep:
         vertices_t0: Any,
         vertices_t1: Any,
         *,
+        name_t0: str = "vertices_t0",
         name_t1: str = "vertices_t1",
         is_displacement: bool = False,
         line_search: LineSearch | None = None,
@@ -284,7 +290,7 @@ class DeviceStep:
         rows = {mesh.num_vertices: "one a vertex"}
         if self._has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        start = as_positions(vertices_t0, "vertices_t0", device, rows, mesh.dimension)
+        start = as_positions(vertices_t0, name_t0, device, rows, mesh.dimension)
         end = as_positions(vertices_t1, name_t1, device, rows, mesh.dimension)
         _check_same_dtype(start, end, name_t1)
         real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
@@ -420,6 +426,17 @@ class DeviceStep:
         Only the first pass reads the positions of static bodies, and may meet coordinates that are not finite; no later
         one changes either.
         """
+        is_line_search = form.line_search is not None
+        stages = self._record_pairs(recording, form, is_first)
+        if stages.plane_query is not None:
+            active = self._touched if is_line_search else self._active
+            stages.meet_planes(recording, active, only_moving=is_line_search, gaps_moved=gaps_moved)
+        stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
+        with recording.only_if(self._is_open):
+            stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
+
+    def _record_pairs(self, recording: Recording, form: _Form, is_first: bool = True) -> Stages:
+        """Record the launches from the input to the pairs that the cull leaves; returns their stages."""
         mesh, topology = self._mesh, self.topology
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
@@ -430,10 +447,7 @@ class DeviceStep:
             start, end = self._start, self._end
         stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
         self._record_input(recording, form, stages, is_copied, is_first)
-        is_line_search = form.line_search is not None
-        active = self._touched if is_line_search else self._active
-        if stages.plane_query is not None:
-            stages.meet_planes(recording, active, only_moving=is_line_search, gaps_moved=gaps_moved)
+        active = self._active if form.line_search is None else self._touched
         stages.fill_vertex_aabbs(recording, topology.moving_vertices, active)
         self._fill(stages, recording, self._moving_trees)
         with recording.at_once():
@@ -445,9 +459,7 @@ class DeviceStep:
             with recording.only_if(self._is_any_unlisted):
                 for tree_pair in stages.tree_pairs:
                     stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
-        stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
-        with recording.only_if(self._is_open):
-            stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
+        return stages
 
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         """Record the launches that read positions and, in the first pass, reset the vertices."""

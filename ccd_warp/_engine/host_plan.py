@@ -22,13 +22,16 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+from ccd_warp.kernels.norm import EUCLIDEAN_NORM
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
     from ccd_warp._input.options import Options
 
-# What a call looks for: all contacts, the least toi alone, candidate pairs, or what intersects at one time.
-Goal = Literal["contacts", "bound", "candidates", "intersections"]
+# What a call looks for: all contacts, the least toi alone, candidate pairs; or at one time what intersects, what
+# is near, or how far vertices may move.
+Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities", "displacements"]
+_AT_ONE_TIME = ("proximities", "displacements")
 # The least capacity for pairs of a kind, and how much more than what was found the next one is.
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
@@ -117,13 +120,13 @@ class HostPlan:
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         has_narrow_phase = goal in ("contacts", "bound")
         # the search of CUDA lists candidates in trees of endpoint AABBs alone
-        is_culled = has_narrow_phase or (self.execution.is_cuda and goal == "intersections")
+        is_culled = has_narrow_phase or goal in _AT_ONE_TIME or (self.execution.is_cuda and goal == "intersections")
         self._num_aabbs = 2 if is_culled else 1
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
-        self._norm = norm_of(mesh, options)
+        self._norm = EUCLIDEAN_NORM if goal in _AT_ONE_TIME else norm_of(mesh, options)
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
@@ -137,7 +140,7 @@ class HostPlan:
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
-        names += ["search options", "options", "contacts", "queue", "plane query"]
+        names += ["search options", "options", "contacts", "queue", "plane query", "reach", "proximities"]
         trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
         grids = {name: Slot(f"{name} cells") for name in trees if self._has_grids}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
@@ -158,7 +161,7 @@ class HostPlan:
             grids=grids,
             keys=keys,
             candidates=candidates,
-            minima=workspace.contacts.minima if goal == "contacts" else Minima(),
+            minima=workspace.contacts.minima if goal in ("contacts", "displacements") else Minima(),
             least_bits=self._least_bits,
             open_toi=open_toi,
         )
@@ -229,6 +232,14 @@ class HostPlan:
     def set_contacts(self, contacts: Any) -> None:
         """Append contacts to this list."""
         self._recording.bind("contacts", contacts)
+
+    def set_reach(self, reach: Any) -> None:
+        """Look for what is so near."""
+        self._recording.bind("reach", reach)
+
+    def set_proximities(self, proximities: Any) -> None:
+        """Append what is near to this list."""
+        self._recording.bind("proximities", proximities)
 
     def set_options(self, options: Any) -> None:
         """Use these options in the narrow phase."""
@@ -473,6 +484,14 @@ class HostPlan:
         """A round of the narrow phase on the pairs of a batch, for the least toi alone."""
         section = "narrow phase, second round" if is_second else "narrow phase"
         self.play(section, lambda stages, recording: stages.bound(recording, is_second=is_second))
+
+    def list_proximities(self) -> None:
+        """List the pairs of a batch that are near."""
+        self.play("distances", lambda stages, recording: stages.list_proximities(recording))
+
+    def bound_displacements(self) -> None:
+        """Lower the bounds of the vertices of the pairs of a batch."""
+        self.play("distances", lambda stages, recording: stages.bound_displacements(recording))
 
     def some_keys(self, kind: PairKind, count: int, most: int) -> NDArray[np.int64]:
         """Keys of at most ``most`` of the ``count`` pairs of a batch that the narrow phase has not marked yet."""

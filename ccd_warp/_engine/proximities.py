@@ -25,18 +25,11 @@ PROXIMITY_DTYPES = {
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
 
 
-def reach_of(topology: Topology, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
-    """What is near, as the struct of the kernels."""
+def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
+    """What is near, as the struct of the kernels, for radii of the vertices."""
     reach = kernels.Reach()
-    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, topology.radius, stop
+    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, radius, stop
     return reach
-
-
-def largest_distance(topology: Topology, distance: float) -> float:
-    """The largest distance of a pair of primitives with their radii, rounded up."""
-    radius = topology.mesh.radius
-    largest = 0.0 if radius is None or len(radius) == 0 else float(radius.max())
-    return distance if largest == 0.0 else rounded_sum(distance, rounded_sum(largest, largest))
 
 
 def rounded_sum(a: float, b: float) -> float:

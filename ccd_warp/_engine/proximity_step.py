@@ -13,7 +13,6 @@ from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.proximities import (
     BYTES_PER_PROXIMITY,
     ProximityStore,
-    largest_distance,
     reach_of,
     rounded_sum,
 )
@@ -53,9 +52,8 @@ class _StepAtOneTime(Step):
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
-        most = largest_distance(self.topology, distance)
-        plan = self.begin(self.goal, 1.0, half_up(most))
-        plan.set_search(1.0, half_up(most), most)
+        plan = self.begin(self.goal, 1.0, half_up(distance))
+        plan.set_search(1.0, half_up(distance), distance)
         return plan
 
     def finish(self, plan: HostPlan) -> None:
@@ -75,7 +73,7 @@ class ProximityStep(_StepAtOneTime):
         plan = self.search(distance)
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.buffers, self.execution)
-            plan.set_reach(reach_of(self.topology, distance, self.workspace.flag.array))
+            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
             batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
@@ -108,7 +106,7 @@ class DisplacementStep(_StepAtOneTime):
             largest = largest_bound(search_radius, moves_alone(self.mesh))
             inputs = [largest, self.topology.body_static]
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
-            plan.set_reach(reach_of(self.topology, distance, self.workspace.flag.array, kept))
+            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
             batches = plan.batches(1, self.capacity(plan.key_bytes))
         for batch in self.timed_batches(batches):
             with self.timed("distances"):

@@ -68,6 +68,8 @@ class Stages:
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
         plane_query: What vertices and planes are asked for; None where there are no half-spaces.
+        reach: At one time, how near is near.
+        proximities: The list of pairs within that.
     """
 
     topology: Topology
@@ -95,6 +97,8 @@ class Stages:
     open_toi: dict[PairKind, Any] | None = None
     queue: Any = None
     plane_query: Any = None
+    reach: Any = None
+    proximities: Any = None
 
     @property
     def kinds(self) -> list[PairKind]:
@@ -328,6 +332,51 @@ class Stages:
         """A round of the narrow phase that lowers the least toi alone."""
         outputs_of = lambda kind: [self.least_bits, self.open_toi[kind]]  # type: ignore[index]  # noqa: E731
         self._narrow_phase(launcher, "pairs_bound", is_second, [], outputs_of)
+
+    def list_proximities(self, launcher: Launcher) -> None:
+        """In place of the narrow phase: list the pairs that are near at the start."""
+        from ccd_warp.kernels.proximity import list_proximities  # few programs need it
+
+        self._at_one_time(launcher, list_proximities, [], [self.minima, self.proximities])
+
+    def bound_displacements(self, launcher: Launcher) -> None:
+        """In place of the narrow phase: lower the bounds, which are the minima of the vertices."""
+        from ccd_warp.kernels.proximity import bound_displacements
+
+        self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
+
+    def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        """Launch a kernel for the pairs of each kind that the search has found."""
+        counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
+        chunk = 1 if launcher.is_cuda else _CHUNK
+        with launcher.at_once():
+            for kind in self.kinds:
+                keys = self.keys[kind]
+                solvers = _SOLVERS_PER_THREAD * launcher.num_threads
+                if launcher.is_cuda:
+                    solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
+                corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
+                found = None if counts is None else counts[kind]
+                launcher.launch(
+                    kernel,
+                    solvers,
+                    inputs=[
+                        solvers,
+                        chunk,
+                        int(kind),
+                        self.counts,
+                        keys,
+                        *corners,
+                        self.vertices_t0,
+                        self.reach,
+                        *inputs,
+                    ],
+                    outputs=outputs,
+                    grain=1,
+                    parts_per_thread=_SOLVERS_PER_THREAD,
+                    num_needed=lambda f=found: -(-int(f[FOUND]) // chunk),  # type: ignore[misc]
+                    is_long=lambda f=found, n=solvers: bool(f[FOUND] > _LONG_PART * n),  # type: ignore[misc]
+                )
 
     def _narrow_phase(
         self,

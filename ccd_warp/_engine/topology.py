@@ -155,6 +155,11 @@ class Topology:
         return planes_on(self.mesh, self.array)
 
     @lazy_property
+    def body_static(self) -> wp.array:
+        """Whether each body is static, int32."""
+        return self.array(self.mesh.static.astype(np.int32))
+
+    @lazy_property
     def may_have_inactive_bodies(self) -> bool:
         """Whether a body may be without a partner in a step: one that moves and does not collide with itself."""
         mesh = self.mesh

@@ -41,6 +41,7 @@ class Workspace:
         self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
         self._active: wp.array | None = None
         self._is_all_active = False
+        self._at_one_time: dict[str, Workspace] = {}
         # of a search for intersections: the positions that it fills, and the kinds of pairs
         self.kept_positions: Positions | None = None
         self.tested_kinds: tuple[PairKind, ...] = ()
@@ -55,6 +56,12 @@ class Workspace:
         workspace = Workspace(mesh, device, topology)
         workspace.tested_kinds = topology.kinds
         return workspace
+
+    def at_one_time(self, goal: str) -> "Workspace":
+        """The state of calls at one time with a goal, whose boxes have another size than those of a step."""
+        if goal not in self._at_one_time:
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device)
+        return self._at_one_time[goal]
 
     @lazy_property
     def contacts(self) -> ContactStore:

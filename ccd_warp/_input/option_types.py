@@ -17,12 +17,15 @@ PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point
 class _Solver(TypedDict, total=False):
     tolerance: float
     minimum_separation: float
-    minimum_distance: float
     start_gap_fraction: float | None
     max_iterations: int
     length_scale: float | None
     precision: Precision
     method: Method
+
+
+class _Distance(TypedDict, total=False):
+    minimum_distance: float
 
 
 class _End(TypedDict, total=False):
@@ -47,7 +50,7 @@ class _Place(TypedDict, total=False):
     num_threads: int | None
 
 
-class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
+class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Place, total=False):
     """Options of :func:`mesh_ccd`, :func:`collision_free_step` and :class:`CollisionPipeline`: all options.
 
     This is the table of all options; :class:`PairOptions`, :class:`LineSearchOptions` and :class:`CandidateOptions`
@@ -96,7 +99,7 @@ class MeshOptions(_Solver, _End, _Search, _Work, _Memory, _Place, total=False):
     """
 
 
-class PairOptions(_Solver, _End, _Place, total=False):
+class PairOptions(_Solver, _Distance, _End, _Place, total=False):
     """Options of the pair functions: those of :class:`MeshOptions` that do not concern a mesh.
 
     They are ``tolerance``, ``minimum_separation``, ``minimum_distance``, ``start_gap_fraction``, ``t_max``,
@@ -104,7 +107,7 @@ class PairOptions(_Solver, _End, _Place, total=False):
     """
 
 
-class LineSearchOptions(_Solver, _Search, _Work, _Memory, _Place, total=False):
+class LineSearchOptions(_Solver, _Distance, _Search, _Work, _Memory, _Place, total=False):
     """Options of :func:`line_search`: those of :class:`MeshOptions` except ``t_max``, as it covers whole steps."""
 
 
@@ -121,3 +124,15 @@ class IntersectionOptions(_Memory, _Place, total=False):
     The pairs that are found come on top of ``memory_limit``, which bounds the boxes and the pairs that are tested at a
     time.
     """
+
+
+class ProximityOptions(_Search, _Memory, _Place, total=False):
+    """Options of :func:`find_proximity`: some of :class:`MeshOptions`.
+
+    They are ``broad_phase``, ``pair_kinds``, ``memory_limit``, ``device`` and ``num_threads``. The pairs that are found
+    come on top of ``memory_limit``, which bounds the boxes and the pairs that are measured at a time.
+    """
+
+
+class DisplacementOptions(_Distance, _Search, _Memory, _Place, total=False):
+    """Options of :func:`displacement_bounds`: those of :class:`ProximityOptions`, and ``minimum_distance``."""

@@ -122,6 +122,23 @@ def launched_line_searches(case: StepCase, precision: str) -> Outputs:
     return found
 
 
+def at_one_time(case: StepCase, precision: str) -> Outputs:
+    """What is near, and how far vertices may move, on the host and in launches, also of static bodies that moved."""
+    mesh, start, end = case.make()
+    of_search = {name: case.options[name] for name in ("broad_phase",) if name in case.options}
+    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, **of_search)
+    found: Outputs = {}
+    for k, (positions, distance) in enumerate(((start, 0.03), (end, 0.03), (start, 0.08))):
+        found |= outputs_of(_rows(pipeline.find_proximity(positions, distance)), f"find_proximity {k}")
+        found |= outputs_of(pipeline.displacement_bounds(positions, distance), f"displacement_bounds {k}")
+        array = _on_device(positions + 0.01 * k, precision)
+        result = pipeline.launch_proximity(array, distance)
+        found |= outputs_of([result.flags.numpy()[0], result.count.numpy()[0]], f"launch_proximity {k} counts")
+        found |= outputs_of(_rows(result.to_host()), f"launch_proximity {k}")
+        found |= outputs_of(pipeline.launch_displacement_bounds(array, distance).bounds, f"launched bounds {k}")
+    return found
+
+
 def replays(case: StepCase, precision: str) -> Outputs:
     """Launches that a graph holds, replayed with other positions in the same arrays."""
     mesh, start, end = case.make()
@@ -156,6 +173,11 @@ def pairs(kind: str, dimension: int, precision: str, options: dict[str, Any]) ->
     dtype = _VECTORS["float64", dimension]
     result = call(*(wp.array(x, dtype=dtype, device="cpu") for x in (start, end)), **options)
     return found | outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
+
+
+def _rows(proximities: ccd.Proximities) -> dict[str, np.ndarray]:
+    names = ("kind", "primitives", "parameters", "distance", "direction", "features", "points")
+    return {name: getattr(proximities, name) for name in names}
 
 
 def _points_at(contacts: ccd.DeviceContacts, t0: wp.array, t1: wp.array) -> np.ndarray:

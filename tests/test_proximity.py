@@ -1,0 +1,312 @@
+"""What is near at one time, judged by exact distances over all pairs."""
+
+import pickle
+
+import numpy as np
+import pytest
+import scenes
+import warp as wp
+from ccd_warp.benchmarks.distance_oracle import exact_distance
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from emulated.steps import STEPS
+from exact_proximity import SCENES, check_proximities, few, size_of
+from launches import on_device
+from scenes import FACE, TRIANGLE
+
+import ccd_warp as ccd
+
+KIND = ccd.PairKind
+FIELDS = ("kind", "primitives", "parameters", "distance", "direction", "features")
+NO_FACES = np.zeros((0, 3), dtype=int)
+
+
+def check_same(found, expected):
+    """Two results are equal in every bit."""
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def rows_of(found):
+    """The pairs as (kind, first, second)."""
+    return [(KIND(k), *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
+
+
+# --- against all pairs ---
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_pairs_and_their_distances_are_those_of_exact_arithmetic(scene, device):
+    mesh = SCENES[scene]()
+    total = 0
+    for distance, broad_phase in ((0.04, "tree"), (0.1, "hash")):
+        found = ccd.find_proximity(mesh, mesh.vertices, distance, broad_phase=broad_phase, device=device)
+        total += check_proximities(mesh, mesh.vertices, distance, found)
+    assert total > 30
+
+
+@pytest.mark.parametrize("kind", list(KIND), ids=lambda kind: kind.name.lower())
+def test_distances_of_hard_pairs_are_exact_to_the_last_digits_of_their_size(kind):
+    rng = np.random.default_rng(int(kind))
+    name = kind.name.lower().replace("_", "-")
+    pairs = np.concatenate([x for family in FAMILIES.values() for x in family(name, 4, rng)])
+    count, corners, _ = pairs.shape
+    bodies = []
+    for points in pairs:
+        if kind == KIND.EDGE_EDGE:
+            bodies += [(points[:2], NO_FACES, [[0, 1]]), (points[2:], NO_FACES, [[0, 1]])]
+        else:
+            rest = points[1:]
+            other = {4: (rest, FACE), 3: (rest, NO_FACES, [[0, 1]]), 2: (rest, NO_FACES)}[corners]
+            bodies += [(points[:1], NO_FACES), other]
+    world = np.repeat(np.arange(count), corners)
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=kind != KIND.EDGE_EDGE, vertex_world=world)
+    found = ccd.find_proximity(mesh, mesh.vertices, 1e300, pair_kinds=[kind])
+    assert found.world.tolist() == list(range(count))  # each pair is in a world of its own, and none is left out
+    for points, distance, direction in zip(pairs, found.distance, found.direction, strict=True):
+        largest = np.abs(points).max()
+        size = 0.0 if largest == 0.0 else largest * size_of(points / largest)
+        assert abs(distance - exact_distance(name, points, points, 0.0)) <= 1e-15 * size
+        assert abs(np.linalg.norm(direction) - (distance > 0)) <= 1e-15
+
+
+def test_a_gap_of_a_millionth_is_measured_a_hundred_million_away_from_the_origin():
+    rng = np.random.default_rng(3)
+    faces, points = 1e8 + rng.uniform(-1, 1, (40, 3, 3)), []
+    for face in faces:
+        normal = np.cross(face[1] - face[0], face[2] - face[0])
+        points.append(rng.dirichlet(np.ones(3)) @ face + 1e-6 * normal / np.linalg.norm(normal))
+    bodies = [body for p, f in zip(points, faces, strict=True) for body in ((p[None], NO_FACES), (f, FACE))]
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies, codimensional_points=True, vertex_world=np.repeat(np.arange(40), 4), self_collision=False
+    )
+    assert check_proximities(mesh, mesh.vertices, 2e-6, ccd.find_proximity(mesh, mesh.vertices, 2e-6)) > 20
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0**-520, 2.0**500])
+def test_a_pair_exactly_at_the_distance_is_found_and_one_beyond_it_is_not(scale):
+    mesh = ccd.CollisionMesh.from_arrays(
+        [([[0.0, 0, 0]], NO_FACES), ([[3.0, 4, 12]], NO_FACES)], codimensional_points=True
+    )
+    x = scale * mesh.vertices
+    assert ccd.find_proximity(mesh, x, 13 * scale).distance.tolist() == [13 * scale]
+    assert len(ccd.find_proximity(mesh, x, 13 * scale * (1 - 4e-15))) == 0
+    assert len(ccd.find_proximity(mesh, x, 1e308)) == 1
+
+
+@pytest.mark.parametrize("per", ["body", "vertex"])
+def test_radii_of_both_primitives_are_added_to_the_distance(per):
+    radius = [0.01, 0.05] if per == "body" else np.random.default_rng(5).uniform(0, 0.06, 54)
+    mesh = few(static=[1], radius=radius)
+    found = ccd.find_proximity(mesh, mesh.vertices, 0.01)
+    check_proximities(mesh, mesh.vertices, 0.01, found)
+    assert len(found) > 2 * len(ccd.find_proximity(few(static=[1]), mesh.vertices, 0.01))
+
+
+# --- what a pair says ---
+
+
+def test_a_vertex_near_the_common_edge_of_two_faces_is_one_proximity_in_several_pairs():
+    roof = [[0.0, 0, 0], [2, 0, 0], [1, -1, -0.5], [1, 1, -0.5]]
+    needle = [[1, 0, 0.25], [1, 0.1, 3], [1, -0.1, 3]]
+    mesh = ccd.CollisionMesh.from_arrays([(roof, [[0, 1, 2], [0, 1, 3]]), (needle, FACE)])
+    ridge = mesh.edges.tolist().index([0, 1])
+    found = ccd.find_proximity(mesh, mesh.vertices, 0.3)
+    assert rows_of(found) == [
+        (KIND.VERTEX_FACE, 4, 0),
+        (KIND.VERTEX_FACE, 4, 1),
+        (KIND.EDGE_EDGE, ridge, mesh.edges.tolist().index([4, 5])),
+        (KIND.EDGE_EDGE, ridge, mesh.edges.tolist().index([4, 6])),
+    ]
+    assert found.distance.tolist() == [0.25] * 4
+    # v, f0 and f1 span the closest features of the first pair, and the ridge with one end of the edge those of the last
+    assert found.features.tolist()[::3] == [1 + 2 + 4, 1 + 2 + 4]
+    assert found.direction.tolist() == [[0, 0, 1]] * 2 + [[0, 0, -1]] * 2
+    once = found.unique()
+    assert rows_of(once) == [(KIND.VERTEX_FACE, 4, 0)]
+    assert once.points.tolist() == [[[1, 0, 0.25], [1, 0, 0]]] and once.weights.tolist() == [[1, 0.5, 0.5, 0]]
+    assert once.vertices.tolist() == [[4, 0, 1, 2]] and once.bodies.tolist() == [[1, 0]] and once.world.tolist() == [0]
+
+
+def test_unique_keeps_each_two_vertices_and_each_vertex_and_edge_once():
+    mesh, x, _ = STEPS["every kind of pair"].make()
+    found = ccd.find_proximity(mesh, x, 0.1)
+
+    def features(proximities):
+        spanned = []
+        rows = zip(proximities.vertices, proximities.features, proximities.kind, strict=True)
+        for vertices, bits, kind in rows:
+            chosen = [int(v) if bits >> k & 1 else None for k, v in enumerate(vertices)]
+            cut = 1 if kind == int(KIND.VERTEX_FACE) else 2
+            spanned.append(frozenset(frozenset(side) - {None} for side in (chosen[:cut], chosen[cut:])))
+        return spanned
+
+    every, once = features(found), features(found.unique())
+    assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
+    inside = [each for each in every if sum(map(len, each)) == 4]
+    assert len({*inside}) == len(inside)  # one pair alone can have the inside of a face, or of two edges
+
+
+def test_weights_and_direction_are_the_derivative_of_the_distance():
+    mesh = few(6)
+    x = mesh.vertices
+    found = ccd.find_proximity(mesh, x, 0.1)
+    found = found[found.distance > 0.01]
+    is_first = np.where(found.kind[:, None] == int(KIND.VERTEX_FACE), [1, 0, 0, 0], [1, 1, 0, 0])
+    moves = np.random.default_rng(0).standard_normal(x.shape)
+    weights = np.where(is_first, 1.0, -1.0) * found.weights
+    slopes = np.einsum("mk,mkd,md->m", weights, moves[found.vertices], found.direction)
+    step = 1e-6
+    row = {r: k for k, r in enumerate(rows_of(found))}
+    moved = ccd.find_proximity(mesh, x + step * moves, 0.11)
+    for r, distance in zip(rows_of(moved), moved.distance, strict=True):
+        if r in row:  # the second derivative is at most the square of the moves over the least distance
+            assert distance == pytest.approx(found.distance[row[r]] + step * slopes[row[r]], abs=1e-8)
+    assert len(row) > 50
+
+
+def test_what_is_in_one_place_has_distance_zero_and_no_direction():
+    mesh, x = scenes.stacked(0.0, 0.0)
+    x[5] = x[0]
+    found = ccd.find_proximity(mesh, x, 0.0)
+    at_vertex = found[(found.vertices[:, 0] == 0) & (found.kind == int(KIND.VERTEX_FACE))]
+    assert len(at_vertex) == 1 and at_vertex.distance[0] == 0 and (at_vertex.direction == 0).all()
+    assert (found.distance < 1e-15).all()
+
+
+def test_a_choice_of_pairs_a_copy_and_the_text():
+    mesh, x = scenes.stacked(0.0, 0.1)
+    found = ccd.find_proximity(mesh, x, 0.2)
+    chosen = found[found.distance < 0.11]
+    check_same(pickle.loads(pickle.dumps(chosen)), chosen)
+    assert len(found[[]]) == 0 and len(found[:3]) == 3
+    assert repr(found).startswith(f"Proximities({len(found)} pairs: {len(found)} of body 0 and body 1; the least dist")
+    assert repr(found[:0]) == "Proximities(no pair)" and "vertex-face" in found._repr_html_()
+    with pytest.raises(TypeError, match=r"^index is 0; expected a slice, a mask or a list of indices$"):
+        found[0]
+
+
+# --- what results do not depend on ---
+
+
+def test_results_are_equal_in_every_bit_for_threads_memory_and_earlier_calls():
+    mesh, start, end = STEPS["every kind, one body static"].make()
+    expected = ccd.find_proximity(mesh, start, 0.05, num_threads=1)
+    pipeline = ccd.CollisionPipeline(mesh, num_threads=3)
+    pipeline.find_proximity(end + 0.01, 0.2)
+    pipeline.mesh_ccd(start, end)
+    check_same(pipeline.find_proximity(start, 0.05), expected)
+    with pytest.raises(ValueError, match=r"^memory_limit is 1 bytes; expected at least") as error:
+        ccd.find_proximity(mesh, start, 0.05, memory_limit=1)
+    least = int(str(error.value).split("at least ")[1].split()[0])
+    check_same(ccd.find_proximity(mesh, start, 0.05, memory_limit=least), expected)
+
+
+def test_the_positions_of_the_caller_may_change_afterwards():
+    mesh, x = scenes.stacked(0.0, 0.1)
+    found = ccd.find_proximity(mesh, x, 0.2)
+    expected = ccd.find_proximity(mesh, x, 0.2).points
+    x += 1.0
+    np.testing.assert_array_equal(found.points, expected)
+
+
+# --- on the device ---
+
+
+def launched(pipeline, x, distance, device="cpu", dtype=wp.vec3d):
+    result = pipeline.launch_proximity(on_device(x, device, dtype), distance)
+    assert result.flags.numpy()[0] == 0
+    return result.to_host()
+
+
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_launches_find_what_the_call_on_the_host_finds(broad_phase, device):
+    mesh, start, end = STEPS["every kind, one body static"].make()
+    capacities = {"max_pairs": 20_000, "max_contacts": 20_000}
+    pipeline = ccd.CollisionPipeline(mesh, device=device, broad_phase=broad_phase, **capacities)
+    # the distance, the static body and the type of the positions change from launch to launch
+    for x, distance in ((start, 0.05), (start, 0.1), (end + 0.3, 0.02), (start, 0.05)):
+        for dtype in (wp.vec3d, wp.vec3f):
+            rounded = x if dtype is wp.vec3d else x.astype(np.float32).astype(np.float64)
+            expected = ccd.find_proximity(mesh, rounded, distance)
+            found = launched(pipeline, x, distance, device, dtype)
+            check_same(found, expected)
+            np.testing.assert_array_equal(found.points, expected.points)
+
+
+def test_a_graph_finds_what_is_near_in_the_present_positions():
+    mesh, start, end = STEPS["every kind, one body static"].make()
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=20_000, max_contacts=20_000)
+    x = on_device(start)
+    with pytest.raises(RuntimeError, match=r"^a graph is being captured, and this launch was not called before"):
+        with wp.ScopedCapture(device="cpu"):
+            pipeline.launch_proximity(x, 0.05)
+    pipeline.launch_proximity(x, 0.01)
+    with wp.ScopedCapture(device="cpu") as capture:
+        result = pipeline.launch_proximity(x, 0.05)
+    for positions in (end, start):
+        x.assign(positions)
+        wp.capture_launch(capture.graph)
+        check_same(result.to_host(), ccd.find_proximity(mesh, positions, 0.05))
+
+
+def test_pairs_beyond_a_capacity_are_told_by_a_flag_and_found_after_reserve():
+    mesh, x, _ = STEPS["worlds in one place"].make()
+    expected = ccd.find_proximity(mesh, x, 0.1)
+    array = on_device(x)
+    for capacities, flag in (({"max_pairs": 100}, "PAIRS_OVERFLOW"), ({"max_contacts": 100}, "CONTACTS_OVERFLOW")):
+        pipeline = ccd.CollisionPipeline(mesh, **capacities)
+        result = pipeline.launch_proximity(array, 0.1)
+        assert ccd.LaunchFlag(int(result.flags.numpy()[0])) == ccd.LaunchFlag[flag]
+        assert result.world_flags.numpy().any()
+        assert {*rows_of(result.to_host())} < {*rows_of(expected)}
+        pipeline.reserve(max_pairs=20_000, max_contacts=20_000)
+        check_same(launched(pipeline, x, 0.1), expected)
+
+
+def test_a_coordinate_that_is_not_finite_is_flagged_in_its_world_and_costs_the_pairs_of_its_vertex_alone():
+    mesh, x, _ = STEPS["worlds in one place"].make()
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=20_000, max_contacts=20_000)
+    expected = ccd.find_proximity(mesh, x, 0.1)
+    for value in (np.nan, np.inf):
+        bad = x.copy()
+        bad[4, 1] = value
+        result = pipeline.launch_proximity(on_device(bad), 0.1)
+        flags = result.world_flags.numpy()
+        assert flags[mesh.vertex_world[4]] == ccd.LaunchFlag.INVALID_INPUT and np.count_nonzero(flags) == 1
+        lost = (expected.vertices == 4).any(axis=1)
+        check_same(result.to_host(), expected[~lost])
+        with pytest.raises(ValueError, match=r"^positions"):
+            ccd.find_proximity(mesh, bad, 0.1)
+
+
+def test_a_launch_after_one_with_a_bad_argument_writes_to_the_same_arrays():
+    mesh, x = scenes.stacked(0.0, 0.1)
+    pipeline = ccd.CollisionPipeline(mesh)
+    first = pipeline.launch_proximity(on_device(x), 0.2)
+    for bad in (on_device(x[:-1]), x[:, :2].copy(), None):
+        with pytest.raises(ValueError, match=r"^positions "):
+            pipeline.launch_proximity(bad, 0.2)
+    assert pipeline.launch_proximity(on_device(x), 0.2) is first
+    assert repr(first) == "DeviceProximities(up to 4,096 pairs on cpu; to_host() reads them)"
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        pickle.dumps(first)
+
+
+def test_static_bodies_have_a_row_in_the_positions_of_a_launch():
+    mesh, x, _ = scenes.sheet_over_floor()
+    pipeline = ccd.CollisionPipeline(mesh)
+    with pytest.raises(ValueError, match=f"^positions has 81 rows; expected {len(x)}, one a vertex$"):
+        pipeline.launch_proximity(on_device(x[mesh.moving_vertices]), 0.2)
+
+
+@pytest.mark.parametrize("distance", [-1.0, np.nan, np.inf, None, "near", [0.1], np.array([0.1, 0.2]), True, 1j])
+def test_a_bad_distance_is_told_by_its_name(distance):
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)])
+    pipeline = ccd.CollisionPipeline(mesh)
+    for name, call in (
+        ("find_proximity", lambda: ccd.find_proximity(mesh, TRIANGLE, distance)),
+        ("find_proximity", lambda: pipeline.find_proximity(TRIANGLE, distance)),
+        ("launch_proximity", lambda: pipeline.launch_proximity(on_device(TRIANGLE), distance)),
+    ):
+        with pytest.raises(ValueError, match=rf"^{name}: distance is .*; expected a finite length of at least 0"):
+            call()
