@@ -9,7 +9,8 @@ import warp as wp
 
 # Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
 _FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
-_FILES += ["half_warp_tree", "hash_grid", "intersections", "meet_planes", "proximity", "thickness"]
+_FILES += ["half_warp_tree", "hash_grid", "intersections", "meet_planes", "near_planes", "proximity"]
+_FILES += ["thickness"]
 
 
 def cuda_modules(with_distances: bool = False) -> dict[str, Any]:

@@ -23,6 +23,7 @@ _COLUMNS: dict[PairKind, tuple[tuple[str, list[int]], tuple[str, list[int]]]] = 
     PairKind.EDGE_EDGE: (("edge", [0, 1]), ("edge", [2, 3])),
     PairKind.POINT_SEGMENT: (("vertex", [0, 1]), ("edge", [2, 3])),
     PairKind.POINT_POINT: (("vertex", [0, 1]), ("vertex", [2, 3])),
+    PairKind.VERTEX_PLANE: (("vertex", [0, 1, 2, 3]), ("plane", [])),
 }
 
 
@@ -40,12 +41,14 @@ class Proximities:
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
         primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge (in the plane of any vertex and edge), or of the vertices of two codimensional
-            points, int32, shape [m, 2].
+            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
+            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         parameters: (u, v) of the closest points, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
-        distance: Euclidean distance of the closest points, a length, float64, shape [m]. Radii are not subtracted.
+        distance: Euclidean distance of the closest points, a length, float64, shape [m]. Radii are not subtracted. Of a
+            vertex inside a half-space it is negative, its depth.
         direction: Unit vector from the closest point of the second primitive to that of the first, float64, shape
-            [m, 3], or [m, 2] in the plane. It is 0 where the two points are the same.
+            [m, 3], or [m, 2] in the plane. It is 0 where the two points are the same, and of a vertex and a plane the
+            unit normal of the plane.
         features: Which of the four ``vertices`` span the closest features, one bit each, 1, 2, 4 and 8 from the first
             column on, int32, shape [m]. 15 is the inside of a face or of two edges.
         mesh: The mesh.
@@ -75,12 +78,15 @@ class Proximities:
     def vertices(self) -> NDArray[np.int32]:
         """Vertices of each pair, int32, shape [m, 4].
 
-        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; or p, p, q, q, as those of :class:`ccd_warp.Contacts`.
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or of a vertex and a plane v, v, v, v, as
+        those of :class:`ccd_warp.Contacts`.
         """
         vertices = np.empty((len(self), 4), dtype=np.int32)
         for kind, sides in _COLUMNS.items():
             rows = np.flatnonzero(self.kind == int(kind))
             for (name, columns), ids in zip(sides, self.primitives[rows].T, strict=True):
+                if name == "plane":
+                    continue  # it has no vertices
                 table = {"face": self.mesh.faces, "edge": self.mesh.edges}.get(name)
                 vertices[rows[:, None], columns] = ids[:, None] if table is None else table[ids]
         return vertices
@@ -100,6 +106,7 @@ class Proximities:
             PairKind.EDGE_EDGE: (1.0 - u, u, 1.0 - v, v),
             PairKind.POINT_SEGMENT: (one, zero, 1.0 - u, u),
             PairKind.POINT_POINT: (one, zero, one, zero),
+            PairKind.VERTEX_PLANE: (one, zero, zero, zero),
         }
         weights = np.empty((len(self), 4))
         for kind, columns in by_kind.items():
@@ -120,12 +127,16 @@ class Proximities:
         points[:, 1] = (weights[:, 1] - of_first) * between
         for column in (2, 3):
             points[:, 1] += weights[:, column] * x[vertices[:, column]]
+        of_plane = self.kind == int(PairKind.VERTEX_PLANE)
+        points[of_plane, 1] = points[of_plane, 0] - self.distance[of_plane, None] * self.direction[of_plane]
         return points
 
     @property
     def bodies(self) -> NDArray[np.int32]:
         """Bodies of the first and the second primitive, int32, shape [m, 2]."""
         bodies: NDArray[np.int32] = self.mesh.vertex_body[self.vertices[:, [0, 3]]]
+        of_plane = self.kind == int(PairKind.VERTEX_PLANE)
+        bodies[of_plane, 1] = self.mesh.planes.bodies[self.primitives[of_plane, 1]]
         return bodies
 
     @property
@@ -140,7 +151,7 @@ class Proximities:
         They are two vertices, a vertex and an edge, two edges, or a vertex and a face. What a vertex has to do with an
         edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.
         """
-        rows = np.flatnonzero(self.features != _ALL)
+        rows = np.flatnonzero((self.features != _ALL) & (self.kind != int(PairKind.VERTEX_PLANE)))
         vertices, bits = self.vertices[rows], self.features[rows, None] & _BITS
         is_first = _BITS <= np.where(self.kind[rows] == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
         ends = []  # the lowest and the highest vertex that spans the feature of each side

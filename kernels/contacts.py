@@ -50,19 +50,24 @@ def lift(
 
 
 @wp.func
-def contact_key(contacts: ContactList, n: int) -> wp.int64:
-    """A key that orders contacts by kind, then by pair: two bits, and 31 for each index.
+def sort_key(kind_of_pair: int, pair: wp.vec2i) -> wp.int64:
+    """A key that orders pairs of primitives by kind, then by index: two bits, and 31 for each index.
 
     A vertex and a plane come after all pairs of points, as their kind with a larger first index: a mesh with planes has
     at most 2^30 vertices.
     """
-    pair = contacts.primitives[n]
     first = wp.int64(pair[0])
-    kind = wp.int64(contacts.kind[n] - 2)  # the sort is of signed numbers
-    if contacts.kind[n] == VERTEX_PLANE:
+    kind = wp.int64(kind_of_pair - 2)  # the sort is of signed numbers
+    if kind_of_pair == VERTEX_PLANE:
         first = first | _PLANE_BIT
         kind = wp.int64(POINT_POINT - 2)
     return (kind << wp.int64(62)) | (first << wp.int64(31)) | wp.int64(pair[1])
+
+
+@wp.func
+def contact_key(contacts: ContactList, n: int) -> wp.int64:
+    """The key of a contact."""
+    return sort_key(contacts.kind[n], contacts.primitives[n])
 
 
 @wp.kernel

@@ -8,6 +8,7 @@ search has no capacity lowers that length to 0 (`mark_overflow`).
 import warp as wp
 
 from .atomics import atomic_min_int64, claim_int
+from .contacts import sort_key
 from .interrupts import is_stopped
 from .minima import CONTACTS_OVERFLOW, FOUND, INVALID_INPUT, Minima, flag_world, world_of
 from .pair_distance import UNDERFLOW, PairDistance, measured
@@ -210,9 +211,7 @@ def proximity_keys(
     """Keys that order pairs by kind, then lexicographically; as those of contacts."""
     n = begin + wp.tid()
     if n < proximities.count[0]:
-        pair = proximities.primitives[n]
-        kind = wp.int64(proximities.kind[n] - 2)  # the sort is of signed numbers
-        keys[n] = (kind << wp.int64(62)) | (wp.int64(pair[0]) << wp.int64(31)) | wp.int64(pair[1])
+        keys[n] = sort_key(proximities.kind[n], proximities.primitives[n])
 
 
 @wp.kernel

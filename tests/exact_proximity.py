@@ -1,21 +1,24 @@
 """What is near in a mesh, by exact arithmetic over all pairs; nothing is shared with the kernels."""
 
+from decimal import Decimal
+from fractions import Fraction
+
 import numpy as np
 import scenes
 from ccd_warp.benchmarks.distance_oracle import exact_distance
-from oracles import brute_force, corners_of
+from oracles import brute_force, corners_of, listing, plane_value
 
 import ccd_warp as ccd
 
 
-def few(count=3, seed=0, spread=0.6, **arguments):
+def few(count=3, seed=0, spread=0.6, half_spaces=(), **arguments):
     """Two bodies of few faces, cables and particles, close together, which form pairs of every kind."""
     rng = np.random.default_rng(seed)
     bodies = []
     for _ in range(2):
         vertices, faces, edges = scenes.cables_and_particles(rng, count, 0.15)
         bodies.append((spread * vertices, faces, edges))
-    return ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **arguments)
+    return ccd.CollisionMesh.from_arrays([*bodies, *half_spaces], codimensional_points=True, **arguments)
 
 
 def few_in_plane(**arguments):
@@ -39,6 +42,7 @@ def few_and_a_giant(**arguments):
 
 
 EXCLUDED = {"vertex_face": [[0, 4], [40, 2]], "edge_edge": [[0, 9], [3, 20]], "vertices": [[1, 30], [2, 40]]}
+HALF_SPACES = ccd.HalfSpace([0.1, 0.2, 0.1], [0.1, -0.2, 3.0]), ccd.HalfSpace([-0.1, 0.0, 0.0], [1e-3, 0.0, 0.0])
 SCENES = {
     "every kind": few,
     "a static body": lambda: few(static=[1]),
@@ -47,6 +51,7 @@ SCENES = {
     "worlds": lambda: few(vertex_world=[1] * 27 + [0] * 27),
     "excluded pairs": lambda: few(exclude_pairs=EXCLUDED),
     "a giant face": few_and_a_giant,
+    "half-spaces": lambda: few(half_spaces=HALF_SPACES, exclude_pairs={"vertex_plane": [[3, 0]], "bodies": [(0, 3)]}),
 }
 
 
@@ -68,11 +73,31 @@ def exact_proximities(mesh, x, distance):
     near = {}
     most = distance if mesh.radius is None else distance + 2 * mesh.radius.max()
     for kind, pairs in zip(ccd.PairKind, brute_force(mesh, x, x, most), strict=True):
-        for pair, corners in zip(pairs, corners_of(mesh, kind, pairs) if pairs else [], strict=True):
+        if kind == ccd.PairKind.VERTEX_PLANE or not pairs:
+            continue
+        for pair, corners in zip(pairs, corners_of(mesh, kind, pairs), strict=True):
             points = x[corners]
             exact = exact_distance(kind.name.lower().replace("_", "-"), points, points, 0.0)
             near[(int(kind), *pair)] = exact, radius_of(mesh, kind, corners), size_of(points)
-    return near
+    return near | exact_planes(mesh, x)
+
+
+def exact_planes(mesh, x):
+    """The same for vertices and half-spaces, whatever their distance."""
+    found = {}
+    is_allowed = listing(mesh)
+    for k, (point, normal, body) in enumerate(zip(*vars(mesh.planes).values(), strict=True)):
+        squared = sum(Fraction(n) ** 2 for n in normal.tolist())
+        length = (Decimal(squared.numerator) / Decimal(squared.denominator)).sqrt()
+        for v in mesh.moving_vertices.tolist():
+            if mesh.body_pairs is not None and not mesh.body_pairs[mesh.vertex_body[v], body]:
+                continue
+            if is_allowed(ccd.PairKind.VERTEX_PLANE, (v, k)):
+                f = plane_value(mesh, k, x[v])
+                exact = float(Decimal(f.numerator) / Decimal(f.denominator) / length)
+                radius = 0.0 if mesh.radius is None else mesh.radius[v]
+                found[(int(ccd.PairKind.VERTEX_PLANE), v, k)] = exact, radius, np.linalg.norm(x[v] - point)
+    return found
 
 
 def check_proximities(mesh, x, distance, found):
@@ -99,9 +124,10 @@ def exact_bounds(mesh, x, search_radius, kept=0.0):
     bounds = np.where(moving, search_radius if is_alone else 0.5 * search_radius, 0.0)
     largest = 0.0
     for (kind, *pair), (exact, radii, size) in exact_proximities(mesh, x, search_radius + kept).items():
-        corners = corners_of(mesh, kind, [pair])[0]
+        is_plane = kind == ccd.PairKind.VERTEX_PLANE
+        corners = np.array(pair[:1]) if is_plane else corners_of(mesh, kind, [pair])[0]
         gap = max(exact - kept - radii, 0.0)
-        share = gap if not moving[corners].all() else 0.5 * gap
+        share = gap if is_plane or not moving[corners].all() else 0.5 * gap
         chosen = corners[moving[corners]]
         bounds[chosen] = np.minimum(bounds[chosen], share)
         largest = max(largest, size)

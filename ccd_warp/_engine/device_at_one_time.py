@@ -164,6 +164,8 @@ class DeviceProximityStep(DeviceAtOneTime):
         self._stages.reset(recording, self._count, self._flag.array, kept_flags)
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
+        if stages.plane_query is not None:
+            stages.list_near_planes(recording)
         stages.list_proximities(recording)
 
 
@@ -210,4 +212,6 @@ class DeviceDisplacementStep(DeviceAtOneTime):
         )
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
+        if stages.plane_query is not None:
+            stages.bound_by_half_spaces(recording)
         stages.bound_displacements(recording)

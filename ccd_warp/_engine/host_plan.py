@@ -161,7 +161,7 @@ class HostPlan:
             grids=grids,
             keys=keys,
             candidates=candidates,
-            minima=workspace.contacts.minima if goal in ("contacts", "displacements") else Minima(),
+            minima=workspace.contacts.minima if goal in ("contacts", *_AT_ONE_TIME) else Minima(),
             least_bits=self._least_bits,
             open_toi=open_toi,
         )
@@ -484,6 +484,14 @@ class HostPlan:
         """A round of the narrow phase on the pairs of a batch, for the least toi alone."""
         section = "narrow phase, second round" if is_second else "narrow phase"
         self.play(section, lambda stages, recording: stages.bound(recording, is_second=is_second))
+
+    def list_near_planes(self) -> int:
+        """List the planes that are near vertices; returns the number of pairs."""
+        return self._play_planes("planes", lambda stages, recording: stages.list_near_planes(recording))
+
+    def bound_by_half_spaces(self) -> int:
+        """Lower the bounds of vertices beside planes; returns the number of pairs."""
+        return self._play_planes("planes", lambda stages, recording: stages.bound_by_half_spaces(recording))
 
     def list_proximities(self) -> None:
         """List the pairs of a batch that are near."""

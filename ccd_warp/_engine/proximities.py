@@ -69,6 +69,11 @@ class ProximityStore:
         self._list = new_proximity_list({"count": self._count, **arrays})
         return self._list
 
+    def restart(self) -> None:
+        """Forget what has been listed."""
+        self.total = 0
+        self._count.zero_()
+
     def end_batch(self) -> None:
         """Count what the batch has appended."""
         self.total = int(self._count.numpy()[0])

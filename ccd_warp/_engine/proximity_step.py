@@ -25,6 +25,9 @@ from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import proximity as kernels
 
+# Pairs of vertices and planes for which a call begins with capacity.
+_FEW = 1 << 10
+
 
 def largest_bound(search_radius: float, is_alone: bool) -> float:
     """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
@@ -75,6 +78,9 @@ class ProximityStep(_StepAtOneTime):
             store = ProximityStore(self.topology, self.buffers, self.execution)
             plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
             batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
+        if plan.has_planes:
+            with self.timed("planes"):
+                self.survivors[PairKind.VERTEX_PLANE] = self._list_near_planes(plan, store)
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
@@ -89,6 +95,20 @@ class ProximityStep(_StepAtOneTime):
             x = self.positions[0][:, :dimension].copy()
         self.finish(plan)
         return Proximities(**arrays, mesh=self.mesh, positions=x)
+
+    @staticmethod
+    def _list_near_planes(plan: HostPlan, store: ProximityStore) -> int:
+        """List vertices and planes, whose number is returned; repeated where they exceed what was expected."""
+        expected = _FEW
+        while True:
+            store.restart()
+            plan.set_proximities(store.begin_batch(expected))
+            found = plan.list_near_planes()
+            if found <= expected:
+                break
+            expected = found
+        store.end_batch()
+        return found
 
 
 class DisplacementStep(_StepAtOneTime):
@@ -108,6 +128,9 @@ class DisplacementStep(_StepAtOneTime):
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
             batches = plan.batches(1, self.capacity(plan.key_bytes))
+        if plan.has_planes:
+            with self.timed("planes"):
+                self.survivors[PairKind.VERTEX_PLANE] = plan.bound_by_half_spaces()
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)

@@ -345,6 +345,25 @@ class Stages:
 
         self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
 
+    def list_near_planes(self, launcher: Launcher) -> None:
+        """List the planes of half-spaces that are near vertices at the start."""
+        from ccd_warp.kernels.near_planes import list_near_planes
+
+        inputs = [*self._near_planes(), self.vertices_t0, self.reach]
+        outputs = [self.counts, self.minima, self.proximities]
+        launcher.launch(list_near_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+
+    def bound_by_half_spaces(self, launcher: Launcher) -> None:
+        """Lower the bounds of vertices beside planes."""
+        from ccd_warp.kernels.near_planes import bound_by_half_spaces
+
+        inputs = [*self._near_planes(), self.vertices_t0, self.reach]
+        outputs = [self.counts, self.minima]
+        launcher.launch(bound_by_half_spaces, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+
+    def _near_planes(self) -> list[Any]:
+        return [self.topology.moving_vertices, self.topology.vertex_body, self.topology.planes]
+
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel for the pairs of each kind that the search has found."""
         counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found

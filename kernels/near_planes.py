@@ -1,0 +1,106 @@
+"""What is near the planes of half-spaces at one time, and how far vertices may move beside them.
+
+The distance of a vertex is f/|n| with the value f of `planes`, negative in the solid, and its lower bound (f - E)/|n|
+with the bound E of the error of f and a length of the normal that is rounded up: a difference, a quotient and a product
+round by less than 8u, by which the bound is lowered.
+"""
+
+import warp as wp
+
+from .atomics import atomic_min_int64, claim
+from .meet_planes import is_finite, is_pair_excluded
+from .minima import FOUND, Minima
+from .pair_distance import UNDERFLOW, PairDistance
+from .pair_kind import VERTEX_PLANE
+from .planes import Planes, scale_of, value_of
+from .proximity import ProximityList, Reach, record_proximity
+from .rounding import RELATIVE, UNIT_ROUNDOFF
+from .thickness import radius_of, sum_up
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+_DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+# The length of a normal is rounded up by this.
+_LENGTH_UP = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+_LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
+
+
+@wp.func
+def plane_distance(x: wp.vec3d, planes: Planes, k: int) -> PairDistance:
+    """Distance of a point and a half-space; invariant: no point of the solid is closer than ``least``."""
+    p = planes.point[k]
+    s = scale_of(wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(p))))
+    lost = planes.lost[k]
+    value = value_of(s * x, s * p, planes.normal[k], s >= _ONE and lost == _ZERO, lost)
+    r = PairDistance()
+    r.distance = value.f / planes.length[k] * _LENGTH_UP / s
+    if value.f > value.error:
+        least = (value.f - value.error) / planes.length[k] * _DOWN / s
+        r.least = wp.max(wp.min(least, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
+    r.direction = planes.unit[k]
+    r.features = 1
+    return r
+
+
+@wp.func
+def distance_with(distance: wp.float64, v: int, radius: wp.array[wp.float64]) -> wp.float64:
+    """A distance plus the radius of a vertex, rounded up."""
+    return sum_up(distance, radius_of(radius, wp.vec3i(v, v, v)))
+
+
+@wp.kernel
+def list_near_planes(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    vertex_body: wp.array[wp.int32],
+    planes: Planes,
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    # out
+    counts: wp.array2d[wp.int64],
+    minima: Minima,
+    proximities: ProximityList,
+):
+    """List the planes within the distance of a vertex that moves; none of one whose position is not finite."""
+    v = vertices[begin + wp.tid()]
+    if not is_finite(x[v]):
+        return
+    for k in range(planes.point.shape[0]):
+        if planes.meets[k, vertex_body[v]] != wp.uint8(0):
+            found = plane_distance(x[v], planes, k)
+            if found.least <= distance_with(reach.distance, v, reach.radius):
+                if not is_pair_excluded(v, k, planes.excluded):
+                    claim(counts, VERTEX_PLANE, FOUND, 1)
+                    record_proximity(VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
+
+
+@wp.kernel
+def bound_by_half_spaces(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    vertex_body: wp.array[wp.int32],
+    planes: Planes,
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    # out
+    counts: wp.array2d[wp.int64],
+    minima: Minima,
+):
+    """Lower the bound of a vertex that moves to what is between it and the planes, less what is to be kept."""
+    v = vertices[begin + wp.tid()]
+    if not is_finite(x[v]):
+        return
+    for k in range(planes.point.shape[0]):
+        if planes.meets[k, vertex_body[v]] != wp.uint8(0):
+            least = plane_distance(x[v], planes, k).least
+            if least <= distance_with(reach.distance, v, reach.radius):
+                if not is_pair_excluded(v, k, planes.excluded):
+                    claim(counts, VERTEX_PLANE, FOUND, 1)
+                    gap = (least - distance_with(reach.kept, v, reach.radius)) * _DOWN - UNDERFLOW
+                    if not gap > _ZERO:
+                        gap = _ZERO
+                    atomic_min_int64(minima.vertex, v, wp.cast(gap, wp.int64))
