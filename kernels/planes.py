@@ -10,11 +10,10 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    are below 2^-400, so that no product is subnormal: exact, but for 2^-1075 where small ones lose bits beside those
    above 2^1000. The normal is multiplied by the power of two with which its largest component is in [1, 2): exact, but
    for 2^-1075 where a component becomes subnormal. ``lost`` is then 2^-1070, and 0 for all other normals.
-2. **Value.** F = fl(Σ n_k (x_k - p_k)): each term has the roundings of a difference, a product and two sums, so
-   |F - f| ≤ 4.01u Σ|n_k (x_k - p_k)|. S, that sum as it is computed, is at most 4.01u less, so E = 4.5u S covers the
-   error. What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a component of the
-   normal has lost bits, by lost·Σ|x_k - p_k|. Where step 1 has lost nothing and each term has a factor 0, f is 0, and
-   so is E.
+2. **Value.** F = fl(Σ n_k (x_k - p_k)): each term has the roundings of a difference, a product and two sums, so |F -
+   f| ≤ 4.01u Σ|n_k (x_k - p_k)|. S, that sum as it is computed, is at most 4.01u less, so E = 4.5u S covers the error.
+   What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a component of the normal has
+   lost bits, by lost·Σ|x_k - p_k|. Where step 1 has lost nothing and each term has a factor 0, f is 0, and so is E.
 3. **Distance.** A point is within a distance D of the half-space where f ≤ D·|n|, with the Euclidean length of n, or
    the sum of its magnitudes if D is in the maximum norm: the largest d·n of a vector d of that length. D is the sum of
    the distance asked for and the largest radius of the primitives around the vertex, if there are radii. |n| is rounded
