@@ -8,11 +8,11 @@ round by less than 8u, by which the bound is lowered.
 import warp as wp
 
 from .atomics import atomic_min_int64, claim
-from .meet_planes import is_finite, is_pair_excluded
+from .meet_planes import is_pair_excluded
 from .minima import FOUND, Minima
 from .pair_distance import UNDERFLOW, PairDistance
 from .pair_kind import VERTEX_PLANE
-from .planes import Planes, scale_of, value_of
+from .planes import Planes, is_finite, scale_of, value_of
 from .proximity import ProximityList, Reach, record_proximity
 from .rounding import RELATIVE, UNIT_ROUNDOFF
 from .thickness import radius_of, sum_up
@@ -45,9 +45,9 @@ def plane_distance(x: wp.vec3d, planes: Planes, k: int) -> PairDistance:
 
 
 @wp.func
-def distance_with(distance: wp.float64, v: int, radius: wp.array[wp.float64]) -> wp.float64:
-    """A distance plus the radius of a vertex, rounded up."""
-    return sum_up(distance, radius_of(radius, wp.vec3i(v, v, v)))
+def distance_with(distance: wp.float64, v: int, box_radius: wp.array[wp.float64]) -> wp.float64:
+    """A distance plus the radius of the thickest primitive around a vertex, rounded up."""
+    return sum_up(distance, radius_of(box_radius, wp.vec3i(v, v, v)))
 
 
 @wp.kernel
@@ -57,6 +57,7 @@ def list_near_planes(
     vertices: wp.array[wp.int32],
     vertex_body: wp.array[wp.int32],
     planes: Planes,
+    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
     x: wp.array[wp.vec3d],
     reach: Reach,
     # out
@@ -71,7 +72,7 @@ def list_near_planes(
     for k in range(planes.point.shape[0]):
         if planes.meets[k, vertex_body[v]] != wp.uint8(0):
             found = plane_distance(x[v], planes, k)
-            if found.least <= distance_with(reach.distance, v, reach.radius):
+            if found.least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     record_proximity(VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
@@ -84,6 +85,7 @@ def bound_by_half_spaces(
     vertices: wp.array[wp.int32],
     vertex_body: wp.array[wp.int32],
     planes: Planes,
+    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
     x: wp.array[wp.vec3d],
     reach: Reach,
     # out
@@ -97,10 +99,10 @@ def bound_by_half_spaces(
     for k in range(planes.point.shape[0]):
         if planes.meets[k, vertex_body[v]] != wp.uint8(0):
             least = plane_distance(x[v], planes, k).least
-            if least <= distance_with(reach.distance, v, reach.radius):
+            if least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
-                    gap = (least - distance_with(reach.kept, v, reach.radius)) * _DOWN - UNDERFLOW
+                    gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
                     if not gap > _ZERO:
                         gap = _ZERO
                     atomic_min_int64(minima.vertex, v, wp.cast(gap, wp.int64))

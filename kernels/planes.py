@@ -27,8 +27,8 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    2^-1000 becomes 0, as its own roundings are not relative.
 
 5. **Most vertices** stay far from a plane. Where S is between 2^-300 and 2^900 at both ends, and the normal has lost
-   nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is 0.4u S.
-   So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
+   nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is
+   0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.

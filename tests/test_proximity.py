@@ -324,3 +324,11 @@ def test_a_bad_distance_is_told_by_its_name(distance):
     ):
         with pytest.raises(ValueError, match=rf"^{name}: distance is .*; expected a finite length of at least 0"):
             call()
+
+
+def test_the_thin_end_of_a_cable_keeps_the_radius_of_its_thick_end_from_the_ground():
+    cable = ([[0.0, 0.0, 0.05], [1.0, 0.0, 0.5], [2.0, 0.0, 0.5]], np.empty((0, 3), dtype=int), [[0, 1], [1, 2]])
+    ground = ccd.HalfSpace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    mesh = ccd.CollisionMesh.from_arrays([cable, ground], radius=[0.0, 0.1, 0.0])
+    assert ccd.find_proximity(mesh, mesh.vertices, 0.0).primitives.tolist() == [[0, 0]]
+    assert ccd.displacement_bounds(mesh, mesh.vertices, 1.0)[0] == 0.0

@@ -362,7 +362,7 @@ class Stages:
         launcher.launch(bound_by_half_spaces, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
 
     def _near_planes(self) -> list[Any]:
-        return [self.topology.moving_vertices, self.topology.vertex_body, self.topology.planes]
+        return [self.topology.moving_vertices, self.topology.vertex_body, self.topology.planes, self.box_radius]
 
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel for the pairs of each kind that the search has found."""
