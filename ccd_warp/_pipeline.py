@@ -27,16 +27,16 @@ from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
-    EVERY_PER,
     LineSearchResult,
     Per,
     check_step_is_whole,
     search_step,
+    validated_line_search,
 )
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_choice, check_count, check_flag, check_instance, check_real, shown
+from ccd_warp._input.arguments import check_count, check_flag, check_instance, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
@@ -346,7 +346,7 @@ class CollisionPipeline:
         """
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
-            per, safety = _validated_line_search(per, safety)
+            per, safety = validated_line_search(per, safety)
             num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS, least=3)
             check_step_is_whole(self._options.t_max)
         return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
@@ -637,7 +637,7 @@ class CollisionPipeline:
         """
         with naming("line_search"):
             check_step_is_whole(self._options.t_max)
-            per, safety = _validated_line_search(per, safety)
+            per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
         return search_step(
             self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
@@ -647,11 +647,3 @@ class CollisionPipeline:
 def validated_distance(distance: float) -> float:
     """The argument ``distance``, validated."""
     return check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
-
-
-def _validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
-    """The arguments ``per`` and ``safety``, validated."""
-    return (
-        check_choice("per", per, EVERY_PER),
-        check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),
-    )

@@ -26,6 +26,10 @@ class CollisionFilter:
     by_listed_pair: int  # 1: pairs of primitives are listed
     listed_begin: wp.array[wp.int32]  # first key of each pair kind, then of the bodies, and the end
     listed: wp.array[wp.int64]  # keys of the listed pairs, ascending for each kind
+    by_region: int  # 1: only pairs that belong to a region are kept, and the rest applies
+    region_lower: wp.vec4d  # of space and worlds, closed
+    region_upper: wp.vec4d  # open
+    vertex_lower: wp.array[wp.vec4d]  # the lower corner of a box around each vertex and its world
 
 
 # In place of a pair kind: pairs of bodies.
@@ -55,6 +59,23 @@ def are_bodies_listed(a: int, b: int, collision_filter: CollisionFilter) -> bool
     """Whether a pair of bodies is listed."""
     if collision_filter.by_listed_body != 0:
         return is_listed(BODIES, wp.min(a, b), wp.max(a, b), collision_filter)
+    return False
+
+
+@wp.func
+def lower_corner(c: wp.vec3i, collision_filter: CollisionFilter) -> wp.vec4d:
+    """Lower corner of the box around a primitive."""
+    corner = wp.min(collision_filter.vertex_lower[c[0]], collision_filter.vertex_lower[c[1]])
+    return wp.min(corner, collision_filter.vertex_lower[c[2]])
+
+
+@wp.func
+def belongs_elsewhere(a: wp.vec3i, b: wp.vec3i, collision_filter: CollisionFilter) -> bool:
+    """Whether the lower corner of the intersection of two boxes, the larger of both corners, is in another region."""
+    corner = wp.max(lower_corner(a, collision_filter), lower_corner(b, collision_filter))
+    for k in range(4):
+        if corner[k] < collision_filter.region_lower[k] or corner[k] >= collision_filter.region_upper[k]:
+            return True
     return False
 
 

@@ -34,14 +34,31 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
     is marked.
     """
     mesh = topology.mesh
-    near = mesh.self_collision & ~mesh.static
     filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    if not (~mesh.static & ~mesh.self_collision)[filled].any():
+        return mesh.self_collision & ~mesh.static
+    first = mesh.body_vertex_range[filled]
+    radius = None if mesh.radius is None else np.maximum.reduceat(mesh.radius, first)
+    return bodies_near_boxes(topology, filled, swept_boxes(positions, first), radius, inflation, execution)
+
+
+def bodies_near_boxes(
+    topology: Topology,
+    filled: NDArray[np.intp],
+    boxes: tuple[NDArray[np.float64], NDArray[np.float64]],
+    radius: NDArray[np.float64] | None,
+    inflation: float,
+    execution: Execution,
+) -> NDArray[np.bool_]:
+    """The same, given the bodies with vertices, the boxes around their motion, and the largest radius of each."""
+    mesh = topology.mesh
+    near = mesh.self_collision & ~mesh.static
     is_query = ~mesh.static[filled] & ~near[filled]
     if not is_query.any():
         return near
     device = execution.device
     with np.errstate(over="ignore", under="ignore"):
-        lower, upper = _swept_boxes(positions, mesh.body_vertex_range[filled], inflation, mesh.radius)
+        lower, upper = _inflated(*boxes, radius, inflation)
         tree, order = _tree(lower, upper, filled, device)
     queries = np.flatnonzero(is_query[order]).astype(np.int32)
     found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
@@ -62,20 +79,22 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
     return near | (found.numpy() != 0)
 
 
-def _swept_boxes(
-    positions: Positions, first: NDArray[np.int32], inflation: float, radius: NDArray[np.float64] | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes around both frames of bodies that begin at these vertices, inflated and rounded outward.
-
-    They grow by the largest radius of each body, too.
-    """
+def swept_boxes(positions: Positions, first: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes around both frames of bodies that begin at these vertices."""
     lower = np.minimum.reduceat(np.minimum(*positions), first, axis=0)
     upper = np.maximum.reduceat(np.maximum(*positions), first, axis=0)
+    return lower, upper
+
+
+def _inflated(
+    lower: NDArray[np.float64], upper: NDArray[np.float64], radius: NDArray[np.float64] | None, inflation: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes inflated, also by the radius of each, and rounded outward."""
     if inflation > 0.0:
         lower = np.nextafter(lower - inflation, -np.inf)
         upper = np.nextafter(upper + inflation, np.inf)
     if radius is not None:
-        largest = np.maximum.reduceat(radius, first)[:, None]
+        largest = radius[:, None]
         lower = np.nextafter(lower - largest, -np.inf)
         upper = np.nextafter(upper + largest, np.inf)
     return lower, upper

@@ -521,15 +521,23 @@ class HostPlan:
         keys, toi = (self._recording.values[f"{kind.name} {name}"][:count].numpy() for name in ("keys", "open toi"))
         return toi[keys < 0]
 
-    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
-        """Make these marked keys the pairs of the second round."""
+    def set_number_open(self, num_open: Mapping[PairKind, int]) -> None:
+        """Let the open pairs of a kind share their work with others: so many of them in all."""
+        counts = self.counts()
+        for kind, count in num_open.items():
+            counts[kind, OPEN] = count
+        if self._counts_view is None:
+            self._counts.assign(counts)
+
+    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64], num_open: int) -> None:
+        """Make these marked keys the pairs of the second round, which share the work of so many."""
         pairs = self._buffers.get("open keys", len(keys), wp.int64)
         pairs[: len(keys)].assign(keys)
         self._set_keys(kind, pairs, None)
         self._keys_base = None
         self._set_queue(len(keys))
         counts = np.zeros(self._counts.shape, dtype=np.int64)
-        counts[kind, [FOUND, OPEN]] = len(keys)
+        counts[kind, FOUND], counts[kind, OPEN] = len(keys), num_open
         self._counts.assign(counts)
 
     def reset_minima(self, num_contacts: wp.array) -> None:

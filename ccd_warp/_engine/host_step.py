@@ -228,7 +228,7 @@ class Step:
             if best <= 0.0 or (any_suffices and best < np.inf):
                 strides = ()
         for stride in strides:
-            if stride > 1 and self.mesh.num_vertices < _WORTH_SAMPLING:
+            if stride > 1 and self.num_vertices_in_all < _WORTH_SAMPLING:
                 continue
             if best <= _WORTH_SHORTENING * t_end:
                 t_end = best
@@ -247,11 +247,11 @@ class Step:
                         open_pairs.setdefault(kind, []).append(pairs)
                 if plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf):
                     break
-            best = plan.least()
+            best = self.least_of_all(plan.least())
             if best <= 0.0 or (any_suffices and best < np.inf):
                 break
             with self.timed("narrow phase"):
-                best = self.least_open_toi(plan, best, open_pairs)
+                best = self.least_of_all(self.least_open_toi(plan, best, open_pairs))
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
         return best
@@ -263,23 +263,42 @@ class Step:
         open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]],
     ) -> float:
         """The second round: earliest toi of the pairs that the first has left open, or the bound."""
-        closed = bound
+        earlier = {}
         for kind, batches in open_pairs.items():
             keys, toi = map(np.concatenate, zip(*batches, strict=True))
             # which pairs are earlier than all closed ones depends only on the pairs, and so does their share of the
             # work
-            is_earlier = toi < closed
-            keys, toi = keys[is_earlier], toi[is_earlier]
+            is_earlier = toi < bound
+            earlier[kind] = keys[is_earlier], toi[is_earlier]
+        num_open = self.open_in_all({kind: len(keys) for kind, (keys, _) in earlier.items()})
+        for kind, (keys, toi) in earlier.items():
             if len(keys) == 0:
                 continue
-            if self.options.share_of_work(len(keys)) <= self.options.first_iterations:
+            if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
                 bound = min(bound, float(toi.min()))
                 continue
-            plan.set_open_pairs(kind, keys)
+            plan.set_open_pairs(kind, keys, num_open[kind])
             plan.set_least(bound)
             plan.bound(is_second=True)
             bound = plan.least()
         return bound
+
+    @property
+    def num_vertices_in_all(self) -> int:
+        """Number of vertices of the whole mesh, which may be more than this process has."""
+        return self.mesh.num_vertices
+
+    def least_of_all(self, toi: float) -> float:
+        """The least toi of all processes that share the step; here of this one."""
+        return toi
+
+    def open_in_all(self, num_open: dict[PairKind, int]) -> dict[PairKind, int]:
+        """How many pairs of each kind are open in all processes that share the step; asked once for each round."""
+        return num_open
+
+    def share_work(self, plan: HostPlan) -> bool:
+        """Let the open pairs of a batch share the work with those of other processes; here there are none."""
+        return True
 
     def contacts(self) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result."""
@@ -297,6 +316,7 @@ class Step:
             with self.timed("planes"):
                 survivors[PairKind.VERTEX_PLANE] = self._meet_planes(plan)
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
+        has_shared = False
         for batch in self.timed_batches(batches):
             with self.timed("narrow phase"):
                 survivors.update(batch.found)
@@ -304,15 +324,18 @@ class Step:
                 plan.set_contacts(store.begin_batch(sum(batch.found.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
+                    has_shared = self.share_work(plan)
                     plan.solve(is_second=True)
                 else:
                     for kind in plan.num_open():
                         open_keys.setdefault(kind, []).append(plan.open_keys(kind, batch.found[kind]))
                 store.end_batch()
         with self.timed("narrow phase"):
-            for kind, keys in open_keys.items():
-                plan.set_open_pairs(kind, np.concatenate(keys))
-                plan.set_contacts(store.begin_batch(sum(map(len, keys))))
+            keys_left = {kind: np.concatenate(keys) for kind, keys in open_keys.items()}
+            num_open = {} if has_shared else self.open_in_all({kind: len(keys) for kind, keys in keys_left.items()})
+            for kind, keys in keys_left.items():
+                plan.set_open_pairs(kind, keys, num_open[kind])
+                plan.set_contacts(store.begin_batch(len(keys)))
                 plan.solve(is_second=True)
                 store.end_batch()
         if not store.is_complete:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
@@ -76,6 +77,30 @@ def check_step_is_whole(t_max: float) -> None:
         raise ValueError(f"t_max is {t_max!r}; expected 1, as a line search covers the whole step")
 
 
+def validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
+    """The arguments ``per`` and ``safety``, validated."""
+    return (
+        check_choice("per", per, EVERY_PER),
+        check_real("safety", safety, "a number between 0 and 1", lambda x: 0 < x < 1),
+    )
+
+
+class OneProcess:
+    """What a line search asks of everything at once: here one process has it all."""
+
+    def all(self, flag: bool) -> bool:
+        """Whether a flag is set everywhere."""
+        return flag
+
+    def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The least of each number everywhere."""
+        return values
+
+    def least_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The least value of each vertex everywhere."""
+        return values
+
+
 def search_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -85,8 +110,10 @@ def search_step(
     per: str,
     safety: float,
     max_rounds: int,
+    everywhere: OneProcess | None = None,
 ) -> LineSearchResult:
-    """Shorten displacements until ``solve`` finds no contact of a vertex that moves."""
+    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``."""
+    everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
     fraction = np.ones(mesh.num_vertices)
@@ -102,32 +129,33 @@ def search_step(
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
         is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
-        if is_stopped.all():
+        if everywhere.all(bool(is_stopped.all())):
             stopping.append(contacts)
             break
         contacts, corners = _chosen(contacts, ~is_stopped), corners[~is_stopped]
         toi = contacts.toi
-        if not toi.all():
+        if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
                 at_start = _keys(solve(start, start).contacts)
                 num_rounds += 1
+            is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
-            can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_common.all())
+            can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
             if at_start is not None:
                 can_be_shorter &= ~np.isin(_keys(contacts), at_start)
-            can_be_shorter &= (_least(toi, corners, mesh, per)[corners] == 0).any(axis=1)
+            can_be_shorter &= (_least(toi, corners, mesh, per, everywhere)[corners] == 0).any(axis=1)
             share = _resolved_share(contacts, start[corners], vertices[corners])
             toi = np.where(can_be_shorter, np.maximum(toi, share), toi)
         if num_rounds >= max_rounds - 1:
             toi = np.zeros(len(contacts))
             is_common[:] = True
-        of_world = _least(toi, corners, mesh, "scene" if per == "scene" else "world")
+        of_world = _least(toi, corners, mesh, "scene" if per == "scene" else "world", everywhere)
         if len(common) == 0:
             common = np.minimum(safety * of_world, 1.0)
         own = safety * toi[:, None] * fraction[corners]
         if max_rounds - num_rounds > _ROUNDS_BY_WORLD:
-            bound = _least(toi, corners, mesh, per)
+            bound = _least(toi, corners, mesh, per, everywhere)
             touched = np.isfinite(bound)
             fraction[touched] *= safety * bound[touched]
         else:
@@ -139,13 +167,13 @@ def search_step(
             fraction[touched] = np.where(is_common[touched], shorter, common[touched])
             is_common |= touched
         fraction[~moves] = 1.0
-        vertices = _moved(start, end, fraction)
-        stops = (_moved(start[corners], end[corners], own) == start[corners]).all(axis=(1, 2))
+        vertices = moved(start, end, fraction)
+        stops = (moved(start[corners], end[corners], own) == start[corners]).all(axis=(1, 2))
         stopping.append(_chosen(contacts, stops))
     return LineSearchResult(
         vertices=vertices,
         vertex_fraction=fraction,
-        fraction=float(fraction[moves].min(initial=1.0)),
+        fraction=float(everywhere.least(fraction[moves].min(initial=1.0, keepdims=True))[0]),
         touching=_stationary_contacts(mesh, stopping, (vertices == start).all(axis=1)),
         num_rounds=num_rounds,
         is_limited=is_limited,
@@ -183,21 +211,24 @@ def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_st
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
 
 
-def _least(toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str) -> NDArray[np.float64]:
+def _least(
+    toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str, everywhere: OneProcess
+) -> NDArray[np.float64]:
     """For each vertex the least toi of all contacts of vertices that share its fraction, inf if there is none."""
     least = np.full(mesh.num_vertices, np.inf)
     np.minimum.at(least, corners, toi[:, None])
     if per == "scene":
-        return np.full_like(least, least.min(initial=np.inf))
+        return np.full_like(least, everywhere.least(least.min(initial=np.inf, keepdims=True))[0])
     if per == "vertex":
-        return least
+        return everywhere.least_of_vertices(least)
     group, count = (mesh.vertex_body, mesh.num_bodies) if per == "body" else (mesh.vertex_world, mesh.num_worlds)
     of_group = np.full(count, np.inf)
     np.minimum.at(of_group, group, least)
+    of_group = everywhere.least(of_group)
     return of_group[group]
 
 
-def _moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
     f = fraction[..., None]
     # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by

@@ -174,6 +174,12 @@ class Topology:
         chosen = primitives[(numbers * len(primitives)) // NUM_SAMPLES]
         return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.T.astype(np.intp, order="C")
 
+    def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions of the samples at both ends of a step, of single vertices and of those of primitives."""
+        vertices, primitives = self.samples
+        start, end = positions
+        return np.stack([start[vertices], end[vertices]]), np.stack([start[primitives], end[primitives]])
+
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
         if name == "vertex":
@@ -215,6 +221,9 @@ class Topology:
     @lazy_property
     def collision_filter(self) -> Any:
         """The collision filter of the mesh, as the struct of the kernels."""
+        return self._make_filter()
+
+    def _make_filter(self) -> Any:
         mesh = self.mesh
         collision_filter = CollisionFilter()
         none = wp.empty(0, dtype=wp.int32, device=self.device)
@@ -230,17 +239,22 @@ class Topology:
         collision_filter.ring_begin, collision_filter.ring = none, none
         if collision_filter.by_ring:
             collision_filter.ring_begin, collision_filter.ring = (
-                self.array(array) for array in excluded_vertices(mesh)
+                self.array(array) for array in self._excluded_vertices()
             )
         listed = [mesh.exclude_pairs.get(name, np.zeros((0, 2))).astype(np.int64) for name in _LISTED]
         collision_filter.listed_begin = self.array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
         collision_filter.listed = self.array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
         collision_filter.by_listed_body = int(len(listed[-1]) > 0)
         collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
+        collision_filter.by_region = 0
+        collision_filter.vertex_lower = wp.empty(0, dtype=wp.vec4d, device=self.device)
         collision_filter.applies = int(
             collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
         return collision_filter
+
+    def _excluded_vertices(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        return excluded_vertices(self.mesh)
 
     @property
     def has_lists(self) -> bool:
@@ -263,6 +277,7 @@ class Topology:
             collision_filter.ring,
             collision_filter.listed_begin,
             collision_filter.listed,
+            collision_filter.vertex_lower,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 
@@ -321,16 +336,15 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     the same as long as the scene stays in place.
     """
     quantization = kernels.Quantization()
-    start, end = positions
-    if len(start) == 0:
+    if len(positions[0]) == 0:
         return quantization
-    vertices, primitives = topology.samples
+    vertices, points = topology.sampled(positions)  # axes of points: end of the step, vertex, primitive, coordinate
     with np.errstate(over="ignore", under="ignore"):
-        centre = 0.5 * start[vertices]
-        centre += 0.5 * end[vertices]
+        vertices *= 0.5
+        centre = vertices[0]
+        centre += vertices[1]
         centre.sort(axis=0)
         margin = NUM_SAMPLES // 20
-        points = np.stack([start[primitives], end[primitives]])  # axes: end of the step, vertex, primitive, coordinate
         points *= 0.5
         if num_aabbs == 1:
             extents = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)

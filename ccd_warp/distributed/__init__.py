@@ -1,0 +1,25 @@
+"""Collision detection on a mesh whose parts lie on the ranks of MPI; needs the extra ``mpi``.
+
+Each rank hands in its own part of the mesh, and gets results for it that have the bits of one process with the whole
+mesh. All calls are collective. See docs/distributed.md.
+"""
+
+from ccd_warp.distributed._mesh import DistributedMesh
+from ccd_warp.distributed._pipeline import DistributedPipeline
+from ccd_warp.distributed._results import (
+    DistributedCandidates,
+    DistributedContacts,
+    DistributedLineSearch,
+    DistributedResult,
+    RankWork,
+)
+
+__all__ = [
+    "DistributedCandidates",
+    "DistributedContacts",
+    "DistributedLineSearch",
+    "DistributedMesh",
+    "DistributedPipeline",
+    "DistributedResult",
+    "RankWork",
+]

@@ -1,0 +1,441 @@
+"""The part of a mesh that a rank hands in, and what is known of the whole."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._engine.topology import NUM_SAMPLES
+from ccd_warp._input.arguments import shown
+from ccd_warp._input.arrays import as_array, check_finite
+from ccd_warp._input.excluded_pairs import ExcludedPairs
+from ccd_warp._input.foreign import on_host
+from ccd_warp._input.mesh_checks import (
+    as_positions,
+    validated_body_pairs,
+    validated_flags,
+    validated_indices,
+    validated_positions,
+    validated_rings,
+    validated_static,
+)
+from ccd_warp.distributed import _numbering as numbering
+from ccd_warp.distributed._exchange import Exchange
+from ccd_warp.distributed._ranks import Ranks, mpi
+from ccd_warp.distributed._rings import Rings
+
+_MOST_VERTICES = np.iinfo(np.int32).max
+
+
+@dataclass(frozen=True)
+class Primitives:
+    """Primitives for which this rank speaks: each of the whole mesh belongs to one rank.
+
+    Attributes:
+        numbers: Their indices in the whole mesh, int64, shape [n].
+        corners: Rows of their vertices on this rank, shape [n, 1 to 3], in the order that counts.
+        is_codimensional: Which of them collide as codimensional ones, bool, shape [n].
+    """
+
+    numbers: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    is_codimensional: NDArray[np.bool_]
+
+
+class DistributedMesh:
+    """A mesh whose parts lie on the ranks of a communicator; no rank ever has all of it.
+
+    Each rank hands in its own part. A vertex may be on several ranks, as a ghost or on the rim that two parts share; it
+    has one **owner**, whose positions count. A face may be handed in by several ranks and counts once. All ranks make
+    the mesh together, and every method that takes one is collective, too.
+
+    Results are those of one process with **the whole mesh**: all vertices in the order of their ids, body by body, each
+    face once. Where copies of a face give its vertices in different orders, the lexicographically first order counts,
+    by id.
+
+    Attributes:
+        num_vertices: Vertices of the whole mesh.
+        num_edges: Its edges.
+        num_faces: Its faces.
+        num_bodies: Its bodies.
+        num_worlds: Its worlds.
+        length_scale: Longest side of the box around the whole mesh, the default unit of tolerance and separation.
+        vertex_ids: The ids of the vertices on this rank, as given, int64, shape [n].
+        owner: Rank that owns each of them, int64, shape [n].
+        is_owned: Whether this rank does, bool, shape [n].
+    """
+
+    def __init__(
+        self,
+        comm: Any,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        vertex_ids: ArrayLike,
+        edges: ArrayLike | None = None,
+        bodies: ArrayLike | None = None,
+        static: Iterable[int] = (),
+        self_collision: bool | Sequence[bool] = True,
+        codimensional_points: bool | Sequence[bool] = False,
+        body_pairs: ArrayLike | None = None,
+        exclusion_rings: int = 1,
+        exclude_pairs: Mapping[str, Any] | None = None,
+        vertex_world: ArrayLike | None = None,
+        owned: ArrayLike | None = None,
+    ) -> None:
+        """Make the mesh, collectively.
+
+        Args:
+            comm: The ranks, an intracommunicator of mpi4py, or None for all ranks of the program.
+            vertices: Rest positions of the vertices on this rank, float, shape [n, 3]. Those of the owners count.
+            faces: Rows of these vertices, integer, shape [f, 3].
+            vertex_ids: Id of each vertex in the whole mesh, integers of at least 0, each once on a rank, shape [n].
+                They need not follow one another without gaps.
+            edges: Rows of the vertices of codimensional edges, integer, shape [e, 2]. A given edge that belongs to a
+                face of any rank counts as an edge of that face.
+            bodies: Body of each vertex, integers that ascend with the ids, shape [n]. By default there is one body.
+            static: Bodies that do not move; the same on all ranks, as all that follows but the last two.
+            self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
+            codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
+                codimensional points: one flag for all bodies or one for each.
+            body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B].
+            exclusion_rings: As of :class:`ccd_warp.CollisionMesh`, over the edges of the whole mesh.
+            exclude_pairs: ``"bodies"``, pairs of their numbers, and ``"vertices"``, pairs of ids; each shape [k, 2].
+            vertex_world: World of each vertex, integers from 0 on, shape [n]. By default there is one world.
+            owned: Which vertices this rank owns, bool, shape [n]; given on all ranks or on none. By default the lowest
+                rank that has a vertex owns it.
+
+        Raises:
+            ValueError: On all ranks, if an argument of one is not as described; the message begins with its rank.
+            TypeError: If ``comm`` is none.
+            ImportError: If mpi4py is not installed.
+        """
+        self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
+        with ranks.together():
+            self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, owned)
+            self._number_vertices()
+            self._take_tables(static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs)
+            self._number_primitives()
+            self._measure()
+            self._choose_samples()
+            self.rings = Rings.of(
+                ranks, self._first_numbers, self.primitives["edge"], self.numbers, self.exclusion_rings, self._excluded
+            )
+
+    def __repr__(self) -> str:
+        sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"
+        return (
+            f"DistributedMesh({self.num_bodies} bodies, {sizes}; "
+            f"rank {self.ranks.rank} of {self.ranks.size} has {len(self.vertex_ids):,} vertices)"
+        )
+
+    def _take(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        vertex_ids: ArrayLike,
+        edges: ArrayLike | None,
+        bodies: ArrayLike | None,
+        vertex_world: ArrayLike | None,
+        owned: ArrayLike | None,
+    ) -> None:
+        """Check what belongs to this rank alone."""
+        self.vertices = validated_positions(vertices, "vertices", 3)
+        count = len(self.vertices)
+        self.vertex_ids = _per_vertex("vertex_ids", vertex_ids, count)
+        if len(np.unique(self.vertex_ids)) < count:
+            values, times = np.unique(self.vertex_ids, return_counts=True)
+            raise ValueError(f"vertex_ids holds {values[times > 1][0]} more than once; expected each id once on a rank")
+        self._faces = validated_indices(faces, 3, count, "faces")
+        none = np.zeros((0, 2), dtype=np.int64)
+        self._given_edges = none if edges is None else validated_indices(edges, 2, count, "edges")
+        zeros = np.zeros(count, dtype=np.int64)
+        self.bodies = zeros if bodies is None else _per_vertex("bodies", bodies, count)
+        self.worlds = zeros if vertex_world is None else _per_vertex("vertex_world", vertex_world, count)
+        self._owned = np.full(count, -1, dtype=np.int64)
+        if owned is not None:
+            flags = as_array(on_host(owned, "owned"), "owned", f"bool and shape {(count,)}")
+            if (flags.dtype != bool and flags.size) or flags.shape != (count,):
+                raise ValueError(f"owned has dtype {flags.dtype} and shape {flags.shape}; expected bool and {(count,)}")
+            self._owned = flags.astype(np.int64)
+        for name, corners in (("face", self._faces), ("edge", self._given_edges)):
+            for what, of in (("bodies", self.bodies), ("vertex_world", self.worlds)):
+                values = of[corners]
+                is_torn = (values != values[:, :1]).any(axis=1)
+                if is_torn.any():
+                    at = int(np.argmax(is_torn))
+                    raise ValueError(f"{what} gives {name} {at} the values {values[at].tolist()}; expected one")
+
+    def _number_vertices(self) -> None:
+        """Number the vertices of the whole mesh by their ids, and find their owners."""
+        ranks = self.ranks
+        given = ranks.every(np.array([[(self._owned >= 0).any(), (self._owned < 0).any()]], dtype=np.int64))
+        if given.any(axis=0).all():
+            raise ValueError("owned is given on some ranks and not on others; expected it on all or on none")
+        first_ids = numbering.splitters(ranks.every(numbering.id_samples(self.vertex_ids)), ranks.size)
+        sent = numbering.by_destination(numbering.home_of(first_ids, self.vertex_ids), ranks.size)
+        rows = np.stack([self.vertex_ids, self._owned, self.bodies, self.worlds], axis=1)
+        received = ranks.swap([rows[items] for items in sent])
+        ids, owned, bodies, worlds = np.concatenate(received).T
+        holder = np.repeat(np.arange(ranks.size), [len(part) for part in received])
+        home = numbering.vertices_at_home(ids, holder, owned, {"bodies": bodies, "vertex_world": worlds})
+        before = ranks.sum_before(len(home.ids))
+        self._check_bodies(home.ids, bodies[home.first])
+        numbers = before + home.place
+        replies = np.stack([numbers, home.owner[home.place]], axis=1)
+        back = ranks.swap(np.split(replies, np.cumsum([len(part) for part in received])[:-1]))
+        self.numbers = np.empty(len(self.vertex_ids), dtype=np.int64)
+        self.owner = np.empty(len(self.vertex_ids), dtype=np.int64)
+        for items, answer in zip(sent, back, strict=True):
+            self.numbers[items], self.owner[items] = answer.T
+        self.is_owned = self.owner == ranks.rank
+        self.owned_rows = np.flatnonzero(self.is_owned)
+        counts = ranks.every(np.array([len(home.ids)]))
+        self.num_vertices = int(counts.sum())
+        if self.num_vertices > _MOST_VERTICES:
+            raise ValueError(f"the ranks hold {self.num_vertices} vertices; expected at most {_MOST_VERTICES}")
+        # of each home but the first, as `numbering.home_of` takes them
+        self._first_numbers = np.cumsum(counts)[:-1]
+        largest = ranks.most(np.array([self.bodies.max(initial=0), self.worlds.max(initial=0)]))
+        self.num_bodies, self.num_worlds = (int(n) + 1 for n in largest)
+        if self.num_bodies > max(self.num_vertices, 1) or self.num_worlds > max(self.num_vertices, 1):
+            name = "bodies" if self.num_bodies > max(self.num_vertices, 1) else "vertex_world"
+            value = max(self.num_bodies, self.num_worlds) - 1
+            raise ValueError(f"{name} holds {value}; expected numbers below {self.num_vertices}, that of all vertices")
+        self.copies = self.exchange_to(self.numbers, self.owner)
+        self.has_ghosts = ranks.agree(-float(self.copies.num_sent))[0] < 0.0
+
+    def _check_bodies(self, ids: NDArray[np.int64], bodies: NDArray[np.int64]) -> None:
+        """Check that bodies follow one another over all homes."""
+        ends = self.ranks.every(np.stack([ids, bodies], axis=1)[[0, -1]] if len(ids) else np.zeros((0, 2), np.int64))
+        numbering.check_bodies_follow(*ends.T)
+        numbering.check_bodies_follow(ids, bodies)
+
+    def exchange_to(
+        self, numbers: NDArray[np.int64], owner: NDArray[np.int64], rows: NDArray[np.intp] | None = None
+    ) -> Exchange:
+        """The exchange that brings rows of the owners to an array of vertices with these numbers; collective.
+
+        Args:
+            numbers: Numbers of the vertices.
+            owner: Their owners.
+            rows: Rows of the array for them; by default all in order.
+        """
+        targets = numbering.by_destination(owner, self.ranks.size)
+        asked = self.ranks.swap([numbers[items] for items in targets])
+        if rows is not None:
+            targets = [rows[items] for items in targets]
+        order = np.argsort(self.numbers)
+        ordered = self.numbers[order]
+        sources = [order[np.searchsorted(ordered, each)].astype(np.intp) for each in asked]
+        return Exchange(self.ranks, sources, targets)
+
+    def _take_tables(
+        self,
+        static: Iterable[int],
+        self_collision: bool | Sequence[bool],
+        codimensional_points: bool | Sequence[bool],
+        body_pairs: ArrayLike | None,
+        exclusion_rings: int,
+        exclude_pairs: Mapping[str, Any] | None,
+    ) -> None:
+        """Check what is the same on all ranks."""
+        names = [f"body {b}" for b in range(self.num_bodies)]
+        self.names = tuple(names)
+        self.static = validated_static(static, names)
+        self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
+        self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
+        self.body_pairs = validated_body_pairs(body_pairs, names)
+        self.exclusion_rings = validated_rings(exclusion_rings)
+        self._excluded = np.zeros((0, 2), dtype=np.int64)
+        excluded_bodies = np.zeros((0, 2), dtype=np.int64)
+        if exclude_pairs is not None:
+            if not isinstance(exclude_pairs, Mapping) or not set(exclude_pairs) <= {"bodies", "vertices"}:
+                raise ValueError(
+                    f"exclude_pairs is {shown(exclude_pairs)}; expected a mapping with 'bodies' and 'vertices'"
+                )
+            if "bodies" in exclude_pairs:
+                excluded_bodies = validated_indices(
+                    exclude_pairs["bodies"], 2, self.num_bodies, "exclude_pairs['bodies']"
+                )
+        is_self = excluded_bodies[:, 0] == excluded_bodies[:, 1]
+        self.self_collision[excluded_bodies[is_self, 0]] = False
+        self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
+        same = [self.static, self.self_collision, self._with_points, self.exclude_pairs.get("bodies", np.zeros(0))]
+        same += [np.zeros(0) if self.body_pairs is None else self.body_pairs]
+        pairs = () if exclude_pairs is None else exclude_pairs.get("vertices", ())
+        same += [np.asarray(self.exclusion_rings), np.asarray(pairs)]
+        text = b"".join(bytes(str(array.shape), "ascii") + array.tobytes() for array in same)
+        digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
+        if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
+            raise ValueError(
+                "static, self_collision, codimensional_points, body_pairs, exclusion_rings or exclude_pairs differs "
+                "between ranks; expected the same on all"
+            )
+        if exclude_pairs is not None and "vertices" in exclude_pairs:
+            self._excluded = self._numbers_of(exclude_pairs["vertices"])
+
+    def _numbers_of(self, pairs: Any) -> NDArray[np.int64]:
+        """Pairs of ids as pairs of numbers; a rank gives those of its own vertices."""
+        ids = np.asarray(pairs)
+        if ids.ndim != 2 or ids.shape[1] != 2 or ids.dtype.kind not in "iu":
+            raise ValueError(
+                f"exclude_pairs['vertices'] has dtype {ids.dtype} and shape {ids.shape}; expected integers and (k, 2)"
+            )
+        order = np.argsort(self.vertex_ids)
+        place = np.searchsorted(self.vertex_ids[order], ids)
+        clipped = np.minimum(place, max(len(order) - 1, 0))
+        found = np.full(ids.shape, -1, dtype=np.int64)
+        if len(order):
+            is_here = self.vertex_ids[order][clipped] == ids
+            found[is_here] = self.numbers[order][clipped][is_here]
+        found = self.ranks.most(found)
+        if (found < 0).any():
+            raise ValueError(f"exclude_pairs['vertices'] holds id {ids[found < 0][0]}; expected ids of the whole mesh")
+        return found
+
+    def _number_primitives(self) -> None:
+        """Number edges and faces of the whole mesh, and choose for each the rank that speaks for it."""
+        ranks, numbers = self.ranks, self.numbers
+        edges = numbering.edges_of_faces(numbers[self._faces])
+        given = np.sort(numbers[self._given_edges], axis=1)
+        given = given[given[:, 0] != given[:, 1]]
+        both = np.concatenate([np.pad(edges, ((0, 0), (0, 1)), constant_values=1), np.pad(given, ((0, 0), (0, 1)))])
+        sent, received = self._to_homes(both, both[:, 1])
+        of_all = np.concatenate(received)
+        home, is_codimensional = numbering.edges_at_home(of_all[:, :2], of_all[:, 2] == 1)
+        before = ranks.sum_before(home.count)
+        self.num_edges = int(ranks.total(np.array(home.count)))
+        number = np.where(home.number >= 0, home.number + before, -1)
+        codimensional = np.zeros(len(number), dtype=np.int64)
+        codimensional[home.chosen] = is_codimensional
+        found, flags = self._answers(np.stack([number, codimensional], axis=1), sent, received, len(both)).T
+        self.primitives = {"edge": self._primitives(found, both[:, :2], flags == 1)}
+
+        faces = numbers[self._faces]
+        sent, received = self._to_homes(faces, faces.min(axis=1))
+        home = numbering.faces_at_home(np.concatenate(received))
+        before = ranks.sum_before(home.count)
+        self.num_faces = int(ranks.total(np.array(home.count)))
+        number = np.where(home.number >= 0, home.number + before, -1)
+        found = self._answers(number[:, None], sent, received, len(faces))[:, 0]
+        self.primitives["face"] = self._primitives(found, faces, np.zeros(len(faces), dtype=bool))
+
+        self.primitives["vertex"] = Primitives(
+            numbers[self.owned_rows],
+            self.owned_rows[:, None].astype(np.int64),
+            self._codimensional_points()[self.owned_rows],
+        )
+
+    def _codimensional_points(self) -> NDArray[np.bool_]:
+        """Which of the vertices are used by no face and no edge of any rank, of the bodies whose points collide."""
+        is_used = np.zeros(len(self.numbers))
+        is_used[self._faces] = 1.0
+        is_used[self._given_edges[self._given_edges[:, 0] != self._given_edges[:, 1]]] = 1.0
+        result = is_used.copy()
+        self.copies.back(is_used, result, np.add)
+        return (result == 0.0) & self._with_points[self.bodies]
+
+    def _to_homes(
+        self, rows: NDArray[np.int64], numbers: NDArray[np.int64]
+    ) -> tuple[list[NDArray[np.intp]], list[NDArray[np.int64]]]:
+        """Send rows to the homes of these numbers: which went where, and what has come."""
+        sent = numbering.by_destination(numbering.home_of(self._first_numbers, numbers), self.ranks.size)
+        return sent, self.ranks.swap([rows[items] for items in sent])
+
+    def _answers(
+        self,
+        replies: NDArray[np.int64],
+        sent: list[NDArray[np.intp]],
+        received: list[NDArray[np.int64]],
+        count: int,
+    ) -> NDArray[np.int64]:
+        """What the homes answer to each of the rows that were sent."""
+        back = self.ranks.swap(np.split(replies, np.cumsum([len(part) for part in received])[:-1]))
+        result = np.empty((count, replies.shape[1]), dtype=np.int64)
+        for items, answer in zip(sent, back, strict=True):
+            result[items] = answer
+        return result
+
+    def _primitives(
+        self, found: NDArray[np.int64], corners: NDArray[np.int64], codimensional: NDArray[np.bool_]
+    ) -> Primitives:
+        """The primitives for which a home has chosen this rank."""
+        items = np.flatnonzero(found >= 0)
+        items = items[np.argsort(found[items])]
+        order = np.argsort(self.numbers)
+        rows = order[np.searchsorted(self.numbers[order], corners[items])]
+        return Primitives(found[items], rows.astype(np.int64), codimensional[items])
+
+    def _measure(self) -> None:
+        """The longest side of the whole mesh; rest positions of ghosts become those of their owners."""
+        self.vertices = self.vertices.copy()
+        self.copies.forward([(self.vertices.copy(), self.vertices)])
+        own = self.vertices[self.owned_rows]
+        lower = self.ranks.least(own.min(axis=0, initial=np.inf))
+        upper = self.ranks.most(own.max(axis=0, initial=-np.inf))
+        with np.errstate(over="ignore"):
+            side = float((upper - lower).max()) if self.num_vertices else 0.0
+        self.length_scale = min(side, float(np.finfo(np.float64).max)) or 1.0
+
+    def _choose_samples(self) -> None:
+        """The numbers of the vertices from which one process would choose its quantization; see Topology.samples."""
+        chosen = np.arange(NUM_SAMPLES)
+        kind, count = next(
+            ((k, n) for k, n in (("edge", self.num_edges), ("face", self.num_faces)) if n),
+            ("vertex", self.num_vertices),
+        )
+        own = self.primitives[kind]
+        wanted = (chosen * count) // NUM_SAMPLES
+        corners = np.full((NUM_SAMPLES, own.corners.shape[1]), -1, dtype=np.int64)
+        if len(own.numbers):
+            order = np.argsort(own.numbers)
+            place = np.minimum(np.searchsorted(own.numbers[order], wanted), len(order) - 1)
+            is_here = own.numbers[order][place] == wanted
+            corners[is_here] = self.numbers[own.corners[order[place[is_here]]]]
+        self.sample_primitives = self.ranks.most(corners).T
+        self.sample_vertices = (chosen * self.num_vertices) // NUM_SAMPLES
+
+    def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Check the positions on this rank: those that it owns must be finite, those of ghosts are ignored.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, shape [n, 3].
+            vertices_t1: End positions; rows of static bodies are ignored.
+
+        Returns:
+            Both as float64, static vertices at their start positions; ghosts hold anything.
+
+        Raises:
+            ValueError: If a shape differs, or a value that is read is not finite.
+        """
+        count = len(self.vertex_ids)
+        start = as_positions(vertices_t0, "vertices_t0", 3, count, "one row a vertex of this rank")
+        end = as_positions(vertices_t1, "vertices_t1", 3, count, "one row a vertex of this rank")
+        is_static = self.static[self.bodies] if self.static.any() else None
+        if is_static is not None and is_static.any():
+            end = np.where(is_static[:, None], start, end)
+        is_all = len(self.owned_rows) == count
+        for name, values in (("vertices_t0", start), ("vertices_t1", end)):
+            check_finite(values if is_all else values[self.owned_rows], name, where=self._where)
+        return start, end
+
+    def _where(self, row: int) -> str:
+        return f" (vertex id {self.vertex_ids[self.owned_rows[row]]})"
+
+
+def _per_vertex(name: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
+    """One integer of at least 0 for each vertex, or a ValueError."""
+    array = as_array(on_host(values, name), name, f"integers and shape {(count,)}")
+    if array.shape == (0,) == (count,):
+        return np.zeros(0, dtype=np.int64)
+    if array.shape != (count,) or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has dtype {array.dtype} and shape {array.shape}; expected integers and {(count,)}")
+    if array.min() < 0 or array.max() > np.iinfo(np.int64).max:
+        raise ValueError(f"{name} holds {array.min()}; expected integers of at least 0")
+    return array.astype(np.int64)

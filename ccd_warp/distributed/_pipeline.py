@@ -1,0 +1,411 @@
+"""The mesh functions on a mesh whose parts lie on several ranks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar, Unpack
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._engine.candidates import validated_inflation
+from ccd_warp._engine.line_search import (
+    DEFAULT_MAX_ROUNDS,
+    DEFAULT_SAFETY,
+    Per,
+    check_step_is_whole,
+    moved,
+    search_step,
+    validated_line_search,
+)
+from ccd_warp._engine.scene import half_up, length_scale_of
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.arguments import check_count, check_instance
+from ccd_warp._input.option_types import MeshOptions
+from ccd_warp._input.options import naming, options_of, resolve_device
+from ccd_warp._results import MeshResult
+from ccd_warp._status import PairKind
+from ccd_warp.distributed._mesh import DistributedMesh
+from ccd_warp.distributed._part import AcrossRanks, PartStep
+from ccd_warp.distributed._partition import imbalance
+from ccd_warp.distributed._planning import (
+    WORK_OF_CANDIDATE,
+    WORK_OF_PAIR,
+    WORK_OF_PRIMITIVE,
+    Plan,
+    make_plan,
+    pairs_by_vertex,
+)
+from ccd_warp.distributed._results import (
+    DistributedCandidates,
+    DistributedLineSearch,
+    DistributedResult,
+    RankWork,
+    candidates_of,
+    contacts_of,
+)
+
+# The imbalance of the measured work above which a plan is made anew; and how much worse than at its first step it must
+# have become if the plan knew where pairs are.
+_MOST_IMBALANCE = 1.3
+_WORSE = 1.1
+
+_T = TypeVar("_T")
+
+
+class DistributedPipeline:
+    """The mesh functions on the parts of several ranks, for a time loop; every call is collective.
+
+    All ranks call the same functions in the same order, each with the positions of its own vertices. A call brings the
+    positions to the ranks in whose regions the primitives lie, searches and solves there, and brings what was found
+    back to the owners. The plan of who has which primitives is kept from step to step. Results are those of one process
+    with the whole mesh, in every bit, for every number of ranks and every distribution of the mesh over them.
+
+    Attributes:
+        mesh: The mesh.
+        work: What this rank did in the last call; None before the first.
+    """
+
+    def __init__(self, mesh: DistributedMesh, **options: Unpack[MeshOptions]) -> None:
+        """Make a pipeline, collectively.
+
+        Args:
+            mesh: The mesh.
+            **options: Options of :class:`ccd_warp.MeshOptions`, the same on all ranks but for ``device``,
+                ``num_threads`` and ``memory_limit``, which are those of a rank. By default the ranks of a machine take
+                its CUDA devices in turns, or share its cores where it has none.
+
+        Raises:
+            ValueError: On all ranks, if an option of one is out of its range, or differs between ranks.
+            TypeError: Likewise, if there is no such option.
+        """
+        check_instance("mesh", mesh, DistributedMesh)
+        self.mesh = mesh
+        self.work: RankWork | None = None
+        self._ranks = ranks = mesh.ranks
+        with ranks.together():
+            given: dict[str, Any] = dict(options)
+            if given.get("device") is None:
+                given["device"] = _device_of(ranks.local_rank)
+            given.setdefault("num_threads", ranks.default_num_threads)
+            self._options = options_of("DistributedPipeline", MeshOptions, given)  # type: ignore[arg-type]
+            self._device = resolve_device(self._options.device)
+        self._check_same_options()
+        self._plan: Plan | None = None
+        self._workspace: Workspace | None = None
+        self._pairs: NDArray[np.float64] | None = None  # of the vertices that this rank owns, when they last mattered
+        self._wants_plan = self._is_weighted = False
+
+    def __repr__(self) -> str:
+        return f"DistributedPipeline({self.mesh!r}, on {self._device})"
+
+    def _check_same_options(self) -> None:
+        o = self._options
+        numbers = [o.tolerance, o.minimum_separation, o.minimum_distance, o.start_gap_fraction or 0.0, o.t_max]
+        numbers += [o.max_iterations, o.max_work, o.length_scale or 0.0, o.precision == "float32"]
+        numbers += [o.method == "bisection", o.broad_phase == "hash", *(kind in o.kinds for kind in PairKind)]
+        values = np.array(numbers, dtype=np.float64)
+        if not np.array_equal(self._ranks.least(values), self._ranks.most(values)):
+            raise ValueError(
+                "options differ between ranks; expected the same on all, but for device, num_threads and memory_limit"
+            )
+
+    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> DistributedResult:
+        """Like :func:`ccd_warp.mesh_ccd`, collectively.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, shape [n, 3]. Rows of ghosts are ignored: the
+                positions of the owners count.
+            vertices_t1: End positions, likewise. Rows of static bodies are ignored.
+
+        Returns:
+            What concerns this rank, and the toi of the whole mesh.
+
+        Raises:
+            ValueError: On all ranks, if an array of one is not as described; the message begins with its rank.
+            RuntimeError: On all ranks, if another error occurs on one.
+
+        Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the whole mesh; every result has the bits that one process
+        would give it.
+        """
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedResult:
+            plan = self._planned
+            result: MeshResult = self._run(plan.start, plan.end, PartStep.contacts)
+            with self._timed("results"):
+                vertex_toi = self._to_local(result.vertex_toi)
+                least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
+                contacts = contacts_of(plan.part, result.contacts, self._ranks)
+                num_contacts = int(self._ranks.total(np.array(len(contacts))))
+            body = 1 + self.mesh.num_bodies
+            return DistributedResult(
+                float(least[0]), vertex_toi, least[1:body], least[body:], contacts, num_contacts, self._finished()
+            )
+
+        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+
+    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+        """Like :func:`ccd_warp.collision_free_step`, collectively.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
+            vertices_t1: End positions, likewise.
+
+        Returns:
+            A fraction of the step in [0, t_max], the same on all ranks.
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
+        """
+        return min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
+
+    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+        """Like :func:`ccd_warp.is_step_collision_free`, collectively.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
+            vertices_t1: End positions, likewise.
+
+        Returns:
+            True on all ranks if no pair touches in [0, t_max].
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: True is certain.
+        """
+        return self._least_toi(vertices_t0, vertices_t1, any_suffices=True) == np.inf
+
+    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, any_suffices: bool = False) -> float:
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+            plan = self._planned
+            toi: float = self._run(plan.start, plan.end, lambda step: step.least_toi(any_suffices=any_suffices))
+            self._finished()
+            return toi
+
+        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+
+    def find_candidates(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
+    ) -> DistributedCandidates:
+        """Like :func:`ccd_warp.find_candidates`, collectively.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
+            vertices_t1: End positions, likewise.
+            inflation: Enlargement of every box on every side, a length, the same on all ranks.
+
+        Returns:
+            The pairs that this rank has found, in lexicographic order.
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
+        """
+        with self._ranks.together(), naming("find_candidates"):
+            inflation = validated_inflation(inflation)
+        least, negative = self._ranks.agree(inflation, -inflation)
+        if least != -negative:
+            raise ValueError(f"inflation is {least} on one rank and {-negative} on another; expected the same on all")
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
+            plan = self._planned
+            found = self._run(plan.start, plan.end, lambda step: step.candidates(inflation))
+            candidates = candidates_of(plan.part, found, self._ranks)
+            self._finished()
+            return candidates
+
+        return self._collectively(vertices_t0, vertices_t1, inflation, work)
+
+    def line_search(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        per: Per = "scene",
+        safety: float = DEFAULT_SAFETY,
+        max_rounds: int = DEFAULT_MAX_ROUNDS,
+    ) -> DistributedLineSearch:
+        """Like :func:`ccd_warp.line_search`, collectively.
+
+        Args:
+            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
+            vertices_t1: Desired end positions, likewise.
+            per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; this and what follows the same on all ranks.
+            safety: Fraction of its toi by which a vertex in contact may move.
+            max_rounds: Largest number of steps that are checked.
+
+        Returns:
+            End positions and fractions of the vertices on this rank, ghosts too.
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`, and if ``t_max`` is not 1.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: as for :func:`ccd_warp.line_search`, for the whole mesh.
+        """
+        with self._ranks.together(), naming("line_search"):
+            check_step_is_whole(self._options.t_max)
+            per, safety = validated_line_search(per, safety)
+            max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
+            plan = self._planned
+            found = search_step(
+                plan.part.mesh,
+                plan.start,
+                plan.end,
+                lambda x, y: self._run(x, y, PartStep.contacts),
+                per=per,
+                safety=safety,
+                max_rounds=max_rounds,
+                everywhere=AcrossRanks(plan.together),
+            )
+            fraction = np.full(len(start), np.inf)
+            plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
+            vertices = moved(start, end, fraction)
+            self.mesh.copies.forward([(vertices.copy(), vertices), (fraction.copy(), fraction)])
+            touching = contacts_of(plan.part, found.touching, self._ranks)
+            self._finished()
+            return DistributedLineSearch(
+                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited
+            )
+
+        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+
+    @property
+    def _inflation(self) -> float:
+        return half_up(self._options.separation(length_scale_of(self.mesh, self._options)))  # type: ignore[arg-type]
+
+    @property
+    def _planned(self) -> Plan:
+        assert self._plan
+        return self._plan
+
+    def _collectively(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        inflation: float,
+        work: Callable[[NDArray[np.float64], NDArray[np.float64]], _T],
+    ) -> _T:
+        """Bring positions to the parts, and run ``work``, given the positions on this rank."""
+        self._seconds: dict[str, float] = {}
+        self._begin, self._sent_before = time.perf_counter(), self._ranks.bytes_sent
+        plan = self._plan
+        is_kept = is_same = False
+        try:
+            start, end = self.mesh.frames(vertices_t0, vertices_t1)
+            if plan is not None and not self._wants_plan:
+                own = self.mesh.owned_rows
+                is_all = len(own) == len(start)
+                ends = (start, end) if is_all else (start[own], end[own])
+                is_kept = inflation <= plan.bounds.inflation and plan.bounds.hold(*ends, plan.lower, plan.upper)
+                if self.mesh.static.any():
+                    is_static = self.mesh.static[self.mesh.bodies[own]]
+                    is_same = np.array_equal(ends[0][is_static], plan.static_start)
+        except Exception as error:
+            self._ranks.agree(error=error)
+            raise
+        self._seconds["input"] = time.perf_counter() - self._begin
+        kept, same = self._ranks.agree(float(is_kept), float(is_same))
+        try:
+            with self._ranks.together():
+                self._bring(start, end, inflation, is_kept=kept > 0.0, is_same=same > 0.0)
+                return work(start, end)
+        except BaseException:
+            # whatever was half done is not used again, on no rank
+            self._plan = self._workspace = None
+            raise
+
+    def _bring(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float, *, is_kept: bool, is_same: bool
+    ) -> None:
+        """Bring the positions of a step to the parts, by a new plan where the old one does not hold."""
+        self._is_planned = not is_kept
+        if not is_kept:
+            with self._timed("plan"):
+                self._workspace = None
+                start, end = start.copy(), end.copy()  # whose ghosts get the positions of their owners
+                self._plan = make_plan(self.mesh, start, end, inflation, self._pairs, self._device)
+                self._is_weighted = self._pairs is not None
+                self._wants_plan = False
+                self._workspace = Workspace(self._plan.part.mesh, self._device, self._plan.topology)
+            return
+        plan = self._planned
+        with self._timed("positions"):
+            if not self.mesh.static.any():
+                plan.part.everything.forward([(start, plan.start), (end, plan.end)])
+            elif is_same:
+                plan.part.moving.forward([(start, plan.start), (end, plan.end)])
+            else:
+                plan.part.everything.forward([(start, plan.start), (end, plan.end)])
+                own = self.mesh.owned_rows
+                plan.static_start = start[own[self.mesh.static[self.mesh.bodies[own]]]]
+
+    def _run(self, start: NDArray[np.float64], end: NDArray[np.float64], work: Callable[[PartStep], _T]) -> _T:
+        """Run ``work`` on a step of the part."""
+        assert self._workspace
+        self._step = step = PartStep(self._planned.together, self._workspace, (start, end), self._options)
+        result = work(step)
+        if "total" not in step.timings:
+            step.finish_timings()
+        for stage, seconds in step.timings.items():
+            if stage != "total":
+                self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds
+        return result
+
+    def _to_local(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The least value of each vertex on this rank, given those of the vertices of the parts."""
+        result = np.full(len(self.mesh.vertex_ids), np.inf)
+        self._planned.part.everything.back(values, result, np.minimum)
+        if self.mesh.has_ghosts:
+            self.mesh.copies.forward([(result.copy(), result)])
+        return result
+
+    def _finished(self) -> RankWork:
+        """Measure the work of the ranks, decide whether the next step needs a new plan, and sum up."""
+        plan, counts = self._planned, self._step.counts
+        num_primitives, num_home = plan.num_primitives
+        work = WORK_OF_PRIMITIVE * num_primitives + WORK_OF_CANDIDATE * sum(counts.num_candidates.values())
+        work += WORK_OF_PAIR * sum(counts.num_after_cull.values())
+        measured = imbalance(self._ranks.every(np.array([work])))
+        if plan.imbalance is None:
+            plan.imbalance = measured
+        self._wants_plan = measured > _MOST_IMBALANCE and (not self._is_weighted or measured > _WORSE * plan.imbalance)
+        if self._wants_plan:
+            self._pairs = pairs_by_vertex(plan, self.mesh, self._step.found_by_vertex())
+        self._seconds["total"] = time.perf_counter() - self._begin
+        self.work = RankWork(
+            counts,
+            self._seconds,
+            self._ranks.bytes_sent - self._sent_before,
+            plan.part.everything.num_neighbours,
+            num_primitives,
+            num_primitives - num_home,
+            measured,
+            self._is_planned,
+        )
+        return self.work
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - begin
+
+
+def _device_of(local_rank: int) -> str | None:
+    """The device of a rank by default: the CUDA devices of its machine in turns, or None for Warp's own choice."""
+    wp.init()
+    count = wp.get_cuda_device_count()
+    return f"cuda:{local_rank % count}" if count else None

@@ -1,0 +1,144 @@
+"""What a plan says of boxes: where they may be while it is kept, and to which ranks primitives go. Without MPI."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp.distributed._partition import WORLD_AXIS, Regions, regions_met
+
+# Steps for which a vertex may go on as it moves in the step for which a plan is made.
+_STEPS_AHEAD = 3.0
+# A plan's boxes are this much larger on every side than the boxes of its first step, in mean extents of a primitive.
+_MARGIN = 0.5
+# Two coordinates that are equal in quantized coordinates (float32 with a scale, shifted by a world) differ by less than
+# this, relative to their distance from the origin and to the size of the scene: eight times what rounding can do.
+_RESOLUTION = 2.0**-20
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The numbers from which the boxes of a plan follow, the same on all ranks.
+
+    Attributes:
+        margin: Enlargement of a box beside its inflation, a length.
+        inflation: Enlargement that a step asks for: half of the largest separation, or that of find_candidates.
+        centre: Of the scene, shape [3].
+        size: Of the scene, a length, in the quantized coordinates that its worlds share.
+    """
+
+    margin: float
+    inflation: float
+    centre: NDArray[np.float64]
+    size: float
+
+    @staticmethod
+    def of(
+        mean_extent: float,
+        inflation: float,
+        lower: NDArray[np.float64],
+        upper: NDArray[np.float64],
+        num_worlds: int = 1,
+    ) -> "Bounds":
+        """The bounds of a plan for a scene in a box, `scene_box`, whose primitives have this mean extent."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            centre = np.nan_to_num(0.5 * lower + 0.5 * upper)
+            size = min(float(np.nan_to_num(upper - lower, nan=0.0).max(initial=0.0)), np.finfo(np.float64).max)
+            size = min(size * 2.0 ** (num_worlds - 1).bit_length(), np.finfo(np.float64).max)
+            # an inflation that grows a little, as that of a separation does with rounding, needs no new plan
+            return Bounds(_MARGIN * mean_extent, 1.0001 * inflation, centre, size)
+
+    def boxes(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], worlds: NDArray[np.integer]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The box of each vertex while the plan is kept, shapes [4, n].
+
+        It holds the motion of this step and of some more in its direction, and all that is equal to it in quantized
+        coordinates. Every rank gets the same bits from the same positions.
+        """
+        lower, upper = np.empty((4, len(start))), np.empty((4, len(start)))
+        lower[WORLD_AXIS] = upper[WORLD_AXIS] = worlds
+        fixed = self.margin + self.inflation + _RESOLUTION * self.size
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(3):
+                a, b = np.ascontiguousarray(start[:, k]), np.ascontiguousarray(end[:, k])
+                ahead = b + _STEPS_AHEAD * (b - a)
+                slack = np.maximum(np.abs(a - self.centre[k]), np.abs(b - self.centre[k]))
+                slack *= _RESOLUTION
+                slack += fixed
+                low, high = np.minimum(a, b), np.maximum(a, b)
+                lower[k] = np.nextafter(np.minimum(low, ahead) - slack, -np.inf)
+                upper[k] = np.nextafter(np.maximum(high, ahead) + slack, np.inf)
+        return lower, upper
+
+    def hold(
+        self,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        lower: NDArray[np.float64],
+        upper: NDArray[np.float64],
+    ) -> bool:
+        """Whether the motion of every vertex, with what boxes are enlarged by, is within its box of a plan."""
+        fixed = self.inflation + _RESOLUTION * self.size
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(3):
+                a, b = start[:, k], end[:, k]
+                # the slack by distance is that of the larger box, so that of any point in it is no more than twice this
+                low, high = np.minimum(a, b), np.maximum(a, b)
+                slack = np.maximum(np.abs(low - self.centre[k]), np.abs(high - self.centre[k]))
+                slack *= _RESOLUTION
+                slack += fixed
+                low -= slack
+                high += slack
+                if not ((low >= lower[k]).all() and (high <= upper[k]).all()):
+                    return False
+        return True
+
+
+def scene_box(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A box around all positions of a step and of those after it that a plan expects, shapes [3]."""
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    with np.errstate(over="ignore"):
+        for x in (start, end, end + _STEPS_AHEAD * (end - start)):
+            lower, upper = (
+                np.minimum(lower, x.min(axis=0, initial=np.inf)),
+                np.maximum(upper, x.max(axis=0, initial=-np.inf)),
+            )
+    return lower, upper
+
+
+def united(
+    lower: NDArray[np.float64], upper: NDArray[np.float64], corners: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box of each primitive: that around the boxes of its vertices; corners have shape [n, 1 to 3]."""
+    low, high = lower.take(corners[:, 0], axis=1), upper.take(corners[:, 0], axis=1)
+    for k in range(1, corners.shape[1]):
+        np.minimum(low, lower.take(corners[:, k], axis=1), out=low)
+        np.maximum(high, upper.take(corners[:, k], axis=1), out=high)
+    return low, high
+
+
+def centres(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centre of each box, finite, shape [4, n]."""
+    return np.nan_to_num(0.5 * lower + 0.5 * upper)
+
+
+def destinations(
+    regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.float64], corners: dict[str, NDArray[np.integer]]
+) -> dict[str, list[NDArray[np.intp]]]:
+    """For each kind of primitive and each region the primitives whose boxes meet it, given the boxes of vertices.
+
+    A pair belongs to the region of the lower corner of the intersection of the boxes of its two primitives. The corner
+    lies in both boxes, so both are sent there; it lies in one region alone, so nobody else counts the pair.
+    """
+    return {kind: regions_met(regions, *united(lower, upper, c)) for kind, c in corners.items()}
+
+
+def used_rows(num_rows: int, corners: list[NDArray[np.integer]]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """The rows that some primitives use, ascending, and the place of each row among them."""
+    is_used = np.zeros(num_rows, dtype=bool)
+    for c in corners:
+        is_used[c] = True
+    rows = np.flatnonzero(is_used)
+    place = np.cumsum(is_used, dtype=np.int64) - 1
+    return rows, place

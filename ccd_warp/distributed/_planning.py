@@ -1,0 +1,252 @@
+"""A plan: the regions of the ranks, and what has been sent there to stay until the plan no longer fits."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp.distributed import _partition as partition
+from ccd_warp.distributed._mesh import DistributedMesh
+from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
+from ccd_warp.distributed._plan import Bounds, centres, destinations, scene_box, united, used_rows
+
+# Samples of all ranks from which the regions are made, and for each rank.
+_NUM_SAMPLES = 1 << 14
+_SAMPLES_EACH = 64
+# Columns of a vertex in a message, of an edge, of a face.
+_VERTEX, _EDGE, _FACE = 6, 4, 4
+_IS_TESTED, _IS_POINT = 1, 2
+# Work of a primitive, of a candidate and of a pair that the cull leaves, in units of about ten nanoseconds.
+WORK_OF_PRIMITIVE, WORK_OF_CANDIDATE, WORK_OF_PAIR = 4.0, 1.0, 12.0
+_PRIMITIVES_A_VERTEX = 6.0
+
+
+@dataclass
+class Plan:
+    """What stays from step to step.
+
+    Attributes:
+        bounds: The numbers from which the boxes follow.
+        lower: Lower corners of the boxes of the vertices that this rank owns, shape [4, n].
+        upper: Their upper corners.
+        regions: The regions of the ranks.
+        part: The primitives of this rank's region.
+        topology: Their data on the device.
+        together: What the ranks reduce in a step.
+        start: Start positions of the vertices of the part in the present step, shape [n, 3].
+        end: End positions.
+        static_start: Positions of the static vertices that this rank owns, as they were sent.
+        num_primitives: Primitives of the part, and those of them that lie in the region.
+        imbalance: That of the work of the first step; None before.
+    """
+
+    bounds: Bounds
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    regions: partition.Regions
+    part: Part
+    topology: PartTopology
+    together: TogetherIn
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    static_start: NDArray[np.float64]
+    num_primitives: tuple[int, int]
+    imbalance: float | None = None
+
+
+def make_plan(
+    whole: DistributedMesh,
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    inflation: float,
+    pairs: NDArray[np.float64] | None,
+    device: object,
+) -> Plan:
+    """Choose regions for a step, and send every primitive to the ranks whose regions its box meets; collective.
+
+    Args:
+        whole: The mesh.
+        start: Start positions of the vertices on this rank; those of ghosts are overwritten.
+        end: End positions, likewise.
+        inflation: The least enlargement of the boxes.
+        pairs: Pairs that the last search found, by the vertices that this rank owns, shape [n]; None if there was none.
+        device: Device of the engine.
+    """
+    ranks = whole.ranks
+    whole.copies.forward([(start.copy(), start), (end.copy(), end)])
+    bounds = _bounds(whole, start, end, inflation)
+    lower, upper = bounds.boxes(start, end, whole.worlds)
+    regions = _regions(whole, lower, upper, pairs)
+    corners = {kind: each.corners for kind, each in whole.primitives.items()}
+    found = destinations(regions, lower, upper, corners)
+    messages = [_message(whole, {kind: items[r] for kind, items in found.items()}) for r in range(ranks.size)]
+    received = ranks.swap(messages)
+    part = _part_of(whole, received)
+    count = len(part.vertex_numbers)
+    part_start, part_end = np.empty((count, 3)), np.empty((count, 3))
+    part.everything.forward([(start, part_start), (end, part_end)])
+    vars(part.mesh)["vertices"] = part_start.copy()  # the order of the trees is made for them
+    part_lower, part_upper = bounds.boxes(part_start, part_end, part.mesh.vertex_world)
+    region = regions.lower[ranks.rank], regions.upper[ranks.rank]
+    topology = PartTopology(
+        part,
+        device,
+        np.ascontiguousarray(part_lower.T),
+        region,
+        None if whole.rings is None else whole.rings.among(part.vertex_numbers),
+        ranks.size == 1,
+    )
+    is_home = _is_in(part_lower, region)
+    together = TogetherIn(whole, part, topology, is_home)
+    num_home = int(is_home[part.tested_vertices].sum())
+    for c in (part.mesh.edges, part.mesh.faces):
+        num_home += int(_is_in(united(part_lower, part_upper, c)[0], region).sum())
+    own = whole.owned_rows
+    is_static = whole.static[whole.bodies[own]]
+    return Plan(
+        bounds,
+        lower[:, own],
+        upper[:, own],
+        regions,
+        part,
+        topology,
+        together,
+        part_start,
+        part_end,
+        start[own[is_static]],
+        (len(part.tested_vertices) + part.mesh.num_edges + part.mesh.num_faces, num_home),
+    )
+
+
+def _is_in(points: NDArray[np.float64], region: tuple[NDArray[np.float64], NDArray[np.float64]]) -> NDArray[np.bool_]:
+    """Which of the points lie in a region, closed below and open above."""
+    lower, upper = (corner[:, None] for corner in region)
+    return ((points >= lower) & (points < upper)).all(axis=0)
+
+
+def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float) -> Bounds:
+    """The numbers from which the boxes of the plan follow."""
+    own = whole.owned_rows
+    lower, upper = scene_box(start[own], end[own])
+    extent, count = 0.0, 0
+    kind = "edge" if whole.num_edges else "face"
+    corners = whole.primitives[kind].corners
+    with np.errstate(over="ignore"):
+        if len(corners):
+            points = start[corners]
+            largest = np.finfo(np.float64).max / max(whole.num_edges + whole.num_faces, 1)
+            extent = float(np.minimum((points.max(axis=1) - points.min(axis=1)).max(axis=1), largest).sum())
+            count = len(corners)
+        total = whole.ranks.total(np.array([extent, float(count)]))
+    box = whole.ranks.least(np.concatenate([lower, -upper]))
+    return Bounds.of(float(total[0] / max(total[1], 1.0)), inflation, box[:3], -box[3:], whole.num_worlds)
+
+
+def _regions(
+    whole: DistributedMesh,
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    pairs: NDArray[np.float64] | None,
+) -> partition.Regions:
+    """Regions of nearly equal work, from samples of the centres of all primitives."""
+    ranks = whole.ranks
+    of_vertex = np.zeros(len(whole.vertex_ids))
+    if pairs is not None:
+        of_vertex[whole.owned_rows] = pairs
+        whole.copies.forward([(of_vertex.copy(), of_vertex)])
+    kinds = [each for each in whole.primitives.values() if len(each.numbers)]
+    total = sum(len(each.numbers) for each in kinds)
+    total_of_all = int(ranks.total(np.array(total)))
+    most = max(_NUM_SAMPLES, _SAMPLES_EACH * ranks.size)
+    points, weights = [np.empty((4, 0))], [np.empty(0)]
+    for each in kinds:
+        num = -(-most * len(each.numbers) // max(total_of_all, 1))
+        chosen = each.corners[partition.even_samples(len(each.numbers), num)]
+        work = WORK_OF_PRIMITIVE + (WORK_OF_PAIR / _PRIMITIVES_A_VERTEX) * of_vertex[chosen].mean(axis=1)
+        points.append(centres(*united(lower, upper, chosen)))
+        weights.append(work * (len(each.numbers) / len(chosen)))
+    samples = np.concatenate([np.concatenate(points, axis=1), np.concatenate(weights)[None]]).T
+    samples = ranks.every(samples)
+    return partition.bisected(np.ascontiguousarray(samples[:, :4].T), samples[:, 4].copy(), ranks.size)
+
+
+def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDArray[np.int64]:
+    """Primitives for a rank, with the vertices that they use, as one array; empty where there are none."""
+    chosen = {kind: whole.primitives[kind].corners[rows] for kind, rows in items.items()}
+    if not any(map(len, chosen.values())):
+        return np.zeros(0, dtype=np.int64)
+    rows, place = used_rows(len(whole.numbers), list(chosen.values()))
+    vertices = np.empty((len(rows), _VERTEX), dtype=np.int64)
+    for k, values in enumerate((whole.numbers, whole.vertex_ids, whole.owner, whole.bodies, whole.worlds)):
+        vertices[:, k] = values[rows]
+    vertices[:, _VERTEX - 1] = 0
+    is_point = whole.primitives["vertex"].is_codimensional[items["vertex"]]
+    vertices[place[chosen["vertex"][:, 0]], _VERTEX - 1] = _IS_TESTED + _IS_POINT * is_point
+    edge, face = whole.primitives["edge"], whole.primitives["face"]
+    edges = np.empty((len(items["edge"]), _EDGE), dtype=np.int64)
+    edges[:, 0], edges[:, 1:3] = edge.numbers[items["edge"]], place[chosen["edge"]]
+    edges[:, 3] = edge.is_codimensional[items["edge"]]
+    faces = np.empty((len(items["face"]), _FACE), dtype=np.int64)
+    faces[:, 0], faces[:, 1:] = face.numbers[items["face"]], place[chosen["face"]]
+    sizes = np.array([len(vertices), len(edges), len(faces)])
+    return np.concatenate([sizes, vertices.ravel(), edges.ravel(), faces.ravel()])
+
+
+def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
+    """The part that consists of the primitives of all messages."""
+    vertices, edges, faces = [np.zeros((0, _VERTEX), np.int64)], [np.zeros((0, _EDGE), np.int64)], []
+    faces.append(np.zeros((0, _FACE), np.int64))
+    first = 0
+    for message in filter(len, received):
+        num_vertices, num_edges, num_faces = message[:3].tolist()
+        ends = np.cumsum([3, _VERTEX * num_vertices, _EDGE * num_edges, _FACE * num_faces])
+        parts = [message[i:j] for i, j in itertools.pairwise(ends)]
+        vertices.append(parts[0].reshape(-1, _VERTEX))
+        edge, face = parts[1].reshape(-1, _EDGE).copy(), parts[2].reshape(-1, _FACE).copy()
+        edge[:, 1:3] += first
+        face[:, 1:] += first
+        edges.append(edge)
+        faces.append(face)
+        first += num_vertices
+    table, edge, face = np.concatenate(vertices), np.concatenate(edges), np.concatenate(faces)
+    numbers, at, place = np.unique(table[:, 0], return_index=True, return_inverse=True)
+    _, ids, owner, bodies, worlds, _ = table[at].T
+    flags = np.zeros(len(numbers), dtype=np.int64)
+    is_flagged = table[:, -1] > 0
+    flags[place[is_flagged]] = table[is_flagged, -1]  # only the rank that speaks for a vertex sets any
+    edge, face = edge[np.argsort(edge[:, 0])], face[np.argsort(face[:, 0])]
+    mesh = part_mesh(
+        whole,
+        np.empty((len(numbers), 3)),
+        bodies,
+        worlds,
+        place[face[:, 1:]].astype(np.int32),
+        place[edge[:, 1:3]].astype(np.int32),
+        np.flatnonzero(edge[:, 3]).astype(np.int32),
+        np.flatnonzero(flags & _IS_POINT).astype(np.int32),
+    )
+    everything = whole.exchange_to(numbers, owner)
+    moving = everything
+    if whole.static.any():
+        moves = np.flatnonzero(~whole.static[bodies])
+        moving = whole.exchange_to(numbers[moves], owner[moves], moves)
+    return Part(
+        mesh,
+        numbers,
+        ids,
+        edge[:, 0],
+        face[:, 0],
+        np.flatnonzero(flags & _IS_TESTED).astype(np.int32),
+        everything,
+        moving,
+    )
+
+
+def pairs_by_vertex(plan: Plan, whole: DistributedMesh, found: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Pairs of the last search by the vertices that this rank owns, given those by the vertices of its part."""
+    result = np.zeros(len(whole.vertex_ids))
+    plan.part.everything.back(found.astype(np.float64), result, np.add)
+    return result[whole.owned_rows]

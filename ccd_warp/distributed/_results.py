@@ -1,0 +1,245 @@
+"""Results of a step that ranks have made together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._contacts import Contacts
+from ccd_warp._display import counted
+from ccd_warp._engine.candidates import Candidates
+from ccd_warp._results import Counts
+from ccd_warp._status import PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp.distributed._part import Part
+    from ccd_warp.distributed._ranks import Ranks
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DistributedContacts:
+    """Contacts that this rank has found; each contact of the whole mesh is on one rank.
+
+    They are ordered by kind and then by primitives, as :class:`ccd_warp.Contacts` are; primitives are indices in the
+    whole mesh, whose edges are ordered by (max, min) of their vertices, and faces by their sorted vertices.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
+        primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
+        vertices: Ids of the vertices, as in ``ccd_warp.Contacts.vertices``, int64, shape [m, 4].
+        bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
+        toi: Earliest time of impact, float64, shape [m].
+        parameters: (u, v) at toi, float64, shape [m, 2].
+        normal: Unit normal at toi, float64, shape [m, 3].
+        points: Position at toi, a length, float64, shape [m, 3].
+        status: :class:`ccd_warp.CCDStatus`, int32, shape [m].
+        gap: Upper bound of the gap at toi, a length, float64, shape [m].
+        width: Width of the time interval left open, float64, shape [m].
+    """
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int64]
+    vertices: NDArray[np.int64]
+    bodies: NDArray[np.int32]
+    toi: NDArray[np.float64]
+    parameters: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    points: NDArray[np.float64]
+    status: NDArray[np.int32]
+    gap: NDArray[np.float64]
+    width: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_ranks", None)
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __repr__(self) -> str:
+        return f"DistributedContacts({counted(len(self), 'contact', 'contacts')} on this rank)"
+
+    def to_root(self) -> DistributedContacts | None:
+        """All contacts in order on rank 0, and None on the others; collective."""
+        ranks: Ranks | None = vars(self)["_ranks"]
+        if ranks is None:
+            raise ValueError("contacts were brought to rank 0 already; expected those of a result")
+        with ranks.together():
+            gathered = {f.name: ranks.at_root(getattr(self, f.name)) for f in fields(self)}
+        if gathered["kind"] is None:
+            return None
+        every = DistributedContacts(**gathered)  # type: ignore[arg-type]
+        order = np.lexsort((*every.primitives.T[::-1], every.kind))
+        return DistributedContacts(**{f.name: getattr(every, f.name)[order] for f in fields(every)})
+
+
+def contacts_of(part: Part, contacts: Contacts, ranks: Ranks) -> DistributedContacts:
+    """The contacts of a part, with the numbers and ids of the whole mesh."""
+    vertices = contacts.vertices
+    found = DistributedContacts(
+        kind=contacts.kind,
+        primitives=whole_pairs(part, contacts.kind, contacts.primitives),
+        vertices=part.vertex_ids[vertices],
+        bodies=part.mesh.vertex_body[vertices[:, [0, 3]]],
+        toi=contacts.toi,
+        parameters=contacts.parameters,
+        normal=contacts.normal,
+        points=contacts.points,
+        status=contacts.status,
+        gap=contacts.gap,
+        width=contacts.width,
+    )
+    vars(found)["_ranks"] = ranks
+    return found
+
+
+def whole_pairs(part: Part, kind: NDArray[np.int32], pairs: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Pairs of primitives of a part as those of the whole mesh."""
+    result = np.empty(pairs.shape, dtype=np.int64)
+    vertex, edge, face = part.vertex_numbers, part.edge_numbers, part.face_numbers
+    tables = {
+        PairKind.VERTEX_FACE: (vertex, face),
+        PairKind.EDGE_EDGE: (edge, edge),
+        PairKind.POINT_SEGMENT: (vertex, edge),
+        PairKind.POINT_POINT: (vertex, vertex),
+    }
+    for of, columns in tables.items():
+        chosen = kind == of
+        if chosen.any():
+            for k in range(2):
+                result[chosen, k] = columns[k][pairs[chosen, k]]
+    return result
+
+
+@dataclass(frozen=True)
+class RankWork:
+    """What this rank has done in a call, and sent.
+
+    Attributes:
+        counts: Sizes of its part, and numbers of what each stage found there.
+        timings: Seconds of each stage, and their ``total``; ``reductions`` are waits for other ranks.
+        bytes_sent: Bytes sent to other ranks, reductions left out.
+        num_neighbours: Ranks to which positions went.
+        num_primitives: Primitives of the part.
+        num_ghosts: Those of them that lie in the regions of other ranks.
+        imbalance: The largest work of a rank in multiples of the mean.
+        is_planned: Whether the call made a new plan.
+    """
+
+    counts: Counts
+    timings: dict[str, float]
+    bytes_sent: int
+    num_neighbours: int
+    num_primitives: int
+    num_ghosts: int
+    imbalance: float
+    is_planned: bool
+
+
+@dataclass(frozen=True, repr=False)
+class DistributedResult:
+    """Result of :meth:`DistributedPipeline.mesh_ccd` on a rank.
+
+    Attributes:
+        toi: Earliest time of impact of the whole mesh, inf if there is certainly none; the same on all ranks.
+        vertex_toi: Earliest toi of each vertex on this rank, ghosts too, shape [n].
+        body_toi: Earliest toi of each body, the same on all ranks, shape [B].
+        world_toi: Earliest toi of each world, likewise, shape [W].
+        contacts: The contacts that this rank has found.
+        num_contacts: Number of contacts of the whole mesh.
+        work: What this rank has done.
+    """
+
+    toi: float
+    vertex_toi: NDArray[np.float64]
+    body_toi: NDArray[np.float64]
+    world_toi: NDArray[np.float64]
+    contacts: DistributedContacts
+    num_contacts: int
+    work: RankWork
+
+    @property
+    def hit(self) -> bool:
+        """Whether any pair of the whole mesh has a finite toi."""
+        return bool(np.isfinite(self.toi))
+
+    def __repr__(self) -> str:
+        return f"DistributedResult(toi={self.toi!r}, {len(self.contacts)} of {self.num_contacts} contacts on this rank)"
+
+
+@dataclass(frozen=True, repr=False)
+class DistributedLineSearch:
+    """Result of :meth:`DistributedPipeline.line_search` on a rank.
+
+    Attributes:
+        vertices: End positions of the vertices on this rank, ghosts too, shape [n, 3].
+        vertex_fraction: Fraction of its displacement by which each of them moves, 1 for static vertices, shape [n].
+        fraction: The least fraction of all moving vertices; the same on all ranks.
+        touching: Pairs that keep their vertices from moving, as of :class:`ccd_warp.LineSearchResult`, each on one
+            rank.
+        num_rounds: Number of steps that were checked.
+        is_limited: As of :class:`ccd_warp.LineSearchResult`.
+    """
+
+    vertices: NDArray[np.float64]
+    vertex_fraction: NDArray[np.float64]
+    fraction: float
+    touching: DistributedContacts
+    num_rounds: int
+    is_limited: bool
+
+    def __repr__(self) -> str:
+        return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DistributedCandidates:
+    """Candidate pairs that this rank has found, as indices in the whole mesh; each pair is on one rank.
+
+    Attributes:
+        vertex_face: Vertex and face indices, int64, shape [m, 2].
+        edge_edge: Edge indices, first < second, int64, shape [k, 2].
+        point_segment: Indices of codimensional points and codimensional edges, int64, shape [n, 2].
+        point_point: Indices of codimensional points, first < second, int64, shape [l, 2].
+    """
+
+    vertex_face: NDArray[np.int64]
+    edge_edge: NDArray[np.int64]
+    point_segment: NDArray[np.int64]
+    point_point: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_ranks", None)
+
+    def __repr__(self) -> str:
+        total = sum(len(getattr(self, f.name)) for f in fields(self))
+        return f"DistributedCandidates({total:,} on this rank)"
+
+    def to_root(self) -> DistributedCandidates | None:
+        """All candidates in lexicographic order on rank 0, and None on the others; collective."""
+        ranks: Ranks | None = vars(self)["_ranks"]
+        if ranks is None:
+            raise ValueError("candidates were brought to rank 0 already; expected those of a call")
+        with ranks.together():
+            gathered = {f.name: ranks.at_root(getattr(self, f.name)) for f in fields(self)}
+        if gathered["vertex_face"] is None:
+            return None
+        return DistributedCandidates(**{name: _in_order(pairs) for name, pairs in gathered.items()})
+
+
+def candidates_of(part: Part, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
+    """The candidates of a part, in lexicographic order, as pairs of the whole mesh."""
+    found = {}
+    for kind in PairKind:
+        pairs: Any = getattr(candidates, kind.name.lower())
+        found[kind.name.lower()] = _in_order(whole_pairs(part, np.full(len(pairs), kind, dtype=np.int32), pairs))
+    result = DistributedCandidates(**found)
+    vars(result)["_ranks"] = ranks
+    return result
+
+
+def _in_order(pairs: Any) -> NDArray[np.int64]:
+    ordered: NDArray[np.int64] = pairs[np.lexsort(pairs.T[::-1])]
+    return ordered

@@ -1,0 +1,233 @@
+"""What `test_distributed.py` runs on several ranks: cuts of meshes, whose results have the bits of one process.
+
+    mpiexec -n 3 python -m mpi4py tests/mpi_program.py [CASE ...]
+
+One program goes through all cases, because starting processes and compiling kernels takes most of the time. It prints a
+line for each case, on rank 0; run by ``-m mpi4py``, a failure on one rank ends all.
+"""
+
+import sys
+import time
+
+import numpy as np
+import trimesh
+from mpi4py import MPI
+
+import ccd_warp as ccd
+import scenes
+from mpi_parts import Cut, compare, compare_call, whole_mesh
+
+COMM = MPI.COMM_WORLD
+RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
+ALL_CALLS = ["mesh_ccd", "collision_free_step", "is_step_collision_free", "find_candidates"]
+SEARCHES = ["line_search scene", "line_search world", "line_search body", "line_search vertex"]
+
+
+def interleaved(mesh, seed=0):
+    """Every face on a rank by chance."""
+    return np.random.default_rng(seed).integers(0, SIZE, mesh.num_faces)
+
+
+def in_blocks(mesh):
+    """Consecutive faces on a rank."""
+    return np.arange(mesh.num_faces) * SIZE // max(mesh.num_faces, 1)
+
+
+def check(scene, rank_of_face, calls, *, with_owners=False, **options):
+    mesh, start, end = scene
+    mesh = whole_mesh(mesh)
+    cut = Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
+    return compare(COMM, cut, mesh, start, end, calls, options)
+
+
+def cloth_over_sphere():
+    check(scenes.sheet_over_ball(), in_blocks, ALL_CALLS + SEARCHES)
+
+
+def static_floor_and_owners_that_are_given():
+    check(scenes.sheet_over_floor(), interleaved, [*ALL_CALLS, "line_search vertex"], with_owners=True)
+
+
+def pile():
+    """Bodies that fall on each other, some of which ignore themselves, and pairs of which ignore each other."""
+    rng = np.random.default_rng(1)
+    box = trimesh.creation.icosphere(subdivisions=1, radius=0.4)
+    at = 1.2 * np.array([(i, j, k) for i in range(3) for j in range(3) for k in range(3)]) + 0.2 * rng.random((27, 3))
+    bodies = [(box.vertices + x, box.faces) for x in at]
+    pairs = rng.random((27, 27)) < 0.9
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies,
+        static=[0, 13],
+        self_collision=(rng.random(27) < 0.5).tolist(),
+        body_pairs=pairs & pairs.T,
+        exclude_pairs={"bodies": [[1, 2], [4, 4], [5, 14]]},
+    )
+    speed = 0.8 * rng.standard_normal((27, 3))
+    check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, [*ALL_CALLS, "line_search body"])
+
+
+def bodies_that_ignore_themselves():
+    """Only bodies that come near another are active."""
+    box = trimesh.creation.box(extents=(1, 1, 1))
+    bodies = [(box.vertices + [1.5 * k, 0, 0], box.faces) for k in range(6)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    end = mesh.vertices + [[0.9, 0.01, 0.02]] * (mesh.vertex_body == 2)[:, None]
+    check((mesh, mesh.vertices, end), interleaved, ALL_CALLS)
+
+
+def worlds():
+    _, mesh, start, end = scenes.cloth_and_ball_in_worlds()
+    check((mesh, start, end), in_blocks, ["mesh_ccd", "find_candidates", "line_search world"])
+
+
+def giant_face():
+    """A face that is larger than all regions together."""
+    vertices, faces = scenes.sheet(10)
+    giant = scenes.TRIANGLE * 50.0 + [0.3, 0.2, -0.2]
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (giant, scenes.FACE)], static=[1])
+    end = mesh.vertices - [0.01, 0.02, 0.5] * (mesh.vertex_body == 0)[:, None]
+    pipeline = check((mesh, mesh.vertices, end), interleaved, ALL_CALLS)
+    assert pipeline.work.num_primitives >= 7  # the giant face, its edges and vertices are everywhere, but not twice
+    assert pipeline._planned.part.mesh.num_faces == len(np.unique(pipeline._planned.part.face_numbers))
+
+
+def all_faces_on_the_last_rank():
+    check(scenes.sheet_over_ball(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), ALL_CALLS)
+
+
+def one_triangle_falls_on_another():
+    """Fewer primitives than samples, and with four ranks empty ones."""
+    mesh, start = scenes.stacked(0.0, 0.5)
+    end = start - [0, 0, 1.0] * (mesh.vertex_body == 1)[:, None]
+    check((mesh, start, end), interleaved, ALL_CALLS + SEARCHES)
+
+
+def nothing_at_all():
+    mesh = ccd.CollisionMesh.from_arrays([(np.zeros((0, 3)), scenes.NO_FACES)])
+    check((mesh, mesh.vertices, mesh.vertices), interleaved, ["mesh_ccd", "collision_free_step", "find_candidates"])
+
+
+def cables_particles_and_rings():
+    rng = np.random.default_rng(3)
+    start, faces, edges = scenes.cables_and_particles(rng, 40, 0.1)
+    end = start + 0.15 * rng.standard_normal(start.shape)
+    for options in ({"exclusion_rings": 2}, {"exclude_pairs": {"vertices": [[0, 5], [7, 200], [11, 300]]}}):
+        mesh = ccd.CollisionMesh.from_arrays([(start, faces, edges)], codimensional_points=True, **options)
+        check((mesh, start, end), interleaved, ["mesh_ccd", "find_candidates"])
+    vertices, faces = scenes.sheet(6)
+    end = vertices + 0.3 * rng.standard_normal(vertices.shape)
+    for rings in (3, 100):
+        mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)], exclusion_rings=rings)
+        check((mesh, vertices, end), interleaved, ["mesh_ccd"])
+
+
+def options():
+    """Separations, batches, a spatial hash, and pairs that share the work that is left to them."""
+    scene = scenes.sheet_over_ball()
+    check(scene, interleaved, ["mesh_ccd", "collision_free_step", "line_search scene"], minimum_distance=0.01)
+    check(scene, interleaved, ["mesh_ccd", "find_candidates"], broad_phase="hash")
+    check(scene, interleaved, ["mesh_ccd", "collision_free_step"], max_iterations=300, max_work=1)
+    # a fixed length has another size in every scene, and the default is that of the whole mesh
+    check(scene, in_blocks, ["mesh_ccd"], minimum_separation=0.01, t_max=0.7)
+
+
+def work_that_open_pairs_share():
+    """Pairs of parallel faces that approach each other slowly stay open in the first round, and share what is left."""
+    rng = np.random.default_rng(5)
+    start, faces = scenes.soup(rng, 60, 0.3)
+    mesh = scenes.single(start, faces)
+    end = start[rng.permutation(len(start))]
+    for max_work in (1, 40, 5_000_000):
+        check((mesh, start, end), interleaved, ["mesh_ccd", "collision_free_step"], method="bisection", max_work=max_work)
+
+
+def random_scenes(count=200):
+    """Few faces at random places with large motions, cut at random; no two scenes have the same sizes."""
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        num_faces = int(rng.integers(1, 40))
+        num_vertices = int(rng.integers(3, 3 * num_faces + 1))
+        start, faces = scenes.soup(rng, num_faces, 10.0 ** rng.uniform(-2, 0), num_vertices)
+        end = start + 10.0 ** rng.uniform(-2, 0) * rng.standard_normal(start.shape)
+        cut = int(rng.integers(0, len(start)))
+        bodies = [(start, faces)]
+        if 0 < cut and not ((faces < cut).any(axis=1) & (faces >= cut).any(axis=1)).any():
+            low = (faces < cut).all(axis=1)
+            bodies = [(start[:cut], faces[low]), (start[cut:], faces[~low] - cut)]
+        static = [0] if len(bodies) > 1 and rng.random() < 0.5 else []
+        points = bool(rng.random() < 0.3)
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=static, codimensional_points=points)
+        calls = [["mesh_ccd"], ["collision_free_step"], ["find_candidates"], ["line_search vertex"]][seed % 4]
+        check((mesh, start, end), lambda mesh, s=seed: interleaved(mesh, s), calls, with_owners=seed % 5 == 0)
+
+
+def many_steps():
+    """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
+    mesh, start, _ = scenes.sheet_over_ball()
+    mesh = whole_mesh(mesh)
+    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
+    from ccd_warp.distributed import DistributedPipeline
+
+    pipeline, one = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh)
+    x, velocity = start, [0, 0, -0.02] * (mesh.vertex_body == 0)[:, None]
+    num_plans = 0
+    for k in range(12):
+        if k == 6:
+            x = x + [0.001, 0, 0] * (mesh.vertex_body == 1)[:, None]
+        if k == 9:
+            x = x + [5.0, 0, 0]
+        compare_call(COMM, cut, pipeline, one, x, x + velocity, "mesh_ccd")
+        num_plans += pipeline.work.is_planned
+        x = x + velocity
+    assert 2 <= num_plans <= 8, num_plans
+
+
+def one_rank_more_work_than_the_others():
+    """A crumpled part takes most of the work: the plan is made anew, with smaller regions there."""
+    rng = np.random.default_rng(2)
+    calm, faces = scenes.sheet(20)
+    crumpled = calm + 0.1 * rng.random(calm.shape) + [2.0, 0, 0]
+    mesh = ccd.CollisionMesh.from_arrays([(calm, faces), (crumpled, faces)])
+    mesh = whole_mesh(mesh)
+    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
+    from ccd_warp.distributed import DistributedPipeline
+
+    pipeline, one = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh)
+    seen = []
+    for _ in range(3):
+        compare_call(COMM, cut, pipeline, one, mesh.vertices, mesh.vertices + [0.001, 0, 0], "mesh_ccd")
+        seen.append((pipeline.work.imbalance, pipeline.work.is_planned))
+    assert seen[0][0] > 1.3 and seen[1][1] and not seen[2][1], seen
+    assert seen[1][0] < seen[0][0], seen
+
+
+CASES = [
+    cloth_over_sphere,
+    static_floor_and_owners_that_are_given,
+    pile,
+    bodies_that_ignore_themselves,
+    worlds,
+    giant_face,
+    all_faces_on_the_last_rank,
+    one_triangle_falls_on_another,
+    nothing_at_all,
+    cables_particles_and_rings,
+    options,
+    work_that_open_pairs_share,
+    random_scenes,
+    many_steps,
+    one_rank_more_work_than_the_others,
+]
+
+
+def main(names):
+    for case in CASES:
+        if not names or case.__name__ in names:
+            begin = time.perf_counter()
+            case()
+            if RANK == 0:
+                print(f"{case.__name__}: the bits of one process, {time.perf_counter() - begin:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
