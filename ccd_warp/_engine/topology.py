@@ -360,7 +360,7 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         quantization.origin = wp.vec3d(*(min(max(x, -_LARGEST_ORIGIN), _LARGEST_ORIGIN) for x in origin))
         exponent += lattice_bits(topology.mesh.num_worlds)
         quantization.scale = 2.0**-exponent
-        half_extent += _typical_radius(topology.mesh, primitives)
+        half_extent += _typical_radius(topology.mesh, topology.samples[1])
         quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return quantization
 

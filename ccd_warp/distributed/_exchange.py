@@ -61,7 +61,10 @@ class Exchange:
                 begin += width * len(rows)
 
     def back(self, values: NDArray[np.float64], result: NDArray[np.float64], op: np.ufunc) -> None:
-        """Combine what the target rows hold with the source rows of ``result``; ``op`` is np.minimum or np.add."""
+        """Combine what the target rows hold with the source rows of ``result``.
+
+        ``op`` is np.minimum, np.maximum or np.add.
+        """
         requests = self._of(False, 1)
         for rows, buffer in requests.to_send(self.targets):
             np.take(values, rows, out=buffer, mode="clip")

@@ -21,6 +21,7 @@ from ccd_warp._input.mesh_checks import (
     validated_flags,
     validated_indices,
     validated_positions,
+    validated_radius,
     validated_rings,
     validated_static,
 )
@@ -86,6 +87,7 @@ class DistributedMesh:
         exclusion_rings: int = 1,
         exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
         owned: ArrayLike | None = None,
     ) -> None:
         """Make the mesh, collectively.
@@ -99,7 +101,7 @@ class DistributedMesh:
             edges: Rows of the vertices of codimensional edges, integer, shape [e, 2]. A given edge that belongs to a
                 face of any rank counts as an edge of that face.
             bodies: Body of each vertex, integers that ascend with the ids, shape [n]. By default there is one body.
-            static: Bodies that do not move; the same on all ranks, as all that follows but the last two.
+            static: Bodies that do not move; the same on all ranks, as all that follows but the last three.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
                 codimensional points: one flag for all bodies or one for each.
@@ -107,6 +109,8 @@ class DistributedMesh:
             exclusion_rings: As of :class:`ccd_warp.CollisionMesh`, over the edges of the whole mesh.
             exclude_pairs: ``"bodies"``, pairs of their numbers, and ``"vertices"``, pairs of ids; each shape [k, 2].
             vertex_world: World of each vertex, integers from 0 on, shape [n]. By default there is one world.
+            radius: As of :class:`ccd_warp.CollisionMesh`, one length or one for each vertex on this rank, shape [n];
+                given on all ranks or on none. Those of the owners count.
             owned: Which vertices this rank owns, bool, shape [n]; given on all ranks or on none. By default the lowest
                 rank that has a vertex owns it.
 
@@ -117,7 +121,7 @@ class DistributedMesh:
         """
         self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
         with ranks.together():
-            self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, owned)
+            self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
             self._number_vertices()
             self._take_tables(static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs)
             self._number_primitives()
@@ -142,6 +146,7 @@ class DistributedMesh:
         edges: ArrayLike | None,
         bodies: ArrayLike | None,
         vertex_world: ArrayLike | None,
+        radius: ArrayLike | None,
         owned: ArrayLike | None,
     ) -> None:
         """Check what belongs to this rank alone."""
@@ -157,6 +162,7 @@ class DistributedMesh:
         zeros = np.zeros(count, dtype=np.int64)
         self.bodies = zeros if bodies is None else _per_vertex("bodies", bodies, count)
         self.worlds = zeros if vertex_world is None else _per_vertex("vertex_world", vertex_world, count)
+        self.radius = validated_radius(radius, [0, count], lambda row: f" (vertex id {self.vertex_ids[row]})")
         self._owned = np.full(count, -1, dtype=np.int64)
         if owned is not None:
             flags = as_array(on_host(owned, "owned"), "owned", f"bool and shape {(count,)}")
@@ -174,9 +180,11 @@ class DistributedMesh:
     def _number_vertices(self) -> None:
         """Number the vertices of the whole mesh by their ids, and find their owners."""
         ranks = self.ranks
-        given = ranks.every(np.array([[(self._owned >= 0).any(), (self._owned < 0).any()]], dtype=np.int64))
-        if given.any(axis=0).all():
-            raise ValueError("owned is given on some ranks and not on others; expected it on all or on none")
+        given = [(self._owned >= 0).any(), (self._owned < 0).any(), self.radius is not None, self.radius is None]
+        some = ranks.most(np.array(given, dtype=np.int64))
+        for name, flags in (("owned", some[:2]), ("radius", some[2:])):
+            if flags.all():
+                raise ValueError(f"{name} is given on some ranks and not on others; expected it on all or on none")
         first_ids = numbering.splitters(ranks.every(numbering.id_samples(self.vertex_ids)), ranks.size)
         sent = numbering.by_destination(numbering.home_of(first_ids, self.vertex_ids), ranks.size)
         rows = np.stack([self.vertex_ids, self._owned, self.bodies, self.worlds], axis=1)
@@ -376,12 +384,31 @@ class DistributedMesh:
         """The longest side of the whole mesh; rest positions of ghosts become those of their owners."""
         self.vertices = self.vertices.copy()
         self.copies.forward([(self.vertices.copy(), self.vertices)])
+        self._measure_radii()
         own = self.vertices[self.owned_rows]
         lower = self.ranks.least(own.min(axis=0, initial=np.inf))
         upper = self.ranks.most(own.max(axis=0, initial=-np.inf))
         with np.errstate(over="ignore"):
             side = float((upper - lower).max()) if self.num_vertices else 0.0
         self.length_scale = min(side, float(np.finfo(np.float64).max)) or 1.0
+
+    def _measure_radii(self) -> None:
+        """The largest radius of the primitives around each vertex, and that of each body; zeros without radii."""
+        self.box_radius = np.zeros(len(self.numbers))
+        self.body_radius: NDArray[np.float64] | None = None
+        self.is_thick = False
+        if self.radius is None:
+            return
+        self.copies.forward([(self.radius.copy(), self.radius)])
+        self.box_radius = self.radius.copy()
+        for a, b in (self.primitives["edge"].corners.T, self.primitives["edge"].corners.T[::-1]):
+            np.maximum.at(self.box_radius, a, self.radius[b])
+        self.copies.back(self.box_radius.copy(), self.box_radius, np.maximum)
+        self.copies.forward([(self.box_radius.copy(), self.box_radius)])
+        body_radius = np.zeros(self.num_bodies)
+        np.maximum.at(body_radius, self.bodies, self.radius)
+        self.body_radius = self.ranks.most(body_radius)
+        self.is_thick = bool(self.body_radius.any())
 
     def _choose_samples(self) -> None:
         """The numbers of the vertices from which one process would choose its quantization; see Topology.samples."""

@@ -14,7 +14,9 @@ from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.line_search import OneProcess
 from ccd_warp._engine.topology import Positions, PrimitiveSet, Topology
+from ccd_warp._input.half_spaces import planes_of
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -33,6 +35,7 @@ class Part:
         edge_numbers: Index of each edge in the whole mesh, ascending.
         face_numbers: Index of each face, likewise.
         tested_vertices: The vertices whose own box meets the region; the others are there for edges and faces.
+        box_radius: The largest radius of the primitives around each vertex in the whole mesh, float64, shape [n].
         everything: The exchange of all vertices with their owners.
         moving: That of the vertices of bodies that move.
     """
@@ -43,6 +46,7 @@ class Part:
     edge_numbers: NDArray[np.int64]
     face_numbers: NDArray[np.int64]
     tested_vertices: NDArray[np.int32]
+    box_radius: NDArray[np.float64]
     everything: Exchange
     moving: Exchange
 
@@ -52,6 +56,7 @@ def part_mesh(
     vertices: NDArray[np.float64],
     bodies: NDArray[np.int64],
     worlds: NDArray[np.int64],
+    radius: NDArray[np.float64] | None,
     faces: NDArray[np.int32],
     edges: NDArray[np.int32],
     codimensional_edges: NDArray[np.int32],
@@ -78,12 +83,14 @@ def part_mesh(
         vertex_world=worlds.astype(np.int32),
         names=whole.names,
         exclude_pairs=whole.exclude_pairs,
+        radius=radius,
+        planes=planes_of([], 3),
     )
     assert state.keys() == {f.name for f in fields(CollisionMesh)}
     mesh = object.__new__(CollisionMesh)
     mesh.__setstate__(state)
     # lazy properties of the whole mesh, which a part cannot tell
-    vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale)
+    vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale, is_thick=whole.is_thick)
     return mesh
 
 
@@ -121,6 +128,11 @@ class PartTopology(Topology):
             return super().sampled(positions)
         vertices, primitives = self.samples_of_all
         return vertices.copy(), primitives.copy()
+
+    @lazy_property
+    def box_radius(self) -> wp.array:
+        """For each vertex the largest radius of the primitives around it, some of which may be on other ranks."""
+        return self.array(self._part.box_radius if self.mesh.radius is not None else np.zeros(0), wp.float64)
 
     def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
         if kind != "vertex":
@@ -215,8 +227,10 @@ class PartStep(Step):
             return None
         lower, upper = self.together.body_boxes(self.positions)
         filled = np.flatnonzero((lower <= upper).all(axis=1))
+        radius = self.together.whole.body_radius
+        of_filled = None if radius is None else radius[filled]
         boxes = lower[filled], upper[filled]
-        near = bodies_near_boxes(self.topology, filled, boxes, self.inflation, self.execution)
+        near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)
         self._num_active_bodies = int((near | self.mesh.static).sum())
         return near
 
@@ -243,16 +257,22 @@ class PartStep(Step):
         plan.set_number_open({kind: of_all[kind] for kind in own})
         return True
 
-    def found_by_vertex(self) -> NDArray[np.int64]:
-        """Pairs that the last search found, by a vertex of their first primitive; none if they came in parts."""
-        result = np.zeros(self.mesh.num_vertices, dtype=np.int64)
+    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
+        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
+
+        Which candidates there were is not known any more, and pairs neither if they came in parts.
+        """
+        count = self.mesh.num_vertices
+        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
         if self.plan.num_batches != 1:
             return result
-        for kind in self.plan.kinds:
-            keys = self.plan.found_keys(kind, int(self.plan.counts()[kind, FOUND])).numpy()
+        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
+            if found == 0:
+                continue
+            keys = self.plan.found_keys(PairKind(kind), found).numpy()
             first = np.where(keys < 0, ~keys, keys) >> 32
             vertices = self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
-            result += np.bincount(vertices, minlength=len(result))
+            result += of_pair * np.bincount(vertices, minlength=count)
         return result
 
 

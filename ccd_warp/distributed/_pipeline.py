@@ -37,7 +37,7 @@ from ccd_warp.distributed._planning import (
     WORK_OF_PRIMITIVE,
     Plan,
     make_plan,
-    pairs_by_vertex,
+    work_of_owners,
 )
 from ccd_warp.distributed._results import (
     DistributedCandidates,
@@ -48,9 +48,10 @@ from ccd_warp.distributed._results import (
     contacts_of,
 )
 
-# The imbalance of the measured work above which a plan is made anew; and how much worse than at its first step it must
-# have become if the plan knew where pairs are.
+# The imbalance of the measured work above which a plan is made anew: if it was made for less knowledge, so that it has
+# become better by this factor, or if it has become worse by that one since the plan was made.
 _MOST_IMBALANCE = 1.3
+_IMPROVED = 0.9
 _WORSE = 1.1
 
 _T = TypeVar("_T")
@@ -96,8 +97,9 @@ class DistributedPipeline:
         self._check_same_options()
         self._plan: Plan | None = None
         self._workspace: Workspace | None = None
-        self._pairs: NDArray[np.float64] | None = None  # of the vertices that this rank owns, when they last mattered
-        self._wants_plan = self._is_weighted = False
+        self._work: NDArray[np.float64] | None = None  # by the vertices that this rank owns, when it last mattered
+        self._wants_plan = False
+        self._last_imbalance = np.inf  # of the first step of the plan before
 
     def __repr__(self) -> str:
         return f"DistributedPipeline({self.mesh!r}, on {self._device})"
@@ -309,7 +311,9 @@ class DistributedPipeline:
                 own = self.mesh.owned_rows
                 is_all = len(own) == len(start)
                 ends = (start, end) if is_all else (start[own], end[own])
-                is_kept = inflation <= plan.bounds.inflation and plan.bounds.hold(*ends, plan.lower, plan.upper)
+                is_kept = inflation <= plan.bounds.inflation and plan.bounds.hold(
+                    *ends, plan.lower, plan.upper, self.mesh.box_radius if is_all else self.mesh.box_radius[own]
+                )
                 if self.mesh.static.any():
                     is_static = self.mesh.static[self.mesh.bodies[own]]
                     is_same = np.array_equal(ends[0][is_static], plan.static_start)
@@ -336,8 +340,7 @@ class DistributedPipeline:
             with self._timed("plan"):
                 self._workspace = None
                 start, end = start.copy(), end.copy()  # whose ghosts get the positions of their owners
-                self._plan = make_plan(self.mesh, start, end, inflation, self._pairs, self._device)
-                self._is_weighted = self._pairs is not None
+                self._plan = make_plan(self.mesh, start, end, inflation, self._work, self._device)
                 self._wants_plan = False
                 self._workspace = Workspace(self._plan.part.mesh, self._device, self._plan.topology)
             return
@@ -380,10 +383,15 @@ class DistributedPipeline:
         work += WORK_OF_PAIR * sum(counts.num_after_cull.values())
         measured = imbalance(self._ranks.every(np.array([work])))
         if plan.imbalance is None:
-            plan.imbalance = measured
-        self._wants_plan = measured > _MOST_IMBALANCE and (not self._is_weighted or measured > _WORSE * plan.imbalance)
+            # a plan that is much better than the one before may be followed by a better one still
+            is_improved = measured < _IMPROVED * self._last_imbalance
+            plan.imbalance = self._last_imbalance = measured
+        else:
+            is_improved = False
+        self._wants_plan = measured > _MOST_IMBALANCE and (is_improved or measured > _WORSE * plan.imbalance)
         if self._wants_plan:
-            self._pairs = pairs_by_vertex(plan, self.mesh, self._step.found_by_vertex())
+            by_vertex = self._step.work_by_vertex(WORK_OF_CANDIDATE, WORK_OF_PAIR)
+            self._work = work_of_owners(plan, self.mesh, by_vertex)
         self._seconds["total"] = time.perf_counter() - self._begin
         self.work = RankWork(
             counts,

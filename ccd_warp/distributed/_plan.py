@@ -49,12 +49,17 @@ class Bounds:
             return Bounds(_MARGIN * mean_extent, 1.0001 * inflation, centre, size)
 
     def boxes(
-        self, start: NDArray[np.float64], end: NDArray[np.float64], worlds: NDArray[np.integer]
+        self,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        worlds: NDArray[np.integer],
+        radius: NDArray[np.float64] | float = 0.0,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The box of each vertex while the plan is kept, shapes [4, n].
 
         It holds the motion of this step and of some more in its direction, and all that is equal to it in quantized
-        coordinates. Every rank gets the same bits from the same positions.
+        coordinates; it is enlarged by ``radius``, the largest of the primitives around each vertex. Every rank gets the
+        same bits from the same positions.
         """
         lower, upper = np.empty((4, len(start))), np.empty((4, len(start)))
         lower[WORLD_AXIS] = upper[WORLD_AXIS] = worlds
@@ -66,6 +71,7 @@ class Bounds:
                 slack = np.maximum(np.abs(a - self.centre[k]), np.abs(b - self.centre[k]))
                 slack *= _RESOLUTION
                 slack += fixed
+                slack += radius
                 low, high = np.minimum(a, b), np.maximum(a, b)
                 lower[k] = np.nextafter(np.minimum(low, ahead) - slack, -np.inf)
                 upper[k] = np.nextafter(np.maximum(high, ahead) + slack, np.inf)
@@ -77,6 +83,7 @@ class Bounds:
         end: NDArray[np.float64],
         lower: NDArray[np.float64],
         upper: NDArray[np.float64],
+        radius: NDArray[np.float64] | float = 0.0,
     ) -> bool:
         """Whether the motion of every vertex, with what boxes are enlarged by, is within its box of a plan."""
         fixed = self.inflation + _RESOLUTION * self.size
@@ -88,6 +95,7 @@ class Bounds:
                 slack = np.maximum(np.abs(low - self.centre[k]), np.abs(high - self.centre[k]))
                 slack *= _RESOLUTION
                 slack += fixed
+                slack += radius
                 low -= slack
                 high += slack
                 if not ((low >= lower[k]).all() and (high <= upper[k]).all()):

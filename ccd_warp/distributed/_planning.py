@@ -17,7 +17,7 @@ from ccd_warp.distributed._plan import Bounds, centres, destinations, scene_box,
 _NUM_SAMPLES = 1 << 14
 _SAMPLES_EACH = 64
 # Columns of a vertex in a message, of an edge, of a face.
-_VERTEX, _EDGE, _FACE = 6, 4, 4
+_VERTEX, _EDGE, _FACE = 8, 4, 4
 _IS_TESTED, _IS_POINT = 1, 2
 # Work of a primitive, of a candidate and of a pair that the cull leaves, in units of about ten nanoseconds.
 WORK_OF_PRIMITIVE, WORK_OF_CANDIDATE, WORK_OF_PAIR = 4.0, 1.0, 12.0
@@ -62,7 +62,7 @@ def make_plan(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
     inflation: float,
-    pairs: NDArray[np.float64] | None,
+    work: NDArray[np.float64] | None,
     device: object,
 ) -> Plan:
     """Choose regions for a step, and send every primitive to the ranks whose regions its box meets; collective.
@@ -72,14 +72,14 @@ def make_plan(
         start: Start positions of the vertices on this rank; those of ghosts are overwritten.
         end: End positions, likewise.
         inflation: The least enlargement of the boxes.
-        pairs: Pairs that the last search found, by the vertices that this rank owns, shape [n]; None if there was none.
+        work: Work of an earlier search by the vertices that this rank owns, shape [n]; None if it is not known.
         device: Device of the engine.
     """
     ranks = whole.ranks
     whole.copies.forward([(start.copy(), start), (end.copy(), end)])
     bounds = _bounds(whole, start, end, inflation)
-    lower, upper = bounds.boxes(start, end, whole.worlds)
-    regions = _regions(whole, lower, upper, pairs)
+    lower, upper = bounds.boxes(start, end, whole.worlds, whole.box_radius)
+    regions = _regions(whole, lower, upper, work)
     corners = {kind: each.corners for kind, each in whole.primitives.items()}
     found = destinations(regions, lower, upper, corners)
     messages = [_message(whole, {kind: items[r] for kind, items in found.items()}) for r in range(ranks.size)]
@@ -89,7 +89,7 @@ def make_plan(
     part_start, part_end = np.empty((count, 3)), np.empty((count, 3))
     part.everything.forward([(start, part_start), (end, part_end)])
     vars(part.mesh)["vertices"] = part_start.copy()  # the order of the trees is made for them
-    part_lower, part_upper = bounds.boxes(part_start, part_end, part.mesh.vertex_world)
+    part_lower, part_upper = bounds.boxes(part_start, part_end, part.mesh.vertex_world, part.box_radius)
     region = regions.lower[ranks.rank], regions.upper[ranks.rank]
     topology = PartTopology(
         part,
@@ -149,13 +149,13 @@ def _regions(
     whole: DistributedMesh,
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
-    pairs: NDArray[np.float64] | None,
+    work: NDArray[np.float64] | None,
 ) -> partition.Regions:
     """Regions of nearly equal work, from samples of the centres of all primitives."""
     ranks = whole.ranks
     of_vertex = np.zeros(len(whole.vertex_ids))
-    if pairs is not None:
-        of_vertex[whole.owned_rows] = pairs
+    if work is not None:
+        of_vertex[whole.owned_rows] = work
         whole.copies.forward([(of_vertex.copy(), of_vertex)])
     kinds = [each for each in whole.primitives.values() if len(each.numbers)]
     total = sum(len(each.numbers) for each in kinds)
@@ -165,9 +165,9 @@ def _regions(
     for each in kinds:
         num = -(-most * len(each.numbers) // max(total_of_all, 1))
         chosen = each.corners[partition.even_samples(len(each.numbers), num)]
-        work = WORK_OF_PRIMITIVE + (WORK_OF_PAIR / _PRIMITIVES_A_VERTEX) * of_vertex[chosen].mean(axis=1)
+        of_each = WORK_OF_PRIMITIVE + of_vertex[chosen].mean(axis=1) / _PRIMITIVES_A_VERTEX
         points.append(centres(*united(lower, upper, chosen)))
-        weights.append(work * (len(each.numbers) / len(chosen)))
+        weights.append(of_each * (len(each.numbers) / len(chosen)))
     samples = np.concatenate([np.concatenate(points, axis=1), np.concatenate(weights)[None]]).T
     samples = ranks.every(samples)
     return partition.bisected(np.ascontiguousarray(samples[:, :4].T), samples[:, 4].copy(), ranks.size)
@@ -180,7 +180,9 @@ def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDAr
         return np.zeros(0, dtype=np.int64)
     rows, place = used_rows(len(whole.numbers), list(chosen.values()))
     vertices = np.empty((len(rows), _VERTEX), dtype=np.int64)
-    for k, values in enumerate((whole.numbers, whole.vertex_ids, whole.owner, whole.bodies, whole.worlds)):
+    radius = whole.box_radius if whole.radius is None else whole.radius
+    columns = [whole.numbers, whole.vertex_ids, whole.owner, whole.bodies, whole.worlds]
+    for k, values in enumerate([*columns, radius.view(np.int64), whole.box_radius.view(np.int64)]):
         vertices[:, k] = values[rows]
     vertices[:, _VERTEX - 1] = 0
     is_point = whole.primitives["vertex"].is_codimensional[items["vertex"]]
@@ -213,7 +215,7 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
         first += num_vertices
     table, edge, face = np.concatenate(vertices), np.concatenate(edges), np.concatenate(faces)
     numbers, at, place = np.unique(table[:, 0], return_index=True, return_inverse=True)
-    _, ids, owner, bodies, worlds, _ = table[at].T
+    _, ids, owner, bodies, worlds, radius, box_radius, _ = table[at].T.copy()
     flags = np.zeros(len(numbers), dtype=np.int64)
     is_flagged = table[:, -1] > 0
     flags[place[is_flagged]] = table[is_flagged, -1]  # only the rank that speaks for a vertex sets any
@@ -223,6 +225,7 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
         np.empty((len(numbers), 3)),
         bodies,
         worlds,
+        None if whole.radius is None else radius.view(np.float64),
         place[face[:, 1:]].astype(np.int32),
         place[edge[:, 1:3]].astype(np.int32),
         np.flatnonzero(edge[:, 3]).astype(np.int32),
@@ -240,13 +243,14 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
         edge[:, 0],
         face[:, 0],
         np.flatnonzero(flags & _IS_TESTED).astype(np.int32),
+        box_radius.view(np.float64),
         everything,
         moving,
     )
 
 
-def pairs_by_vertex(plan: Plan, whole: DistributedMesh, found: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Pairs of the last search by the vertices that this rank owns, given those by the vertices of its part."""
+def work_of_owners(plan: Plan, whole: DistributedMesh, work: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Work by the vertices that this rank owns, given that by the vertices of its part; collective."""
     result = np.zeros(len(whole.vertex_ids))
-    plan.part.everything.back(found.astype(np.float64), result, np.add)
+    plan.part.everything.back(work, result, np.add)
     return result[whole.owned_rows]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contacts
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
+from ccd_warp._engine.topology import PRIMITIVES
 from ccd_warp._results import Counts
 from ccd_warp._status import PairKind
 
@@ -232,7 +233,7 @@ class DistributedCandidates:
 def candidates_of(part: Part, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
     """The candidates of a part, in lexicographic order, as pairs of the whole mesh."""
     found = {}
-    for kind in PairKind:
+    for kind in PRIMITIVES:
         pairs: Any = getattr(candidates, kind.name.lower())
         found[kind.name.lower()] = _in_order(whole_pairs(part, np.full(len(pairs), kind, dtype=np.int32), pairs))
     result = DistributedCandidates(**found)
