@@ -126,9 +126,13 @@ def united(
     return low, high
 
 
-def centres(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The centre of each box, finite, shape [4, n]."""
-    return np.nan_to_num(0.5 * lower + 0.5 * upper)
+def places(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where boxes count in the balance of the regions, given their lower corners: finite, shape [4, n].
+
+    A pair belongs to the region of the lower corner of an intersection, which is nearer to the lower corners of its
+    boxes than to their centres.
+    """
+    return np.nan_to_num(lower)
 
 
 def destinations(

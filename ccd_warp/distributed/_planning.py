@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
-from ccd_warp.distributed._plan import Bounds, centres, destinations, scene_box, united, used_rows
+from ccd_warp.distributed._plan import Bounds, destinations, places, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
 _NUM_SAMPLES = 1 << 14
@@ -151,7 +151,7 @@ def _regions(
     upper: NDArray[np.float64],
     work: NDArray[np.float64] | None,
 ) -> partition.Regions:
-    """Regions of nearly equal work, from samples of the centres of all primitives."""
+    """Regions of nearly equal work, from samples of where all primitives are."""
     ranks = whole.ranks
     of_vertex = np.zeros(len(whole.vertex_ids))
     if work is not None:
@@ -166,7 +166,7 @@ def _regions(
         num = -(-most * len(each.numbers) // max(total_of_all, 1))
         chosen = each.corners[partition.even_samples(len(each.numbers), num)]
         of_each = WORK_OF_PRIMITIVE + of_vertex[chosen].mean(axis=1) / _PRIMITIVES_A_VERTEX
-        points.append(centres(*united(lower, upper, chosen)))
+        points.append(places(united(lower, upper, chosen)[0]))
         weights.append(of_each * (len(each.numbers) / len(chosen)))
     samples = np.concatenate([np.concatenate(points, axis=1), np.concatenate(weights)[None]]).T
     samples = ranks.every(samples)

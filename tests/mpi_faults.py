@@ -1,0 +1,121 @@
+"""What `test_distributed.py` runs on several ranks to see that a fault of one becomes the error of all.
+
+    mpiexec -n 3 python tests/mpi_faults.py together | killed
+
+``together`` ends well on every rank, each of which has seen the same errors. In ``killed`` the last rank is killed
+while the others wait for it; that they end is up to MPI, and is what the test looks at.
+"""
+
+import os
+import signal
+import sys
+
+import numpy as np
+import scenes
+from mpi4py import MPI
+from mpi_parts import Cut, compare_call, whole_mesh
+
+import ccd_warp as ccd
+from ccd_warp.distributed import DistributedMesh, DistributedPipeline
+
+COMM = MPI.COMM_WORLD
+RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
+LAST = SIZE - 1
+
+
+def everywhere(kind, parts, call):
+    """Make a call that fails on one rank, and check that all ranks raise the same error."""
+    try:
+        call()
+    except kind as error:
+        text = str(error)
+    else:
+        text = "no error"
+    texts = COMM.allgather(text)
+    assert len(set(texts)) == 1 and all(part in texts[0] for part in parts), texts
+
+
+def together():
+    mesh, start, end = scenes.sheet_over_ball()
+    mesh = whole_mesh(mesh)
+    rank_of_face = np.arange(mesh.num_faces) * SIZE // mesh.num_faces
+    cut = Cut(COMM, mesh, rank_of_face, np.random.default_rng(RANK))
+    pipeline, one = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh)
+    x, y = cut.local(start), cut.local(end)
+    compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
+
+    own = int(cut.mesh.owned_rows[3])
+    bad = x.copy()
+    bad[own, 1] = np.nan if RANK == LAST else bad[own, 1]
+    vertex = COMM.bcast(int(cut.mesh.vertex_ids[own]), root=LAST)
+    everywhere(
+        ValueError, [f"rank {LAST}: vertices_t0", "nan", f"vertex id {vertex}"], lambda: pipeline.mesh_ccd(bad, y)
+    )
+    short = y[:-1] if RANK == 0 else y
+    everywhere(ValueError, ["rank 0: vertices_t1 has shape"], lambda: pipeline.collision_free_step(x, short))
+    # a fault deep in the engine, on one rank only
+    limits = {"memory_limit": 1000} if RANK == LAST else {}
+    limited = DistributedPipeline(cut.mesh, **limits)
+    everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.mesh_ccd(x, y))
+    everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.collision_free_step(x, y))
+
+    def unforeseen(*_):
+        raise KeyError("unforeseen")
+
+    pipeline._run = unforeseen if RANK == 0 else type(pipeline)._run.__get__(pipeline)
+    everywhere(RuntimeError, ["rank 0: KeyError", "unforeseen"], lambda: pipeline.mesh_ccd(x, y))
+    del pipeline._run
+    everywhere(ValueError, ["options differ"], lambda: DistributedPipeline(cut.mesh, tolerance=1e-6 * (1 + RANK)))
+    everywhere(TypeError, ["rank 0", "no_option"], lambda: DistributedPipeline(cut.mesh, no_option=1))
+    everywhere(ValueError, ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour"))
+    everywhere(ValueError, ["inflation is"], lambda: pipeline.find_candidates(x, y, 0.1 * RANK))
+
+    triangle, face = scenes.TRIANGLE, scenes.FACE
+    ids = np.arange(3)
+
+    def made(**changed):
+        return lambda: DistributedMesh(COMM, triangle, face, **({"vertex_ids": ids} | changed))
+
+    for parts, call in (
+        (["rank 0: owned is set for vertex id", f"on {SIZE} ranks"], made(owned=np.ones(3, dtype=bool))),
+        (["owned is given on some ranks"], made(owned=np.zeros(3, dtype=bool) if RANK == 0 else None)),
+        (["bodies of vertex id 0 differs between ranks 0 and 1"], made(bodies=np.full(3, min(RANK, 1)))),
+        (
+            [f"rank {LAST}: vertex_ids holds 4 more than once"],
+            made(vertex_ids=np.array([4, 4, 5]) if RANK == LAST else ids),
+        ),
+        (["static", "differs between ranks"], made(static=[0] if RANK == 0 else [])),
+        (["radius is given on some ranks"], made(radius=0.1 if RANK == 0 else None)),
+        (["rank 0: exclude_pairs is"], made(exclude_pairs={"edge_edge": [[0, 1]]})),
+    ):
+        everywhere(ValueError, parts, call)
+    wrong = face + (RANK == LAST)
+    everywhere(
+        ValueError,
+        [f"rank {LAST}: faces holds index 3"],
+        lambda: DistributedMesh(COMM, triangle, wrong, vertex_ids=ids),
+    )
+    descending = {"vertex_ids": np.array([0, 7, 9]), "bodies": np.array([1, 0, 0])}
+    everywhere(
+        ValueError,
+        ["bodies gives vertex id 0 body 1 and the next, 7, body 0"],
+        lambda: DistributedMesh(COMM, triangle, scenes.NO_FACES, **descending),
+    )
+    # and after all that the pipeline works
+    compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
+    print(f"rank {RANK} has seen the errors of the others", flush=True)
+
+
+def killed():
+    mesh, start, end = scenes.sheet_over_ball()
+    mesh = whole_mesh(mesh)
+    cut = Cut(COMM, mesh, np.arange(mesh.num_faces) % SIZE, np.random.default_rng(RANK))
+    pipeline = DistributedPipeline(cut.mesh)
+    for k in range(1_000_000):
+        if k == 3 and RANK == LAST:
+            os.kill(os.getpid(), signal.SIGKILL)
+        pipeline.collision_free_step(cut.local(start), cut.local(end))
+
+
+if __name__ == "__main__":
+    {"together": together, "killed": killed}[sys.argv[1]]()
