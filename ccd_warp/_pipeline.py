@@ -36,7 +36,7 @@ from ccd_warp._engine.line_search import (
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_count, check_flag, check_instance, shown
+from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
