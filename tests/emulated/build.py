@@ -120,8 +120,9 @@ def build(source: str, is_sanitized: bool = False) -> Path:
 
 
 def _run(command: list[str], folder: Path) -> None:
-    """Run the compiler in a folder."""
-    result = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    """Run the compiler in a folder; it takes twice as long with the sanitizer that the process itself has loaded."""
+    environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
     if result.returncode:
         raise RuntimeError(f"{' '.join(command)} failed in {folder}:\n{result.stderr[:4000]}")
 
