@@ -50,6 +50,9 @@ def with_radii(case: StepCase, precision: str) -> Outputs:
     for share in (1.0, 0.25, 1.5):
         pipeline.radius.assign(share * mesh.radius)
         found |= outputs_of(pipeline.launch(t0, t1), f"launch with {share} of the radii")
+        near, bounds = pipeline.launch_proximity(t0, 0.02), pipeline.launch_displacement_bounds(t0, 0.05)
+        found |= outputs_of(_rows(near.to_host()), f"launch_proximity with {share} of the radii")
+        found |= outputs_of(bounds.bounds, f"launch_displacement_bounds with {share} of the radii")
     # so few that candidates are searched for again, and culled where they are found; which of them find a place depends
     # on the order of threads
     pipeline.reserve(max_pairs=20)
