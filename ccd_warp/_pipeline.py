@@ -206,6 +206,8 @@ class CollisionPipeline:
     ) -> LaunchResult:
         """Allocate everything that :meth:`launch` needs: before the loop, and again after an overflow flag.
 
+        What :meth:`launch_proximity` and :meth:`launch_displacement_bounds` need is allocated by their first calls.
+
         Later launches no longer write to the previous result. A graph captured before still writes to it, as long as
         that result is kept alive: capture a new graph.
 
@@ -213,8 +215,8 @@ class CollisionPipeline:
             max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
                 the list of candidates, four for each pair, and 13 more that all kinds share. Default: unchanged;
                 initially one for each primitive, and at least 4,096.
-            max_contacts: Capacity for contacts, 80 bytes each. Default: unchanged; initially one for each vertex, and
-                at least 4,096.
+            max_contacts: Capacity for contacts, 80 bytes each, and for what :meth:`launch_proximity` lists, 64 bytes
+                each. Default: unchanged; initially one for each vertex, and at least 4,096.
             vertices: Positions that are typical of the loop, shape [V, 3]. The trees are laid out for them, and static
                 bodies stay there until a launch gives them other positions. Default: unchanged; initially those of the
                 mesh. An unsuitable layout costs time but never misses a collision.

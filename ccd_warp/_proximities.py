@@ -93,19 +93,19 @@ class Proximities:
 
     @lazy_property
     def weights(self) -> NDArray[np.float64]:
-        """Weights of the four ``vertices`` in the closest points, float64, shape [m, 4].
+        """Weights of the four ``vertices`` in the difference of the closest points, float64, shape [m, 4].
 
-        Those of each primitive add up to 1; a column that repeats a vertex has weight 0. With them a force on the two
-        points is shared among the vertices, and ``direction`` times these weights, negative for the second primitive,
-        is the derivative of ``distance`` by the positions.
+        Those of the first primitive add up to 1, those of the second to -1, and a column that repeats a vertex has
+        weight 0. ``direction`` times the weight of a vertex is the derivative of ``distance`` by its position, so a
+        force of magnitude f that pushes the two apart is f times that on each vertex.
         """
         u, v = self.parameters.T
         one, zero = np.ones(len(self)), np.zeros(len(self))
         by_kind = {
-            PairKind.VERTEX_FACE: (one, 1.0 - u - v, u, v),
-            PairKind.EDGE_EDGE: (1.0 - u, u, 1.0 - v, v),
-            PairKind.POINT_SEGMENT: (one, zero, 1.0 - u, u),
-            PairKind.POINT_POINT: (one, zero, one, zero),
+            PairKind.VERTEX_FACE: (one, u + v - 1.0, -u, -v),
+            PairKind.EDGE_EDGE: (1.0 - u, u, v - 1.0, -v),
+            PairKind.POINT_SEGMENT: (one, zero, u - 1.0, -u),
+            PairKind.POINT_POINT: (one, zero, -one, zero),
             PairKind.VERTEX_PLANE: (one, zero, zero, zero),
         }
         weights = np.empty((len(self), 4))
@@ -119,14 +119,14 @@ class Proximities:
         """The closest points of the first and the second primitive, a length, float64, shape [m, 2, 3] or [m, 2, 2]."""
         weights, x = self.weights[..., None], self.positions
         vertices = self.vertices
-        of_first = np.where((self.kind != int(PairKind.VERTEX_FACE))[:, None], weights[:, 1], 0.0)
+        of_first = np.maximum(weights[:, 1], 0.0)
         points = np.empty((len(self), 2, x.shape[1]))
         points[:, 0] = weights[:, 0] * x[vertices[:, 0]]
         between = x[vertices[:, 1]]
         points[:, 0] += of_first * between
-        points[:, 1] = (weights[:, 1] - of_first) * between
+        points[:, 1] = (of_first - weights[:, 1]) * between
         for column in (2, 3):
-            points[:, 1] += weights[:, column] * x[vertices[:, column]]
+            points[:, 1] -= weights[:, column] * x[vertices[:, column]]
         of_plane = self.kind == int(PairKind.VERTEX_PLANE)
         points[of_plane, 1] = points[of_plane, 0] - self.distance[of_plane, None] * self.direction[of_plane]
         return points

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scenes import soup
 
 import ccd_warp as ccd
 
@@ -71,6 +72,36 @@ def test_both_say_where_surfaces_intersect(small, is_touching, is_crossing):
     found = ccd.find_intersections(ccd.CollisionMesh.from_arrays([(x, FACES)]), x)
     assert ipctk.has_intersections(theirs, x) == (len(found) > 0) == is_touching
     assert found.is_crossing.any() == is_crossing
+
+
+def _spanned(proximities):
+    """The closest features of each pair, as two sets of vertices."""
+    features = []
+    for vertices, bits, kind in zip(proximities.vertices, proximities.features, proximities.kind, strict=True):
+        chosen = [int(v) if bits >> k & 1 else None for k, v in enumerate(vertices)]
+        cut = 1 if kind == ccd.PairKind.VERTEX_FACE else 2
+        features.append(frozenset(frozenset(side) - {None} for side in (chosen[:cut], chosen[cut:])))
+    return features
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_collision_set_holds_each_proximity_once_as_unique_does_and_bounds_are_half_the_safe_distances(seed):
+    x, faces = soup(np.random.default_rng(seed), 60, 0.1)
+    edges = ipctk.edges(faces).tolist()
+    theirs, ours = ipctk.CollisionMesh(x, np.array(edges), faces), ccd.CollisionMesh.from_arrays([(x, faces)])
+    collisions, candidates = ipctk.NormalCollisions(), ipctk.Candidates()
+    collisions.build(theirs, x, 0.05)
+    candidates.build(theirs, x, 0.025)
+    expected = [({c.vertex0_id}, {c.vertex1_id}) for c in collisions.vv_collisions]
+    expected += [({c.vertex_id}, edges[c.edge_id]) for c in collisions.ev_collisions]
+    expected += [({c.vertex_id}, faces[c.face_id].tolist()) for c in collisions.fv_collisions]
+    expected += [(edges[c.edge0_id], edges[c.edge1_id]) for c in collisions.ee_collisions]
+    near = ccd.find_proximity(ours, x, 0.05)
+    once = _spanned(near.unique())
+    assert {*once} == {frozenset(map(frozenset, sides)) for sides in expected} and len(once) == len(expected) > 50
+    assert near.distance.min() == pytest.approx(collisions.compute_minimum_distance(theirs, x) ** 0.5, rel=1e-9)
+    safe = candidates.compute_per_vertex_safe_distances(theirs, x, 0.05, 0.0)
+    assert ccd.displacement_bounds(ours, x, 0.05) == pytest.approx(0.5 * safe, abs=1e-15)
 
 
 def test_static_obstacles_are_left_out_alike():

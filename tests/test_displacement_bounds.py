@@ -98,13 +98,11 @@ def test_vertices_that_all_move_straight_at_what_is_nearest_leave_a_gap_and_fart
     found = ccd.find_proximity(mesh, x, 0.5)
     touched = 0
     for k in range(0, len(found), 5):
-        vertices, signs = found.vertices[k], np.where(found.weights[k] > 0, 1.0, 0.0)
-        is_first = [True, False, False, False] if found.kind[k] == 0 else [True, True, False, False]
         for share, kind in ((1.0 - 1e-9, "free"), (1.0 + 1e-9, "beyond")):
             end = x.copy()
-            for v, sign, side in zip(vertices, signs, is_first, strict=True):
-                if sign:
-                    end[v] = x[v] + (-1.0 if side else 1.0) * share * bounds[v] * found.direction[k]
+            for v, weight in zip(found.vertices[k], found.weights[k], strict=True):
+                if weight != 0:
+                    end[v] = x[v] - np.sign(weight) * share * bounds[v] * found.direction[k]
             free = stays_free(mesh, [x, end])
             assert free or kind == "beyond"
             touched += not free

@@ -125,7 +125,7 @@ def test_a_vertex_near_the_common_edge_of_two_faces_is_one_proximity_in_several_
     assert found.direction.tolist() == [[0, 0, 1]] * 2 + [[0, 0, -1]] * 2
     once = found.unique()
     assert rows_of(once) == [(KIND.VERTEX_FACE, 4, 0)]
-    assert once.points.tolist() == [[[1, 0, 0.25], [1, 0, 0]]] and once.weights.tolist() == [[1, 0.5, 0.5, 0]]
+    assert once.points.tolist() == [[[1, 0, 0.25], [1, 0, 0]]] and once.weights.tolist() == [[1, -0.5, -0.5, 0]]
     assert once.vertices.tolist() == [[4, 0, 1, 2]] and once.bodies.tolist() == [[1, 0]] and once.world.tolist() == [0]
 
 
@@ -153,10 +153,8 @@ def test_weights_and_direction_are_the_derivative_of_the_distance():
     x = mesh.vertices
     found = ccd.find_proximity(mesh, x, 0.1)
     found = found[found.distance > 0.01]
-    is_first = np.where(found.kind[:, None] == int(KIND.VERTEX_FACE), [1, 0, 0, 0], [1, 1, 0, 0])
     moves = np.random.default_rng(0).standard_normal(x.shape)
-    weights = np.where(is_first, 1.0, -1.0) * found.weights
-    slopes = np.einsum("mk,mkd,md->m", weights, moves[found.vertices], found.direction)
+    slopes = np.einsum("mk,mkd,md->m", found.weights, moves[found.vertices], found.direction)
     step = 1e-6
     row = {r: k for k, r in enumerate(rows_of(found))}
     moved = ccd.find_proximity(mesh, x + step * moves, 0.11)
