@@ -200,7 +200,7 @@ class LaunchResult:
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
         world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [4].
+            capacity, int64, shape [5].
     """
 
     toi: wp.array

@@ -23,8 +23,8 @@ def check_kinds(mesh: CollisionMesh, options: Options) -> None:
     for kind in options.kinds:
         if kind not in possible:
             raise InputError(
-                f"--pair-kinds holds {kind_name(kind)}, which these bodies cannot form, as they have no particles and "
-                f"no cables; expected some of {', '.join(map(kind_name, possible))}"
+                f"--pair-kinds holds {kind_name(kind)}, which these bodies cannot form, as they have no particles, "
+                f"cables or half-spaces; expected some of {', '.join(map(kind_name, possible))}"
             )
 
 
