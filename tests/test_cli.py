@@ -201,7 +201,7 @@ def test_every_format_says_where_the_first_contact_is_and_of_which_bodies(scene,
                 assert 0 <= row["primitives_in_body"][side] < size
         first_vertex = mesh.body_vertex_range[mesh.vertex_body[row["vertices"]]]
         assert np.array_equal(row["vertices_in_body"] + first_vertex, row["vertices"])
-    kinds = {"vertex_face": 0, "edge_edge": 1, "point_segment": 2, "point_point": 3}
+    kinds = {"vertex_face": 0, "edge_edge": 1, "point_segment": 2, "point_point": 3, "vertex_plane": 4}
     options = json.loads(str(arrays["options"]))
     assert data["version"] == str(arrays["version"]) == ccd.__version__
     assert data["options"] == options and options["minimum_separation"] == 0.0 and options["length_scale"] > 0

@@ -585,3 +585,30 @@ def test_command_names_a_missing_opengl(files, capfd, monkeypatch):
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
     assert _run(files, files / "step.png") == 2
     assert capfd.readouterr().err == "ccd-warp: error: --picture: found no OpenGL to draw with\n"
+
+
+def test_half_spaces_are_squares_in_their_planes_that_reach_beyond_the_step(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    planes = [ccd.HalfSpace([7, 0, 0], [0.1, 0, 2]), ccd.HalfSpace([0, 0, -50], [0, 0, 1])]
+    mesh = ccd.CollisionMesh.from_trimesh([ball, *planes], names=["ball", "ground", "far below"])
+    start = ball.vertices + [7, 0, 2]
+    result = ccd.mesh_ccd(mesh, start, start - [0, 0, 3])
+    scene = make_scene(mesh, start, start - [0, 0, 3], result)
+    assert scene.squares.shape == (1, 4, 3)  # the one far below is not in the picture
+    blocks = viz.to_pyvista(mesh, start, start - [0, 0, 3], result)
+    corners = np.asarray(blocks["ground"].points)
+    np.testing.assert_allclose((corners - [7, 0, 0]) @ [0.1, 0, 2], 0, atol=1e-5)
+    assert blocks["ground"].n_cells == 1 and np.ptp(corners[:, 0]) > 4 and blocks["ball"].n_cells == len(ball.faces)
+    assert (np.asarray(blocks["contacts"].point_data["bodies"]) == [0, 1]).all()
+
+
+@requires_drawing
+def test_a_half_space_is_seen_in_the_picture(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    start = ball.vertices + [0, 0, 1.5]
+    darkness = {}
+    for name, bodies in (("ground", [ball, ccd.HalfSpace([0, 0, 0], [0, 0, 1])]), ("nothing", [ball])):
+        mesh = ccd.CollisionMesh.from_trimesh(bodies)
+        panels = _draw(tmp_path, mesh, start, start - [0, 0, 1.2])
+        darkness[name] = (panels[0] < 250).any(axis=2).mean()
+    assert darkness["ground"] > 2 * darkness["nothing"]

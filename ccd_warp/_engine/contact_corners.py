@@ -26,6 +26,14 @@ def contact_vertices(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int3
     return vertices
 
 
+def contact_bodies(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
+    """Bodies of the first and the second primitive of each contact, shape [m, 2]."""
+    bodies: NDArray[np.int32] = mesh.vertex_body[contact_vertices(mesh, contacts)[:, [0, 3]]]
+    is_plane = contacts.kind == int(PairKind.VERTEX_PLANE)
+    bodies[is_plane, 1] = mesh.planes.bodies[contacts.primitives[is_plane, 1]]
+    return bodies
+
+
 def contact_corners(
     mesh: CollisionMesh, kind: PairKind, primitives: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

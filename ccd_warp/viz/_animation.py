@@ -122,6 +122,7 @@ def _scene(
         first_contact=0 if len(contacts) else -1,
         first_body_size=0.0,
         names=mesh.names,
+        squares=np.zeros((0, 4, 3)),
     )
 
 

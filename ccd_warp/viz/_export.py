@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import points_at_toi
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._engine.contact_corners import contact_bodies
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import HostLaunchResult, MeshResult
-from ccd_warp.viz._scene import check_result
+from ccd_warp.viz._scene import check_result, plane_squares
 from ccd_warp.viz._window import import_pyvista
 
 
@@ -29,8 +29,9 @@ def to_pyvista(
     A body has its faces, its codimensional edges as lines and its codimensional points as vertices. Its points have the
     data ``vertex`` (index in the mesh), ``displacement`` (from t = 0 to t = 1) and, with a result, ``toi`` (inf if
     none); its cells have ``primitive`` (index of the vertex, edge or face in the mesh). Its field data hold ``static``,
-    1 for a body that does not move. The last block, ``contacts``, holds the points of the contacts at their toi with
-    ``toi``, ``normal``, ``gap``, ``kind``, ``status`` and ``bodies``.
+    1 for a body that does not move. A half-space is a square of its plane, larger than the step. The last block,
+    ``contacts``, holds the points of the contacts at their toi with ``toi``, ``normal``, ``gap``, ``kind``, ``status``
+    and ``bodies``.
 
     Args:
         mesh: The mesh of the step.
@@ -56,6 +57,7 @@ def to_pyvista(
     pyvista = import_pyvista()
     positions = (1.0 - t) * start + t * end
     blocks = pyvista.MultiBlock()
+    squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, start, end), strict=True))
     for body, name in enumerate(mesh.names):
         first, last = mesh.body_vertex_range[body : body + 2].tolist()
         chosen = _primitives(mesh, body)
@@ -67,6 +69,8 @@ def to_pyvista(
             shape.point_data["displacement"] = end[first:last] - start[first:last]
             if result is not None:
                 shape.point_data["toi"] = result.vertex_toi[first:last].copy()
+        if body in squares:
+            shape = pyvista.PolyData(squares[body], faces=[4, 0, 1, 2, 3])
         if cells:
             shape.cell_data["primitive"] = np.concatenate([ids for ids, _ in chosen.values()])
         shape.field_data["static"] = np.array([int(mesh.static[body])])
@@ -79,7 +83,7 @@ def to_pyvista(
             shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
             for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()
-            shape.point_data["bodies"] = mesh.vertex_body[contact_vertices(mesh, contacts)[:, [0, 3]]]
+            shape.point_data["bodies"] = contact_bodies(mesh, contacts)
         blocks.append(shape, "contacts")
     return blocks
 

@@ -19,6 +19,7 @@ _READABLE_EDGE, _COARSE_EDGE = 10, 60
 _EDGE_WIDTH, _TRAIL_WIDTH, _CABLE_WIDTH, _PARTICLE_SIZE = 1, 1.5, 4, 8
 _TITLE_SIZE, LABEL_SIZE = 17, 13
 _LEGEND_LEFT, _LEGEND_BELOW, _LEGEND_LINE = 10, 8, 17
+_PLANE_OPACITY = 0.4
 _SHARP = 35.0  # degrees between two faces that are not shaded as one surface
 # Lights in the viewer's coordinates, with the viewer at (0, 0, 1), and their intensity.
 _LIGHTS = (((-0.7, 1.0, 1.5), 0.6), ((1.0, -0.1, 1.0), 0.3))
@@ -108,6 +109,13 @@ class Panel:
             particles = pyvista.PolyData(positions[scene.points])
             style = {"point_size": _PARTICLE_SIZE * self.zoom, "render_points_as_spheres": True}
             self._add("particles", particles, colours[scene.points], **light, **style)
+
+        if len(scene.squares):
+            corners = scene.squares.reshape(-1, 3)
+            planes = pyvista.PolyData(corners, faces=np.insert(np.arange(len(corners)).reshape(-1, 4), 0, 4, axis=1))
+            colours = np.tile(scene.plane_colour, (len(corners), 1))
+            style = {"opacity": _PLANE_OPACITY, "show_edges": True, "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
+            self._add("half-spaces", planes, colours, lighting=False, **style)
 
     def _add(self, name: str, shape: Any, colours: NDArray[np.uint8], **style: Any) -> None:
         """Add a shape with colours of its points or cells."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._contact_place import points_at_toi
 from ccd_warp._display import listed, shortened
 from ccd_warp._engine.contact_corners import contact_corners
+from ccd_warp._engine.planes import unit_normals
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
@@ -23,6 +24,8 @@ _SAME_TOI = 1e-6
 _PALE = 0.72
 # Moving bodies that the legend names.
 _MOST_NAMED = 3
+# Half the side of the squares that show half-spaces, in halves of the longest side of the scene.
+_SQUARE = 1.25
 # Trails of more bodies than this hide the scene.
 _MOST_TRAILS = 50
 
@@ -47,6 +50,7 @@ class StepScene:
         first_contact: Index of the earliest contact, -1 without one.
         first_body_size: Longest side of the smaller body of that contact, 0 without one.
         names: Name of each body.
+        squares: Corners of squares in the planes of those half-spaces that the box reaches, shape [H, 4, 3].
     """
 
     start: NDArray[np.float64]
@@ -64,6 +68,7 @@ class StepScene:
     first_contact: int
     first_body_size: float
     names: tuple[str, ...]
+    squares: NDArray[np.float64]
 
     def positions(self, t: float) -> NDArray[np.float64]:
         """Positions at a time, shape [V, 3]."""
@@ -76,6 +81,11 @@ class StepScene:
         of_body = palette[(np.cumsum(~self.static) - 1) % len(palette)]
         of_body[self.static] = _rgb(STATIC_COLOUR)
         return of_body[self.vertex_body]
+
+    @property
+    def plane_colour(self) -> NDArray[np.uint8]:
+        """Red, green and blue of half-spaces, which are static."""
+        return _rgb(STATIC_COLOUR)
 
     @cached_property
     def pale_colours(self) -> NDArray[np.uint8]:
@@ -164,7 +174,32 @@ def make_scene(
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
         names=mesh.names,
+        squares=_near_squares((plane_squares(mesh, start, end) - centre) / unit),
     )
+
+
+def plane_squares(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a square in the plane of each half-space, below the middle of a step and larger than it, [H, 4, 3]."""
+    if len(mesh.planes) == 0:
+        return np.zeros((0, 4, 3))
+    lower = np.minimum(start.min(axis=0), end.min(axis=0))
+    upper = np.maximum(start.max(axis=0), end.max(axis=0))
+    half_sides = 0.5 * upper - 0.5 * lower
+    centre, size = lower + half_sides, _SQUARE * (float(half_sides.max()) or 1.0)
+    squares = []
+    points, normals = mesh._in_space(mesh.planes.points), mesh._in_space(unit_normals(mesh.planes.normals))
+    for point, normal in zip(points, normals, strict=True):
+        below = centre - (centre - point) @ normal * normal
+        across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        across /= np.linalg.norm(across)
+        along = np.cross(normal, across)
+        squares.append(below + size * np.array([across + along, along - across, -across - along, across - along]))
+    return np.array(squares)
+
+
+def _near_squares(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The squares whose middle is not far from the box of the picture; a plane far below would not be seen."""
+    return squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE]
 
 
 def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
