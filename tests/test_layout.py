@@ -11,7 +11,7 @@ PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
 
 # Modules in the longest chain of imports below those that only name what is public, and run it.
 MOST_LEVELS = 10
-SURFACE = ("ccd_warp", "ccd_warp.__main__")
+SURFACE = ("ccd_warp", "ccd_warp.__main__", "ccd_warp.distributed")
 
 
 def module_files() -> dict[str, Path]:

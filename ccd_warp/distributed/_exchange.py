@@ -80,8 +80,8 @@ class Exchange:
     def _of(self, is_forward: bool, width: int) -> "_Requests":
         key = (is_forward, width)
         if key not in self._requests:
-            lists = (self.sources, self.targets) if is_forward else (self.targets, self.sources)
-            self._requests[key] = _Requests(self._ranks, *([len(rows) for rows in rows_of] for rows_of in lists), width)
+            out, into = (self.sources, self.targets) if is_forward else (self.targets, self.sources)
+            self._requests[key] = _Requests(self._ranks, list(map(len, out)), list(map(len, into)), width)
         return self._requests[key]
 
 

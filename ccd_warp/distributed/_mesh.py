@@ -127,9 +127,8 @@ class DistributedMesh:
             self._number_primitives()
             self._measure()
             self._choose_samples()
-            self.rings = Rings.of(
-                ranks, self._first_numbers, self.primitives["edge"], self.numbers, self.exclusion_rings, self._excluded
-            )
+            edges = self.numbers[self.primitives["edge"].corners]
+            self.rings = Rings.of(ranks, self._first_numbers, edges, self.numbers, self.exclusion_rings, self._excluded)
 
     def __repr__(self) -> str:
         sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"

@@ -29,7 +29,7 @@ from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part import AcrossRanks, PartStep
+from ccd_warp.distributed._part_step import AcrossRanks, PartStep
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,

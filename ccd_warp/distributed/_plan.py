@@ -1,5 +1,6 @@
 """What a plan says of boxes: where they may be while it is kept, and to which ranks primitives go. Without MPI."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,7 +137,7 @@ def places(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def destinations(
-    regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.float64], corners: dict[str, NDArray[np.integer]]
+    regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.float64], corners: Mapping[str, NDArray[np.int64]]
 ) -> dict[str, list[NDArray[np.intp]]]:
     """For each kind of primitive and each region the primitives whose boxes meet it, given the boxes of vertices.
 

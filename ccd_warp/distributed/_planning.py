@@ -123,8 +123,10 @@ def make_plan(
 
 def _is_in(points: NDArray[np.float64], region: tuple[NDArray[np.float64], NDArray[np.float64]]) -> NDArray[np.bool_]:
     """Which of the points lie in a region, closed below and open above."""
-    lower, upper = (corner[:, None] for corner in region)
-    return ((points >= lower) & (points < upper)).all(axis=0)
+    result = np.ones(points.shape[1], dtype=bool)
+    for values, low, high in zip(points, *region, strict=True):
+        result &= (values >= low) & (values < high)
+    return result
 
 
 def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float) -> Bounds:

@@ -81,7 +81,7 @@ class Ranks:
             text = pickle.dumps((kind.__name__, f"rank {rank}: {name}{error}"))
         name, message = pickle.loads(self.comm.bcast(text, root=rank))
         agreed = {kind.__name__: kind for kind in _KEPT}[name](message)
-        agreed._is_agreed = True
+        vars(agreed)["_is_agreed"] = True
         if rank == self.rank:
             raise agreed from error
         raise agreed

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed._ranks import Ranks
-
-if TYPE_CHECKING:
-    from ccd_warp.distributed._mesh import Primitives
 
 _MOST_VERTICES = 1 << 27
 
@@ -34,7 +30,7 @@ class Rings:
     def of(
         ranks: Ranks,
         first_numbers: NDArray[np.int64],
-        edges: Primitives,
+        edges: NDArray[np.int64],
         numbers: NDArray[np.int64],
         num_rings: int,
         excluded: NDArray[np.int64],
@@ -44,7 +40,7 @@ class Rings:
         Args:
             ranks: The ranks.
             first_numbers: First number of each home but the first.
-            edges: Edges for which this rank speaks.
+            edges: Numbers of the vertices of the edges for which this rank speaks, shape [n, 2].
             numbers: Number of each of its vertices.
             num_rings: ``exclusion_rings``.
             excluded: Further pairs of numbers, the same on all ranks.
@@ -55,8 +51,7 @@ class Rings:
         own = np.unique(numbers)
         near = np.zeros((0, 2), dtype=np.int64)
         if num_rings > 1:
-            corners = numbers[edges.corners]
-            neighbours = Rings(ranks, first_numbers, rings._sent_home(np.concatenate([corners, corners[:, ::-1]])))
+            neighbours = Rings(ranks, first_numbers, rings._sent_home(np.concatenate([edges, edges[:, ::-1]])))
             near = rings._sent_home(np.stack([own, own], axis=1))
             fresh = near
             for _ in range(num_rings - 1):

@@ -1,0 +1,110 @@
+"""A step on one rank, which shares with the others what one process knows of all pairs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.body_boxes import bodies_near_boxes
+from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.line_search import OneProcess
+from ccd_warp._status import PairKind
+from ccd_warp.distributed._part import TogetherIn
+from ccd_warp.distributed._ranks import Ranks
+from ccd_warp.kernels.minima import FOUND
+
+
+class PartStep(Step):
+    """A step on one rank, which shares with the others what one process knows of all pairs."""
+
+    def __init__(self, together: TogetherIn, *arguments: Any, **options: Any) -> None:
+        """Begin a step; the other arguments are those of `Step`."""
+        super().__init__(*arguments, **options)
+        self.together = together
+        self.ranks: Ranks = together.ranks
+
+    def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
+        """Compute the boxes, in the quantized coordinates of the whole mesh."""
+        with self.timed("reductions"):
+            self.together.collect_samples(self.positions)
+        return super().begin(goal, t_end, inflation)
+
+    def _bodies_near(self) -> NDArray[np.bool_] | None:
+        if not self.topology.may_have_inactive_bodies:
+            return None
+        lower, upper = self.together.body_boxes(self.positions)
+        filled = np.flatnonzero((lower <= upper).all(axis=1))
+        radius = self.together.whole.body_radius
+        of_filled = None if radius is None else radius[filled]
+        boxes = lower[filled], upper[filled]
+        near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)
+        self._num_active_bodies = int((near | self.mesh.static).sum())
+        return near
+
+    @property
+    def num_vertices_in_all(self) -> int:
+        """Number of vertices of the whole mesh."""
+        return self.together.whole.num_vertices
+
+    def least_of_all(self, toi: float) -> float:
+        """The least toi of all ranks."""
+        with self.timed("reductions"):
+            return self.ranks.agree(toi)[0]
+
+    def open_in_all(self, num_open: dict[PairKind, int]) -> dict[PairKind, int]:
+        """How many pairs of each kind are open on all ranks."""
+        mine = np.array([num_open.get(kind, 0) for kind in PairKind], dtype=np.int64)
+        with self.timed("reductions"):
+            return dict(zip(PairKind, self.ranks.total(mine).tolist(), strict=True))
+
+    def share_work(self, plan: HostPlan) -> bool:
+        """Let the open pairs of a batch share the work with those of the other ranks."""
+        own = plan.num_open()
+        of_all = self.open_in_all(own)
+        plan.set_number_open({kind: of_all[kind] for kind in own})
+        return True
+
+    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
+        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
+
+        Which candidates there were is not known any more, and pairs neither if they came in parts.
+        """
+        count = self.mesh.num_vertices
+        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
+        if self.plan.num_batches != 1:
+            return result
+        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
+            if found == 0:
+                continue
+            keys = self.plan.found_keys(PairKind(kind), found).numpy()
+            first = np.where(keys < 0, ~keys, keys) >> 32
+            vertices = self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
+            result += of_pair * np.bincount(vertices, minlength=count)
+        return result
+
+
+class AcrossRanks(OneProcess):
+    """What a line search asks of all ranks, about the vertices of a part, copies of which are on several."""
+
+    def __init__(self, together: TogetherIn) -> None:
+        self._ranks, self._part = together.ranks, together.part
+        self._num_rows = len(together.whole.vertex_ids)
+
+    def all(self, flag: bool) -> bool:
+        """Whether a flag is set on all ranks."""
+        return self._ranks.agree(float(flag))[0] > 0.0
+
+    def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The least of each number over all ranks."""
+        return self._ranks.least(values)
+
+    def least_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The least value of each vertex over all ranks that have a copy."""
+        owned = np.full(self._num_rows, np.inf)
+        self._part.everything.back(values, owned, np.minimum)
+        result = np.empty_like(values)
+        self._part.everything.forward([(owned, result)])
+        return result
