@@ -125,8 +125,8 @@ def _intersections(mesh, start, end, **options):
 
 
 def _proximities(mesh, start, end, **options):
-    found = ccd.find_proximity(mesh, end, 0.05, **options)
-    bounds = ccd.displacement_bounds(mesh, end, 0.05, **options)
+    found = ccd.find_proximity(mesh, end, 0.001, **options)
+    bounds = ccd.displacement_bounds(mesh, end, 0.001, **options)
     return [found.kind, found.primitives, found.parameters, found.distance, bounds]
 
 
