@@ -507,3 +507,47 @@ def test_exit_status_of_the_process(tmp_path):
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+def test_a_ground_is_a_half_space_of_the_command_line(scene, capfd):
+    """It is named in the report and in every file of results, and no radius for all bodies is one for it."""
+    options = (
+        "--half-space",
+        "ground=0,0,0,0,0,2",
+        "--half-space=-9,0,0,1,0,0",
+        "--radius",
+        "0.25",
+        "--no-self-collision",
+    )
+    for suffix in ("json", "npz", "csv"):
+        assert _run(scene, *options, "--output", scene / f"result.{suffix}", *(["--quiet"] * (suffix != "csv"))) == 0
+    out = [" ".join(line.split()) for line in capfd.readouterr().out.splitlines()]
+    data = json.loads((scene / "result.json").read_text(encoding="utf-8"))
+    names = [body["name"] for body in data["bodies"]]
+    assert names == ["start.ply", "ground", "half-space"] or names[1:] == ["ground", "half-space"]
+    assert data["bodies"][1]["half_space"] == {"point": [0, 0, 0], "normal": [0, 0, 2]}
+    assert data["toi"] == pytest.approx(0.25, rel=1e-13)  # its centre comes down from 2 to 0.75
+    assert data["contacts"][0]["kind"] == "vertex_plane" and data["contacts"][0]["bodies"][1] == "ground"
+    assert any(line.startswith("first contact vertex ") and line.endswith(" and ground") for line in out)
+    with np.load(scene / "result.npz") as arrays:
+        assert arrays["plane_normal"].tolist() == [[0, 0, 2], [1, 0, 0]] and arrays["plane_body"].tolist() == [1, 2]
+        assert (arrays["contact_bodies"][:, 1] == 1).all() and arrays["contact_primitives_in_body"][:, 1].max() == 0
+    with (scene / "result.csv").open(newline="", encoding="utf-8") as file:
+        assert {row["kind"] for row in csv.DictReader(file)} == {"vertex_plane"}
+    frames = (scene / "start.ply", scene / "end.ply")
+    assert main(["sequence", *map(str, frames), *options, "--output", "-", "--quiet"]) == 0
+    (row,) = csv.DictReader(capfd.readouterr().out.splitlines())
+    assert int(row["vertex_plane"]) == int(row["contacts"]) == data["counts"]["num_contacts"]["vertex_plane"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
+        ("floor=0,0,0,a,b,c", "--half-space floor=0,0,0,a,b,c: expected X,Y,Z,NX,NY,NZ"),
+        ("floor=0,0,0,0,0,0", "normal of body 1 (floor) is [0.0, 0.0, 0.0]; expected a direction"),
+    ],
+)
+def test_half_spaces_that_are_none_are_refused(scene, capfd, given, message):
+    frames = (scene / "start.ply", scene / "end.ply")
+    assert message in _refused(capfd, "run", *frames, "--half-space", given)

@@ -73,6 +73,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         help="an obstacle that does not move; may be given several times",
     )
     parser.add_argument(
+        "--half-space",
+        metavar="[NAME=]X,Y,Z,NX,NY,NZ",
+        action="append",
+        default=[],
+        help="a half-space that does not move, as a ground, by a point of its plane and the normal that points out of "
+        "it; may be given several times",
+    )
+    parser.add_argument(
         "--radius",
         metavar="[NAME=]R",
         action="append",

@@ -11,7 +11,7 @@ import numpy as np
 
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._files.frames import InputError
+from ccd_warp._files.frames import Body, InputError
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts
@@ -144,6 +144,9 @@ def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
     }
     if mesh.radius is not None:
         arrays["radius"] = mesh.radius
+    if len(mesh.planes):
+        arrays |= {f"plane_{name}": getattr(mesh.planes, f"{name}s") for name in ("point", "normal")}
+        arrays["plane_body"] = mesh.planes.bodies
     with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
         np.savez_compressed(file, **arrays)
 
@@ -191,6 +194,7 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
                 "vertices": len(body.vertices_t0),
                 "faces": len(body.faces),
                 **_radius_of(mesh, k),
+                **_half_space_of(body),
                 "toi": finite_or_none(result.body_toi[k]),
             }
             for k, (name, body) in enumerate(zip(mesh.names, step.bodies, strict=True))
@@ -205,6 +209,12 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
         "contacts": [row | {"gap": finite_or_none(row["gap"])} for row in contact_rows(table)],
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _half_space_of(body: Body) -> dict[str, Any]:
+    """The point and the normal of a half-space; nothing of other bodies."""
+    half_space = body.half_space
+    return {} if half_space is None else {"half_space": {"point": half_space.point, "normal": half_space.normal}}
 
 
 def _radius_of(mesh: CollisionMesh, body: int) -> dict[str, float]:

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.output import STDOUT, check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
@@ -30,11 +31,16 @@ def run_step(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     files = [read_frames(arguments.start, arguments.end, max_bytes=arguments.max_bytes)]
     files += [read_static(path, max_bytes=arguments.max_bytes) for path in arguments.static]
-    bodies = [body for file in files for body in file.split()]
+    bodies = [body for file in files for body in file.split()] + half_space_bodies(arguments.half_space)
     timings = {"read files": time.perf_counter() - begin}
 
     options = given_options(arguments)
-    timings["load kernels"] = load_kernels(options, is_quiet=arguments.quiet, has_radius=bool(arguments.radius))
+    timings["load kernels"] = load_kernels(
+        options,
+        is_quiet=arguments.quiet,
+        has_radius=bool(arguments.radius),
+        has_half_space=bool(arguments.half_space),
+    )
     self_collision = not arguments.no_self_collision
     step = solve_scene(
         bodies, options, self_collision=self_collision, is_quiet=arguments.quiet, radius=arguments.radius

@@ -11,6 +11,7 @@ import warp as wp
 from ccd_warp._cli.animation import draw_animation
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.frame_sequence import FrameSequence
+from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
 from ccd_warp._cli.process import INTERRUPTED, say, start_quietly, warn
@@ -47,7 +48,12 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     if folder is not None:
         make_folder(folder, "--output")
         journal = _journal(folder, arguments, sequence, options)
-    load_kernels(given, is_quiet=arguments.quiet, has_radius=bool(arguments.radius))
+    load_kernels(
+        given,
+        is_quiet=arguments.quiet,
+        has_radius=bool(arguments.radius),
+        has_half_space=bool(arguments.half_space),
+    )
 
     report = sys.stderr if folder is None else sys.stdout
     records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
@@ -97,6 +103,7 @@ def _open(arguments: argparse.Namespace) -> FrameSequence:
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
     series = find_series(arguments.frames, max_bytes=limit, displacement=arguments.displacement, faces=arguments.faces)
     static = [body for path in arguments.static for body in read_static(path, max_bytes=limit).split()]
+    static += half_space_bodies(arguments.half_space)
     return FrameSequence(series, static, self_collision=not arguments.no_self_collision, radius=arguments.radius)
 
 
@@ -112,6 +119,7 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         "options": plain_options(options),
         "self_collision": sequence.self_collision,
         **({"radius": list(sequence.radius)} if sequence.radius else {}),
+        **({"half_spaces": arguments.half_space} if arguments.half_space else {}),
         "displacement": arguments.displacement,
         "columns": COLUMNS,
         "labels": [each.labels for each in sequence.series],

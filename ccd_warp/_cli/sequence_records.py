@@ -16,7 +16,7 @@ from ccd_warp._status import PairKind
 
 # Points of contacts that are kept for pictures, the earliest ones.
 _MOST_POINTS = 200
-_KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE)
+_KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE, PairKind.VERTEX_PLANE)
 
 COLUMNS = (
     *(

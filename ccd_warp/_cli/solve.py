@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
+from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.process import notice, warnings_on_stderr
 from ccd_warp._cli.progress import ProgressLine
 from ccd_warp._cli.radii import radii_of
@@ -50,11 +51,11 @@ def make_mesh(bodies: Sequence[Body], *, self_collision: bool, radius: Sequence[
     """The bodies as one mesh, with the radii of the command line."""
     names = distinct_names([body.name for body in bodies])
     return CollisionMesh.from_arrays(
-        [(body.vertices_t0, body.faces) for body in bodies],
+        [body.half_space or (body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
         names=names,
-        radius=radii_of(radius, names),
+        radius=radii_of(radius, names, [body.half_space is not None for body in bodies]),
     )
 
 
@@ -116,7 +117,9 @@ def solve_scene(
     return replace(step, timings={"build mesh": build_seconds, **step.timings})
 
 
-def load_kernels(given: dict[str, Any], *, is_quiet: bool, has_radius: bool = False) -> float:
+def load_kernels(
+    given: dict[str, Any], *, is_quiet: bool, has_radius: bool = False, has_half_space: bool = False
+) -> float:
     """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
     begin = time.perf_counter()
     triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -126,6 +129,7 @@ def load_kernels(given: dict[str, Any], *, is_quiet: bool, has_radius: bool = Fa
         make_body("moving", above, below, [[0, 1, 2]]),
         make_body("resting", triangle, None, [[0, 1, 2]], is_static=True),
     ]
+    bodies += half_space_bodies(["0,0,0,0,0,1"]) if has_half_space else []
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
     with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
         radius = ["0.1"] if has_radius else []

@@ -8,6 +8,7 @@ import numpy as np
 
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.mesh import Mesh, read_mesh
+from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_count
 from ccd_warp._input.messages import InputError
 
@@ -32,6 +33,7 @@ class Body:
         names: Names of the objects, groups and nodes in the file.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
         num_copies: Number of vertices that were merged into each, shape [n]; None where none were.
+        half_space: The half-space that it is in place of a mesh; None of a file.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Body:
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
     num_copies: np.ndarray | None = None
+    half_space: HalfSpace | None = None
 
     def split(self) -> list["Body"]:
         """The objects, groups and nodes of the file as bodies of their own, called by their names.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp.viz._camera import Camera, automatic_direction, make_camera
 from ccd_warp.viz._file import reduced
-from ccd_warp.viz._scene import StepScene, points_of_no_primitive
+from ccd_warp.viz._scene import StepScene, near_squares, plane_squares, points_of_no_primitive
 from ccd_warp.viz._window import drawing_without_display
 
 ANIMATION_SUFFIXES = (".gif", ".mp4")
@@ -122,7 +122,7 @@ def _scene(
         first_contact=0 if len(contacts) else -1,
         first_body_size=0.0,
         names=mesh.names,
-        squares=np.zeros((0, 4, 3)),
+        squares=near_squares((plane_squares(mesh, view.centre, view.unit) - view.centre) / view.unit),
     )
 
 

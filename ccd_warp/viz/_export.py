@@ -12,7 +12,7 @@ from ccd_warp._engine.contact_corners import contact_bodies
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import HostLaunchResult, MeshResult
-from ccd_warp.viz._scene import check_result, plane_squares
+from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista
 
 
@@ -57,7 +57,9 @@ def to_pyvista(
     pyvista = import_pyvista()
     positions = (1.0 - t) * start + t * end
     blocks = pyvista.MultiBlock()
-    squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, start, end), strict=True))
+    squares = {}
+    if len(mesh.planes):
+        squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, *middle_of(start, end)), strict=True))
     for body, name in enumerate(mesh.names):
         first, last = mesh.body_vertex_range[body : body + 2].tolist()
         chosen = _primitives(mesh, body)

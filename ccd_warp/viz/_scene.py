@@ -151,10 +151,7 @@ def make_scene(
         raise ValueError("mesh has no vertices; expected something to draw")
     if np.shape(result.vertex_toi) != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
-    lower = np.minimum(start.min(axis=0), end.min(axis=0))
-    upper = np.maximum(start.max(axis=0), end.max(axis=0))
-    half_sides = 0.5 * upper - 0.5 * lower  # also for the largest coordinates, whose difference overflows
-    centre, unit = lower + half_sides, float(half_sides.max()) or 1.0
+    centre, unit = middle_of(start, end)
     contacts = result.contacts
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
@@ -174,18 +171,15 @@ def make_scene(
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
         names=mesh.names,
-        squares=_near_squares((plane_squares(mesh, start, end) - centre) / unit),
+        squares=near_squares((plane_squares(mesh, centre, unit) - centre) / unit),
     )
 
 
-def plane_squares(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of a square in the plane of each half-space, below the middle of a step and larger than it, [H, 4, 3]."""
-    if len(mesh.planes) == 0:
-        return np.zeros((0, 4, 3))
-    lower = np.minimum(start.min(axis=0), end.min(axis=0))
-    upper = np.maximum(start.max(axis=0), end.max(axis=0))
-    half_sides = 0.5 * upper - 0.5 * lower
-    centre, size = lower + half_sides, _SQUARE * (float(half_sides.max()) or 1.0)
+def plane_squares(mesh: CollisionMesh, centre: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
+    """Corners of a square in the plane of each half-space, shape [H, 4, 3].
+
+    They are below the middle of a box, half of whose longest side is ``unit``, and larger than it.
+    """
     squares = []
     points, normals = mesh._in_space(mesh.planes.points), mesh._in_space(unit_normals(mesh.planes.normals))
     for point, normal in zip(points, normals, strict=True):
@@ -193,11 +187,20 @@ def plane_squares(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[
         across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
         across /= np.linalg.norm(across)
         along = np.cross(normal, across)
-        squares.append(below + size * np.array([across + along, along - across, -across - along, across - along]))
-    return np.array(squares)
+        corners = np.array([across + along, along - across, -across - along, across - along])
+        squares.append(below + _SQUARE * unit * corners)
+    return np.array(squares).reshape(-1, 4, 3)
 
 
-def _near_squares(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+def middle_of(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Middle of the box around a step, and half its longest side, 1 if it has none."""
+    lower = np.minimum(start.min(axis=0), end.min(axis=0))
+    upper = np.maximum(start.max(axis=0), end.max(axis=0))
+    half_sides = 0.5 * upper - 0.5 * lower  # also for the largest coordinates, whose difference overflows
+    return lower + half_sides, float(half_sides.max()) or 1.0
+
+
+def near_squares(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     """The squares whose middle is not far from the box of the picture; a plane far below would not be seen."""
     return squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE]
 
