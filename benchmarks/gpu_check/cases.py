@@ -117,7 +117,7 @@ def candidates(step: Step, inflation: float, options: dict[str, Any], device: st
     """The candidates of a step, in order."""
     frames = (step.start, step.end)
     found = ccd.find_candidates(step.mesh, *frames, inflation=inflation, device=device, **options).sorted()
-    kinds = ("vertex_face", "edge_edge", "point_segment", "point_point")
+    kinds = ("vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane")
     return {kind: np.asarray(getattr(found, kind)) for kind in kinds if getattr(found, kind, None) is not None}
 
 

@@ -31,13 +31,15 @@ class Step:
         return Step(name, self.mesh, self.start, self.end)
 
 
-def sheet_over_ball(rows: int, *, static: bool = True, **options: Any) -> Step:
-    """A wavy sheet that falls through a ball, which turns a little if it is not static."""
+def sheet_over_ball(
+    rows: int, *, static: bool = True, half_spaces: tuple[ccd.HalfSpace, ...] = (), **options: Any
+) -> Step:
+    """A wavy sheet that falls through a ball, which turns a little if it is not static, and half-spaces."""
     sheet, faces = grid(rows, rows, 1.0, 1.0)
     sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
     ball = trimesh.creation.icosphere(subdivisions=1 if rows < 10 else 2, radius=0.3)
     bodies = [(sheet, faces), (np.asarray(ball.vertices), ball.faces)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if static else [], **options)
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, *half_spaces], static=[1] if static else [], **options)
     start = np.concatenate([sheet + [0.013, 0.007, 0.4], ball.vertices])
     end = start.copy()
     end[: len(sheet), 2] -= 0.35
@@ -63,8 +65,8 @@ def crowd(num_faces: int, **options: Any) -> Step:
 
 
 def worlds(count: int) -> Step:
-    """Copies of a sheet over a static ball in worlds of their own; each moves a little differently."""
-    one = sheet_over_ball(5)
+    """Copies of a sheet over a static ball in worlds of their own, with a ground; each moves a little differently."""
+    one = sheet_over_ball(5, half_spaces=(ccd.HalfSpace([0, 0, 0.15], [0.1, 0, 2]),))
     start = np.tile(one.start, (count, 1))
     move = np.tile(one.end - one.start, (count, 1))
     move *= np.repeat(np.linspace(0.2, 1.2, count), len(one.start))[:, None]
