@@ -164,7 +164,10 @@ def validated_rings(value: int) -> int:
 
 
 def validated_radius(
-    values: ArrayLike | None, first_vertices: Sequence[int], where: Callable[[int], str], half_spaces: dict[int, str]
+    values: ArrayLike | None,
+    first_vertices: Sequence[int],
+    where: Callable[[int], str],
+    half_spaces: Mapping[int, str] | None = None,
 ) -> NDArray[np.float64] | None:
     """A radius for each vertex, or a ValueError.
 
@@ -193,7 +196,7 @@ def validated_radius(
     given = given + 0.0  # a copy, with -0.0 as 0.0
     if array.ndim == 0:
         return np.full(num_vertices, given[0])
-    for body, label in half_spaces.items() if len(given) == num_bodies else ():
+    for body, label in half_spaces.items() if half_spaces and len(given) == num_bodies else ():
         if given[body] != 0.0:
             raise ValueError(f"radius holds {given[body]} for {label}; expected 0, as a half-space has no radius")
     of_bodies = np.repeat(given, np.diff(first_vertices)) if len(given) == num_bodies else given
