@@ -20,7 +20,8 @@ class Counts:
     """Sizes of the scene, and numbers of what each stage of a call processed and found.
 
     A mapping has an entry for each :class:`ccd_warp.PairKind` to check; point-segment and point-point only of
-    a mesh with codimensional points.
+    a mesh with codimensional points, vertex-plane only of one with half-spaces. The last kind has no cull, and its
+    candidates in a step are its contacts.
 
     Attributes:
         num_bodies: Bodies of the mesh.

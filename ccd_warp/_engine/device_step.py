@@ -448,7 +448,8 @@ class DeviceStep:
         stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
         self._record_input(recording, form, stages, is_copied, is_first)
         active = self._active if form.line_search is None else self._touched
-        stages.fill_vertex_aabbs(recording, topology.moving_vertices, active)
+        if self._moving_trees:
+            stages.fill_vertex_aabbs(recording, topology.moving_vertices, active)
         self._fill(stages, recording, self._moving_trees)
         with recording.at_once():
             for tree_pair in stages.tree_pairs:

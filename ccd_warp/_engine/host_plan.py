@@ -255,6 +255,8 @@ class HostPlan:
         recording.bind("inflation", inflation)
         self._active = active
         self._bind_trees()
+        if not self.trees:
+            return  # no pairs but those with half-spaces, which have no boxes
         self._fill_vertex_aabbs(t_end)
         if self._has_grids:
             self._fill_trees()
@@ -267,6 +269,8 @@ class HostPlan:
 
     def shorten_boxes(self, t_end: float) -> None:
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
+        if not self.trees:
+            return
         self._fill_vertex_aabbs(t_end)
         self._fill_trees()
 

@@ -72,11 +72,12 @@ def meets(mesh: "CollisionMesh") -> NDArray[np.bool_]:
     found = np.ones((len(mesh.planes), mesh.num_bodies), dtype=bool)
     if mesh.body_pairs is not None:
         found = mesh.body_pairs[mesh.planes.bodies]
-    number = {body: k for k, body in enumerate(mesh.planes.bodies.tolist())}
-    for a, b in mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32)).tolist():
-        for plane, body in ((a, b), (b, a)):
-            if plane in number:
-                found[number[plane], body] = False
+    number = np.full(mesh.num_bodies, -1)
+    number[mesh.planes.bodies] = np.arange(len(mesh.planes))
+    pairs = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32))
+    for first, second in (pairs.T, pairs.T[::-1]):
+        is_plane = number[first] >= 0
+        found[number[first[is_plane]], second[is_plane]] = False
     return found
 
 
