@@ -146,6 +146,15 @@ class Contacts(Placed):
         return vertices
 
     @property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the four ``vertices`` in the closest points at toi, float64, shape [m, 4].
+
+        Those of each primitive add up to 1; a column that repeats a vertex has weight 0. With them a push along
+        ``normal`` is shared among the vertices, with the opposite sign for those of the second primitive.
+        """
+        return pair_weights(self.kind, self.parameters)
+
+    @property
     def bodies(self) -> NDArray[np.int32]:
         """Bodies of the first and the second primitive of each contact, int32, shape [m, 2]."""
         mesh = self._known().mesh
@@ -286,6 +295,27 @@ class Contact:
         known = self._row._known()
         point = point_text(self.point) if known.has_points else ""
         return _kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
+
+
+def pair_weights(kind: NDArray[np.int32], parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights of the four vertices of each pair in its closest points, from its kind and (u, v), shape [m, 4].
+
+    Those of each primitive add up to 1; a column that repeats a vertex has weight 0.
+    """
+    u, v = parameters.T
+    one, zero = np.ones(len(kind)), np.zeros(len(kind))
+    by_kind: dict[PairKind, tuple[Any, ...]] = {
+        PairKind.VERTEX_FACE: (one, 1.0 - u - v, u, v),
+        PairKind.EDGE_EDGE: (1.0 - u, u, 1.0 - v, v),
+        PairKind.POINT_SEGMENT: (one, zero, 1.0 - u, u),
+        PairKind.POINT_POINT: (one, zero, one, zero),
+        PairKind.VERTEX_PLANE: (one, zero, zero, zero),
+    }
+    weights = np.empty((len(kind), 4))
+    for of_kind, columns in by_kind.items():
+        rows = kind == int(of_kind)
+        weights[rows] = np.stack(columns, axis=1)[rows]
+    return weights
 
 
 def _kind_name(kind: PairKind) -> str:

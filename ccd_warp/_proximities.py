@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._contacts import pair_weights
 from ccd_warp._display import counted, html_table, named_counts, pairs_of_bodies
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
@@ -99,20 +100,7 @@ class Proximities:
         weight 0. ``direction`` times the weight of a vertex is the derivative of ``distance`` by its position, so a
         force of magnitude f that pushes the two apart is f times that on each vertex.
         """
-        u, v = self.parameters.T
-        one, zero = np.ones(len(self)), np.zeros(len(self))
-        by_kind = {
-            PairKind.VERTEX_FACE: (one, u + v - 1.0, -u, -v),
-            PairKind.EDGE_EDGE: (1.0 - u, u, v - 1.0, -v),
-            PairKind.POINT_SEGMENT: (one, zero, u - 1.0, -u),
-            PairKind.POINT_POINT: (one, zero, -one, zero),
-            PairKind.VERTEX_PLANE: (one, zero, zero, zero),
-        }
-        weights = np.empty((len(self), 4))
-        for kind, columns in by_kind.items():
-            rows = self.kind == int(kind)
-            weights[rows] = np.stack(columns, axis=1)[rows]
-        return weights
+        return pair_weights(self.kind, self.parameters)
 
     @lazy_property
     def points(self) -> NDArray[np.float64]:
