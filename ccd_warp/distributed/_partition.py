@@ -8,16 +8,19 @@ region, and a cut of a region into {x < c} and {x >= c} leaves no point out and 
 Coordinates come first in all arrays, shape [4, n], so that a cut reads one contiguous row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 DIMENSIONS = 4
 WORLD_AXIS = 3
-# Share of a region's weight by which a cut between worlds may miss its target; otherwise space is cut.
-_WORLD_SLACK = 0.05
+# How much more work than along the best axis the larger side may have: with a cut between worlds, which divides no box,
+# and with one across the longest extent.
+_WORLD_SLACK = 1.05
+_SLACK = 1.01
 # Quantiles between which the extent of the samples is measured, so that a few far away do not choose the axis.
 _EXTENT = (0.02, 0.98)
 
@@ -48,73 +51,108 @@ class Regions:
         return len(self.lower)
 
 
-def bisected(points: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> Regions:
-    """Cut space into regions of nearly equal weight.
+def bisected(
+    lower: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    count: int,
+    upper: NDArray[np.float64] | None = None,
+    ghost_weights: NDArray[np.float64] | None = None,
+) -> Regions:
+    """Cut space into regions of nearly equal work.
+
+    A box that a cut divides goes to both sides. It is counted in full below the cut, where its lower corner is, and
+    above it as what a primitive costs that is there as a ghost. So regions into which many boxes reach are smaller, and
+    of the axes that is cut along which the larger side has the least to do.
 
     Args:
-        points: Samples, shape [4, n].
+        lower: Lower corners of sampled boxes, shape [4, n].
         weights: The work that each of them stands for, shape [n].
         count: Number of regions; it need not be a power of two.
+        upper: Upper corners; those of points by default.
+        ghost_weights: The part of the work that is done wherever the box is, shape [n]; by default all.
 
     Returns:
         The regions. Where there are fewer samples than regions, some are empty.
     """
-    lower = np.full((count, DIMENSIONS), -np.inf)
-    upper = np.full((count, DIMENSIONS), np.inf)
+    upper = lower if upper is None else upper
+    ghost_weights = weights if ghost_weights is None else ghost_weights
+    low, high = np.full((count, DIMENSIONS), -np.inf), np.full((count, DIMENSIONS), np.inf)
     axis, cut = np.zeros(count - 1, dtype=np.int64), np.zeros(count - 1)
     below, above = np.zeros(count - 1, dtype=np.int64), np.zeros(count - 1, dtype=np.int64)
-    # samples of a part, its first region, their number, and where the cut that made it refers to it
-    pending: list[tuple[NDArray[np.intp], int, int, tuple[NDArray[np.int64], int] | None]] = [
-        (np.arange(points.shape[1]), 0, count, None)
-    ]
+    # samples of a part, what each weighs there, its first region, their number, and where the cut that made it refers
+    # to it
+    everything = np.arange(lower.shape[1])
+    pending: list[tuple[Any, Any, int, int, Any]] = [(everything, weights, 0, count, None)]
     num_cuts = 0
     while pending:
-        chosen, first, num, parent = pending.pop()
+        chosen, work, first, num, parent = pending.pop()
         if parent is not None:
             parent[0][parent[1]] = ~first if num == 1 else num_cuts
         if num == 1:
             continue
         left = num // 2
-        at, coordinate = _cut_of(points[:, chosen], weights[chosen], left / num)
+        # what reaches in from below counts where it enters
+        begins = np.maximum(lower[:, chosen], low[first][:, None])
+        ends = upper[:, chosen]
+        of_ghosts = np.minimum(ghost_weights[chosen], work)
+        at, coordinate = _best_cut(begins, ends, work, of_ghosts, left / num)
         axis[num_cuts], cut[num_cuts] = at, coordinate
-        upper[first : first + left, at] = coordinate
-        lower[first + left : first + num, at] = coordinate
-        is_below = points[at, chosen] < coordinate
-        pending.append((chosen[~is_below], first + left, num - left, (above, num_cuts)))
-        pending.append((chosen[is_below], first, left, (below, num_cuts)))
+        high[first : first + left, at] = coordinate
+        low[first + left : first + num, at] = coordinate
+        is_below = begins[at] < coordinate
+        is_above = ends[at] >= coordinate
+        work_above = np.where(is_below, of_ghosts, work)[is_above]
+        pending.append((chosen[is_above], work_above, first + left, num - left, (above, num_cuts)))
+        pending.append((chosen[is_below], work[is_below], first, left, (below, num_cuts)))
         num_cuts += 1
-    return Regions(axis, cut, below, above, lower, upper)
+    return Regions(axis, cut, below, above, low, high)
 
 
-def _cut_of(points: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> tuple[int, float]:
-    """The axis and the coordinate of a cut below which this share of the weight lies."""
-    total = float(weights.sum())
-    if points.shape[1] == 0 or total <= 0.0:
+def _best_cut(
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    ghost_weights: NDArray[np.float64],
+    share: float,
+) -> tuple[int, float]:
+    """The axis and the coordinate of a cut below which this share of the work lies."""
+    if lower.shape[1] == 0:
         return 0, 0.0
-    worlds = points[WORLD_AXIS]
-    if worlds[0] != worlds.min() or worlds[0] != worlds.max():
-        coordinate, is_below = _quantile(worlds, weights, share)
-        if abs(float(weights[is_below].sum()) - share * total) <= _WORLD_SLACK * total:
-            return WORLD_AXIS, coordinate
-    low, high = np.quantile(points[:WORLD_AXIS], _EXTENT, axis=1)
-    axis = int(np.argmax(high - low))
-    return axis, _quantile(points[axis], weights, share)[0]
+    cuts = [_cut_along(lower[k], upper[k], weights, ghost_weights, share) for k in range(DIMENSIONS)]
+    load, coordinate = cuts[WORLD_AXIS]
+    best = min(load for load, _ in cuts)
+    if load <= _WORLD_SLACK * best:
+        return WORLD_AXIS, coordinate
+    low, high = np.quantile(lower[:WORLD_AXIS], _EXTENT, axis=1)
+    good = [k for k in range(WORLD_AXIS) if cuts[k][0] <= _SLACK * best] or [0]
+    axis = max(good, key=lambda k: float(high[k] - low[k]))
+    return axis, cuts[axis][1]
 
 
-def _quantile(
-    values: NDArray[np.float64], weights: NDArray[np.float64], share: float
-) -> tuple[float, NDArray[np.bool_]]:
-    """A coordinate between two of the values that has this share of the weight below it, and what is below it."""
-    order = np.argsort(values, kind="stable")
-    ordered, sums = values[order], np.cumsum(weights[order])
+def _cut_along(
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    ghost_weights: NDArray[np.float64],
+    share: float,
+) -> tuple[float, float]:
+    """The best cut of an axis: the work of the side that has more of it for its share, and the coordinate."""
+    order = np.argsort(lower, kind="stable")
+    begins = lower[order]
     # a cut is possible only where one value differs from the next
-    steps = np.flatnonzero(ordered[1:] > ordered[:-1])
+    steps = np.flatnonzero(begins[1:] > begins[:-1])
     if len(steps) == 0:
-        return float(ordered[0]), np.zeros(len(values), dtype=bool)
-    k = int(steps[np.argmin(np.abs(sums[steps] - share * sums[-1]))])
-    middle = float(0.5 * ordered[k] + 0.5 * ordered[k + 1])
-    coordinate = middle if ordered[k] < middle <= ordered[k + 1] else float(ordered[k + 1])
-    return coordinate, values < coordinate
+        return np.inf, float(begins[0])
+    middle = 0.5 * begins[steps] + 0.5 * begins[steps + 1]
+    cuts = np.where((begins[steps] < middle) & (middle <= begins[steps + 1]), middle, begins[steps + 1])
+    work_below = np.cumsum(weights[order])
+    ghosts_begun = np.cumsum(ghost_weights[order])
+    by_end = np.argsort(upper, kind="stable")
+    ghosts_ended = np.concatenate([[0.0], np.cumsum(ghost_weights[by_end])])
+    divided = ghosts_begun[steps] - ghosts_ended[np.searchsorted(upper[by_end], cuts, side="left")]
+    load = np.maximum(work_below[steps] / share, (work_below[-1] - work_below[steps] + divided) / (1.0 - share))
+    k = int(np.argmin(load))
+    return float(load[k]), float(cuts[k])
 
 
 def regions_met(regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> list[NDArray[np.intp]]:
@@ -153,7 +191,12 @@ def region_of(regions: Regions, points: NDArray[np.float64]) -> NDArray[np.int32
     return result
 
 
-def _descend(regions, items, sides, found) -> None:  # type: ignore[no-untyped-def]
+def _descend(
+    regions: Regions,
+    items: NDArray[np.intp],
+    sides: Callable[[int, float, NDArray[np.intp]], tuple[NDArray[np.bool_], NDArray[np.bool_]]],
+    found: list[NDArray[np.intp]],
+) -> None:
     """Divide items at every cut, by what ``sides`` says of them, down to the regions."""
     pending = [(0 if regions.count > 1 else ~0, items)]
     while pending:

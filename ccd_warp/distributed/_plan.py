@@ -127,15 +127,6 @@ def united(
     return low, high
 
 
-def places(lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where boxes count in the balance of the regions, given their lower corners: finite, shape [4, n].
-
-    A pair belongs to the region of the lower corner of an intersection, which is nearer to the lower corners of its
-    boxes than to their centres.
-    """
-    return np.nan_to_num(lower)
-
-
 def destinations(
     regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.float64], corners: Mapping[str, NDArray[np.int64]]
 ) -> dict[str, list[NDArray[np.intp]]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
-from ccd_warp.distributed._plan import Bounds, destinations, places, scene_box, united, used_rows
+from ccd_warp.distributed._plan import Bounds, destinations, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
 _NUM_SAMPLES = 1 << 14
@@ -153,7 +153,7 @@ def _regions(
     upper: NDArray[np.float64],
     work: NDArray[np.float64] | None,
 ) -> partition.Regions:
-    """Regions of nearly equal work, from samples of where all primitives are."""
+    """Regions of nearly equal work, from samples of the boxes of all primitives."""
     ranks = whole.ranks
     of_vertex = np.zeros(len(whole.vertex_ids))
     if work is not None:
@@ -163,16 +163,17 @@ def _regions(
     total = sum(len(each.numbers) for each in kinds)
     total_of_all = int(ranks.total(np.array(total)))
     most = max(_NUM_SAMPLES, _SAMPLES_EACH * ranks.size)
-    points, weights = [np.empty((4, 0))], [np.empty(0)]
+    rows = [np.empty((0, 10))]
     for each in kinds:
         num = -(-most * len(each.numbers) // max(total_of_all, 1))
         chosen = each.corners[partition.even_samples(len(each.numbers), num)]
+        stands_for = len(each.numbers) / len(chosen)
         of_each = WORK_OF_PRIMITIVE + of_vertex[chosen].mean(axis=1) / _PRIMITIVES_A_VERTEX
-        points.append(places(united(lower, upper, chosen)[0]))
-        weights.append(of_each * (len(each.numbers) / len(chosen)))
-    samples = np.concatenate([np.concatenate(points, axis=1), np.concatenate(weights)[None]]).T
-    samples = ranks.every(samples)
-    return partition.bisected(np.ascontiguousarray(samples[:, :4].T), samples[:, 4].copy(), ranks.size)
+        of_ghost = np.full(len(chosen), WORK_OF_PRIMITIVE)
+        box = np.nan_to_num(np.concatenate(united(lower, upper, chosen)))
+        rows.append(np.concatenate([box, stands_for * np.stack([of_each, of_ghost])]).T)
+    samples = np.ascontiguousarray(ranks.every(np.concatenate(rows)).T)
+    return partition.bisected(samples[:4], samples[8], ranks.size, samples[4:8], samples[9])
 
 
 def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDArray[np.int64]:
