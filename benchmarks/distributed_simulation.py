@@ -165,7 +165,8 @@ def table(rows: list[Simulated]) -> list[str]:
     """The figures as a table of Markdown."""
     head = (
         "| scene | ranks | faces a rank: mean, most | ghosts: mean, most | imbalance | duplicates "
-        "| neighbours: mean, most | MB a step: mean, most | memory, MB: mean, most | model: ms of a step | of these work | efficiency |"
+        "| neighbours: mean, most | MB a step: mean, most | memory, MB: mean, most | model: ms of a step "
+        "| of these work | efficiency |"
     )
     lines = [head, "|" + "---|" * 12]
     for row in rows:

@@ -7,6 +7,8 @@ from ccd_warp.distributed import DistributedMesh, DistributedPipeline
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width", "points", "vertices", "bodies")
 
+PROXIMITY_FIELDS = ("kind", "primitives", "parameters", "distance", "direction", "features", "vertices")
+
 
 def whole_mesh(mesh):
     """The same mesh with faces in the order in which the ranks number them, each once."""
@@ -129,6 +131,11 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
                 if name == "vertex_plane":
                     continue
                 assert_same_bits(name, getattr(every, name), pairs)
+    elif call == "find_proximity":
+        distance = 0.05 * cut.mesh.length_scale
+        every = pipeline.find_proximity(here[0], distance).to_root()
+        if is_root:
+            compare_pairs(every, one.find_proximity(start, distance), PROXIMITY_FIELDS)
     elif call.startswith("line_search"):
         found = pipeline.line_search(*here, per=call.partition(" ")[2])
         expected = comm.bcast(one.line_search(start, end, per=call.partition(" ")[2]) if is_root else None)
@@ -146,8 +153,12 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
 
 
 def compare_contacts(found, expected):
-    for name in FIELDS:
+    compare_pairs(found, expected, FIELDS)
+
+
+def compare_pairs(found, expected, names):
+    for name in names:
         values = getattr(expected, name)
         if name == "vertices":
             values = 2 * values.astype(np.int64) + 5
-        assert_same_bits(f"contacts.{name}", getattr(found, name), values.astype(getattr(found, name).dtype))
+        assert_same_bits(name, getattr(found, name), values.astype(getattr(found, name).dtype))

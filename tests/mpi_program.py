@@ -41,7 +41,7 @@ def check(scene, rank_of_face, calls, *, with_owners=False, **options):
 
 
 def cloth_over_sphere():
-    check(scenes.sheet_over_ball(), in_blocks, ALL_CALLS + SEARCHES)
+    check(scenes.sheet_over_ball(), in_blocks, [*ALL_CALLS, *SEARCHES, "find_proximity"])
 
 
 def static_floor_and_owners_that_are_given():
@@ -172,7 +172,7 @@ def radii():
     end = start + 0.1 * rng.standard_normal(start.shape)
     bodies, radius = [(start, faces, edges)], 0.03 * rng.random(len(start))
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=radius)
-    check((mesh, start, end), interleaved, ALL_CALLS)
+    check((mesh, start, end), interleaved, [*ALL_CALLS, "find_proximity"])
     box = trimesh.creation.box(extents=(1, 1, 1))
     bodies = [(box.vertices + [1.5 * k, 0, 0], box.faces) for k in range(5)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, radius=[0.2, 0.1, 0.2, 0.01, 0.0])

@@ -60,7 +60,7 @@ class Workspace:
     def at_one_time(self, goal: str) -> "Workspace":
         """The state of calls at one time with a goal, whose boxes have another size than those of a step."""
         if goal not in self._at_one_time:
-            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device)
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, self.topology)
         return self._at_one_time[goal]
 
     @lazy_property

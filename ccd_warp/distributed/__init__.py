@@ -10,6 +10,7 @@ from ccd_warp.distributed._results import (
     DistributedCandidates,
     DistributedContacts,
     DistributedLineSearch,
+    DistributedProximities,
     DistributedResult,
     RankWork,
 )
@@ -20,6 +21,7 @@ __all__ = [
     "DistributedLineSearch",
     "DistributedMesh",
     "DistributedPipeline",
+    "DistributedProximities",
     "DistributedResult",
     "RankWork",
 ]

@@ -161,7 +161,7 @@ class DistributedMesh:
         zeros = np.zeros(count, dtype=np.int64)
         self.bodies = zeros if bodies is None else _per_vertex("bodies", bodies, count)
         self.worlds = zeros if vertex_world is None else _per_vertex("vertex_world", vertex_world, count)
-        self.radius = validated_radius(radius, [0, count], lambda row: f" (vertex id {self.vertex_ids[row]})")
+        self.radius = validated_radius(radius, [0, count], lambda row: f" (vertex id {self.vertex_ids[row]})", {})
         self._owned = np.full(count, -1, dtype=np.int64)
         if owned is not None:
             flags = as_array(on_host(owned, "owned"), "owned", f"bool and shape {(count,)}")

@@ -17,11 +17,11 @@ from ccd_warp.distributed._ranks import Ranks
 from ccd_warp.kernels.minima import FOUND
 
 
-class PartStep(Step):
-    """A step on one rank, which shares with the others what one process knows of all pairs."""
+class StepTogether(Step):
+    """What steps of all kinds share with those of the other ranks: the quantization, and which bodies are near."""
 
     def __init__(self, together: TogetherIn, *arguments: Any, **options: Any) -> None:
-        """Begin a step; the other arguments are those of `Step`."""
+        """Begin a step; the other arguments are those of its kind."""
         super().__init__(*arguments, **options)
         self.together = together
         self.ranks: Ranks = together.ranks
@@ -43,6 +43,28 @@ class PartStep(Step):
         near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)
         self._num_active_bodies = int((near | self.mesh.static).sum())
         return near
+
+    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
+        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
+
+        Which candidates there were is not known any more, and pairs neither if they came in parts.
+        """
+        count = self.mesh.num_vertices
+        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
+        if self.plan.num_batches != 1:
+            return result
+        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
+            if found == 0:
+                continue
+            keys = self.plan.found_keys(PairKind(kind), found).numpy()
+            first = np.where(keys < 0, ~keys, keys) >> 32
+            vertices = self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
+            result += of_pair * np.bincount(vertices, minlength=count)
+        return result
+
+
+class PartStep(StepTogether):
+    """A step on one rank, which shares with the others what one process knows of all pairs."""
 
     @property
     def num_vertices_in_all(self) -> int:
@@ -66,24 +88,6 @@ class PartStep(Step):
         of_all = self.open_in_all(own)
         plan.set_number_open({kind: of_all[kind] for kind in own})
         return True
-
-    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
-        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
-
-        Which candidates there were is not known any more, and pairs neither if they came in parts.
-        """
-        count = self.mesh.num_vertices
-        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
-        if self.plan.num_batches != 1:
-            return result
-        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
-            if found == 0:
-                continue
-            keys = self.plan.found_keys(PairKind(kind), found).numpy()
-            first = np.where(keys < 0, ~keys, keys) >> 32
-            vertices = self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
-            result += of_pair * np.bincount(vertices, minlength=count)
-        return result
 
 
 class AcrossRanks(OneProcess):

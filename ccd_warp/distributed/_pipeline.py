@@ -23,13 +23,13 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_count, check_instance
+from ccd_warp._input.arguments import check_count, check_instance, check_real
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part_step import AcrossRanks, PartStep
+from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepTogether
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,
@@ -42,10 +42,12 @@ from ccd_warp.distributed._planning import (
 from ccd_warp.distributed._results import (
     DistributedCandidates,
     DistributedLineSearch,
+    DistributedProximities,
     DistributedResult,
     RankWork,
     candidates_of,
     contacts_of,
+    proximities_of,
 )
 
 # The imbalance of the measured work above which a plan is made anew: if it was made for less knowledge, so that it has
@@ -215,9 +217,7 @@ class DistributedPipeline:
         """
         with self._ranks.together(), naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        least, negative = self._ranks.agree(inflation, -inflation)
-        if least != -negative:
-            raise ValueError(f"inflation is {least} on one rank and {-negative} on another; expected the same on all")
+        self._check_same_length("inflation", inflation)
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
@@ -227,6 +227,42 @@ class DistributedPipeline:
             return candidates
 
         return self._collectively(vertices_t0, vertices_t1, inflation, work)
+
+    def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedProximities:
+        """Like :func:`ccd_warp.find_proximity`, collectively.
+
+        Args:
+            positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
+            distance: Largest Euclidean distance of a pair, a length, the same on all ranks.
+
+        Returns:
+            The pairs that this rank has found.
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: every pair that passes the filter and is within the distance is found once, on one rank.
+        """
+        from ccd_warp.distributed._part_proximity import PartProximityStep  # few programs need it
+
+        with self._ranks.together(), naming("find_proximity"):
+            distance = check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
+        self._check_same_length("distance", distance)
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
+            plan = self._planned
+            found = self._run(plan.start, plan.start, lambda step: step.proximities(distance), PartProximityStep)
+            proximities = proximities_of(plan.part, found, self._ranks)
+            self._finished()
+            return proximities
+
+        return self._collectively(positions, positions, half_up(distance), work)
+
+    def _check_same_length(self, name: str, length: float) -> None:
+        least, negative = self._ranks.agree(length, -length)
+        if least != -negative:
+            raise ValueError(f"{name} is {least} on one rank and {-negative} on another; expected the same on all")
 
     def line_search(
         self,
@@ -274,7 +310,8 @@ class DistributedPipeline:
             )
             fraction = np.full(len(start), np.inf)
             plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
-            vertices = moved(start, end, fraction)
+            vertices, own = np.empty_like(start), self.mesh.owned_rows
+            vertices[own] = moved(start[own], end[own], fraction[own])
             self.mesh.copies.forward([(vertices.copy(), vertices), (fraction.copy(), fraction)])
             touching = contacts_of(plan.part, found.touching, self._ranks)
             self._finished()
@@ -355,10 +392,16 @@ class DistributedPipeline:
                 own = self.mesh.owned_rows
                 plan.static_start = start[own[self.mesh.static[self.mesh.bodies[own]]]]
 
-    def _run(self, start: NDArray[np.float64], end: NDArray[np.float64], work: Callable[[PartStep], _T]) -> _T:
+    def _run(
+        self,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        work: Callable[[Any], _T],
+        kind: type[StepTogether] = PartStep,
+    ) -> _T:
         """Run ``work`` on a step of the part."""
         assert self._workspace
-        self._step = step = PartStep(self._planned.together, self._workspace, (start, end), self._options)
+        self._step = step = kind(self._planned.together, self._workspace, (start, end), self._options)
         result = work(step)
         if "total" not in step.timings:
             step.finish_timings()

@@ -12,6 +12,7 @@ from ccd_warp._contacts import Contacts
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.topology import PRIMITIVES
+from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts
 from ccd_warp._status import PairKind
 
@@ -64,16 +65,8 @@ class DistributedContacts:
 
     def to_root(self) -> DistributedContacts | None:
         """All contacts in order on rank 0, and None on the others; collective."""
-        ranks: Ranks | None = vars(self)["_ranks"]
-        if ranks is None:
-            raise ValueError("contacts were brought to rank 0 already; expected those of a result")
-        with ranks.together():
-            gathered = {f.name: ranks.at_root(getattr(self, f.name)) for f in fields(self)}
-        if gathered["kind"] is None:
-            return None
-        every = DistributedContacts(**gathered)  # type: ignore[arg-type]
-        order = np.lexsort((*every.primitives.T[::-1], every.kind))
-        return DistributedContacts(**{f.name: getattr(every, f.name)[order] for f in fields(every)})
+        gathered = _at_root(self)
+        return None if gathered is None else DistributedContacts(**gathered)
 
 
 def contacts_of(part: Part, contacts: Contacts, ranks: Ranks) -> DistributedContacts:
@@ -193,6 +186,71 @@ class DistributedLineSearch:
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DistributedProximities:
+    """Pairs that are near at one time and that this rank has found; each pair is on one rank.
+
+    They are ordered as those of :class:`ccd_warp.Proximities`.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
+        primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
+        vertices: Ids of the vertices, as in ``ccd_warp.Proximities.vertices``, int64, shape [m, 4].
+        parameters: (u, v) of the closest points, float64, shape [m, 2].
+        distance: Euclidean distance of the closest points, a length, float64, shape [m].
+        direction: Unit vector from the closest point of the second primitive to that of the first, shape [m, 3].
+        features: Which of the vertices span the closest features, as there, int32, shape [m].
+    """
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int64]
+    vertices: NDArray[np.int64]
+    parameters: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    features: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_ranks", None)
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __repr__(self) -> str:
+        return f"DistributedProximities({len(self):,} on this rank)"
+
+    def to_root(self) -> DistributedProximities | None:
+        """All pairs in order on rank 0, and None on the others; collective."""
+        gathered = _at_root(self)
+        return None if gathered is None else DistributedProximities(**gathered)
+
+
+def proximities_of(part: Part, found: Proximities, ranks: Ranks) -> DistributedProximities:
+    """The proximities of a part, with the numbers and ids of the whole mesh."""
+    names = ("parameters", "distance", "direction", "features")
+    result = DistributedProximities(
+        kind=found.kind,
+        primitives=whole_pairs(part, found.kind, found.primitives),
+        vertices=part.vertex_ids[found.vertices],
+        **{name: getattr(found, name) for name in names},
+    )
+    vars(result)["_ranks"] = ranks
+    return result
+
+
+def _at_root(found: DistributedContacts | DistributedProximities) -> dict[str, Any] | None:
+    """The arrays of all ranks on rank 0, in the order of kinds and primitives; None on the others."""
+    ranks: Ranks | None = vars(found)["_ranks"]
+    if ranks is None:
+        raise ValueError("what to_root() has brought to rank 0 is there already; expected the result of a call")
+    with ranks.together():
+        gathered = {f.name: ranks.at_root(getattr(found, f.name)) for f in fields(found)}
+    if gathered["kind"] is None:
+        return None
+    order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))  # type: ignore[union-attr]
+    return {name: values[order] for name, values in gathered.items()}  # type: ignore[index]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
