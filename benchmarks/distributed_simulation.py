@@ -24,6 +24,7 @@ import ccd_warp as ccd
 from ccd_warp._input.edges import unique_edges
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._plan import Bounds, scene_box, united
+from ccd_warp.distributed._planning import LEAST_SAMPLES, SAMPLES_EACH
 
 BYTES_A_SECOND = 10e9
 LATENCY = 2e-6
@@ -34,8 +35,6 @@ _BYTES_FORTH, _BYTES_BACK = 48, 8
 # What docs/architecture.md says of memory: a primitive with two AABBs, a vertex with two of its own; and here what a
 # vertex takes beside that: positions twice on either side, boxes of the plan, numbers.
 _BYTES_A_PRIMITIVE, _BYTES_A_VERTEX = 32 + 2 * 26, 2 * 32 + 4 * 24 + 3 * 32 + 32
-_SAMPLES_EACH = 64
-_LEAST_SAMPLES = 1 << 14
 _CHUNK = 1 << 21
 
 
@@ -92,7 +91,7 @@ def simulate(scene: Scene, edges: np.ndarray, num_ranks: int, seconds_a_primitiv
     total = sum(map(len, kinds.values()))
     boxes = []
     for corners in kinds.values():
-        num = max(_LEAST_SAMPLES, _SAMPLES_EACH * num_ranks) * len(corners) // total
+        num = max(LEAST_SAMPLES, SAMPLES_EACH * num_ranks) * len(corners) // total
         boxes.append(np.concatenate(united(lower, upper, corners[partition.even_samples(len(corners), num)])))
     samples = np.concatenate(boxes, axis=1)
     regions = partition.bisected(samples[:4], np.ones(samples.shape[1]), num_ranks, samples[4:])

@@ -28,6 +28,7 @@ _GUIDES = [
     "docs/coming_from_engines",
     "docs/cuda",
     "docs/newton",
+    "docs/distributed",
     "docs/examples",
 ]
 _REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", "benchmarks/NOTES"]

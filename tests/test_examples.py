@@ -32,6 +32,7 @@ def test_no_example_is_left_out():
         "cloth_drop.py",
         "fsi_membrane.py",
         "mesh_against_mesh.py",
+        "mpi_cloth.py",
         "newton_cloth.py",
     }
 

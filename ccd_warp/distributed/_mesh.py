@@ -214,7 +214,7 @@ class DistributedMesh:
             name = "bodies" if self.num_bodies > max(self.num_vertices, 1) else "vertex_world"
             value = max(self.num_bodies, self.num_worlds) - 1
             raise ValueError(f"{name} holds {value}; expected numbers below {self.num_vertices}, that of all vertices")
-        self.copies = self.exchange_to(self.numbers, self.owner)
+        self.copies = self._exchange_to(self.numbers, self.owner)
         self.has_ghosts = ranks.agree(-float(self.copies.num_sent))[0] < 0.0
 
     def _check_bodies(self, ids: NDArray[np.int64], bodies: NDArray[np.int64]) -> None:
@@ -223,7 +223,7 @@ class DistributedMesh:
         numbering.check_bodies_follow(*ends.T)
         numbering.check_bodies_follow(ids, bodies)
 
-    def exchange_to(
+    def _exchange_to(
         self, numbers: NDArray[np.int64], owner: NDArray[np.int64], rows: NDArray[np.intp] | None = None
     ) -> Exchange:
         """The exchange that brings rows of the owners to an array of vertices with these numbers; collective.

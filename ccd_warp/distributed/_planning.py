@@ -14,8 +14,8 @@ from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
 from ccd_warp.distributed._plan import Bounds, destinations, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
-_NUM_SAMPLES = 1 << 14
-_SAMPLES_EACH = 64
+LEAST_SAMPLES = 1 << 14
+SAMPLES_EACH = 128
 # Columns of a vertex in a message, of an edge, of a face.
 _VERTEX, _EDGE, _FACE = 8, 4, 4
 _IS_TESTED, _IS_POINT = 1, 2
@@ -162,7 +162,7 @@ def _regions(
     kinds = [each for each in whole.primitives.values() if len(each.numbers)]
     total = sum(len(each.numbers) for each in kinds)
     total_of_all = int(ranks.total(np.array(total)))
-    most = max(_NUM_SAMPLES, _SAMPLES_EACH * ranks.size)
+    most = max(LEAST_SAMPLES, SAMPLES_EACH * ranks.size)
     rows = [np.empty((0, 10))]
     for each in kinds:
         num = -(-most * len(each.numbers) // max(total_of_all, 1))
@@ -234,11 +234,11 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
         np.flatnonzero(edge[:, 3]).astype(np.int32),
         np.flatnonzero(flags & _IS_POINT).astype(np.int32),
     )
-    everything = whole.exchange_to(numbers, owner)
+    everything = whole._exchange_to(numbers, owner)
     moving = everything
     if whole.static.any():
         moves = np.flatnonzero(~whole.static[bodies])
-        moving = whole.exchange_to(numbers[moves], owner[moves], moves)
+        moving = whole._exchange_to(numbers[moves], owner[moves], moves)
     return Part(
         mesh,
         numbers,
