@@ -3,18 +3,21 @@
 python -m ccd_warp.benchmarks.proximity --faces 100000
 
 Every scene is searched within 0.3 edge lengths. Beside `find_proximity` and `displacement_bounds` at the start of its
-step stand `mesh_ccd` over the step with that `minimum_distance`, and over a step in which nothing moves, which searches
-the very same pairs. ipc-toolkit builds its `NormalCollisions`, on all cores, where it is installed.
+step stand `mesh_ccd` over the step with that `minimum_distance`, and over a step in which nothing moves, whose search
+finds the same pairs. ipc-toolkit builds its `NormalCollisions`, on all cores, where it is installed. Times are medians
+of interleaved rounds, and those of all threads together, which tell more where other programs run beside.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
+from ccd_warp.benchmarks import scenes
 from ccd_warp.benchmarks.numbers import table, time_text
 
 import ccd_warp as ccd
@@ -76,14 +79,31 @@ def measure(num_faces: int, rounds: int, num_threads: int) -> Iterator[dict]:
         calls, distance = _calls(scene, num_threads)
         found = calls["find_proximity"]()
         assert isinstance(found, ccd.Proximities)
-        seconds = side_figures.interleaved(calls, rounds)
-        yield {"scene": scene.name, "distance": distance, "pairs": len(found), "seconds": seconds}
+        yield {"scene": scene.name, "distance": distance, "pairs": len(found), "seconds": _interleaved(calls, rounds)}
+
+
+def _interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, tuple[float, float]]:
+    """Median seconds of each call, and of all threads of the process, after one call to warm up."""
+    clocks = (time.perf_counter, time.process_time)
+    seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+    for k in range(rounds + 1):
+        for name, call in calls.items():
+            begin = [clock() for clock in clocks]
+            call()
+            if k:
+                seconds[name].append((clocks[0]() - begin[0], clocks[1]() - begin[1]))
+    return {
+        name: (statistics.median(s for s, _ in v), statistics.median(c for _, c in v)) for name, v in seconds.items()
+    }
 
 
 def rows_table(rows: list[dict]) -> list[str]:
     """The table of the log."""
     names = list(rows[0]["seconds"])
-    cells = ([row["scene"], f"{row['pairs']:,}", *(time_text(row["seconds"][name]) for name in names)] for row in rows)
+    cells = (
+        [row["scene"], f"{row['pairs']:,}", *(" / ".join(map(time_text, row["seconds"][name])) for name in names)]
+        for row in rows
+    )
     return table(["scene", "near pairs", *(name if name == PEER else f"`{name}`" for name in names)], cells)
 
 
