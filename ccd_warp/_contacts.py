@@ -147,10 +147,10 @@ class Contacts(Placed):
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Weights of the four ``vertices`` in the closest points at toi, float64, shape [m, 4].
+        """Weights of the four ``vertices`` in the difference of the closest points at toi, float64, shape [m, 4].
 
-        Those of each primitive add up to 1; a column that repeats a vertex has weight 0. With them a push along
-        ``normal`` is shared among the vertices, with the opposite sign for those of the second primitive.
+        Those of the first primitive add up to 1, those of the second to -1, and a column that repeats a vertex has
+        weight 0. A push along ``normal`` moves each vertex by its weight of that.
         """
         return pair_weights(self.kind, self.parameters)
 
@@ -298,17 +298,18 @@ class Contact:
 
 
 def pair_weights(kind: NDArray[np.int32], parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the four vertices of each pair in its closest points, from its kind and (u, v), shape [m, 4].
+    """Weights of the four vertices of each pair in the difference of its closest points, from its kind and (u, v).
 
-    Those of each primitive add up to 1; a column that repeats a vertex has weight 0.
+    Those of the first primitive add up to 1, those of the second to -1; a column that repeats a vertex has weight 0.
+    Shape [m, 4].
     """
     u, v = parameters.T
     one, zero = np.ones(len(kind)), np.zeros(len(kind))
     by_kind: dict[PairKind, tuple[Any, ...]] = {
-        PairKind.VERTEX_FACE: (one, 1.0 - u - v, u, v),
-        PairKind.EDGE_EDGE: (1.0 - u, u, 1.0 - v, v),
-        PairKind.POINT_SEGMENT: (one, zero, 1.0 - u, u),
-        PairKind.POINT_POINT: (one, zero, one, zero),
+        PairKind.VERTEX_FACE: (one, u + v - 1.0, -u, -v),
+        PairKind.EDGE_EDGE: (1.0 - u, u, v - 1.0, -v),
+        PairKind.POINT_SEGMENT: (one, zero, u - 1.0, -u),
+        PairKind.POINT_POINT: (one, zero, -one, zero),
         PairKind.VERTEX_PLANE: (one, zero, zero, zero),
     }
     weights = np.empty((len(kind), 4))
