@@ -73,6 +73,12 @@ def _of_arrays(**parts):
     )
 
 
+@functools.wraps(ccd.HalfSpace, updated=())
+def _half_space(**parts):
+    """A mesh with a half-space, whose numbers are checked there."""
+    return ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace(**parts)])
+
+
 def _points(*rows, dimension=3):
     points = {"points_t0": POINTS_T0[:, list(rows), :dimension], "points_t1": POINTS_T1[:, list(rows), :dimension]}
     return points | OPTIONS
@@ -148,6 +154,7 @@ def _calls(folder):
             ccd.CollisionMesh.from_trimesh,
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
         ),
+        "HalfSpace": (_half_space, {"point": np.zeros(3), "normal": np.array([0.0, 0.0, 1.0])}),
         "replicate": (MESH.replicate, {"count": 2}),
         "excluding": (MESH.excluding, {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
         "frame": (MESH.frame, {"vertices": START}),
@@ -397,6 +404,7 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.MeshOptions,
         ccd.MeshResult,
         ccd.PairOptions,
+        ccd.Planes,
         ccd.Proximities,
         ccd.ProximityOptions,
         viz.Picture,
