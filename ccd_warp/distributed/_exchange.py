@@ -23,6 +23,7 @@ class Exchange:
         self.sources, self.targets = sources, targets
         self._ranks = ranks
         self._requests: dict[tuple[bool, int], _Requests] = {}
+        self._own_sources, self._own_targets = _as_slice(sources[ranks.rank]), _as_slice(targets[ranks.rank])
 
     @property
     def num_neighbours(self) -> int:
@@ -49,9 +50,15 @@ class Exchange:
                 begin += width * len(rows)
         self._ranks.agree()
         requests.start()
-        here = self._ranks.rank
         for source, target in pairs:
-            target[self.targets[here]] = source[self.sources[here]]
+            if isinstance(self._own_targets, slice):
+                part = target[self._own_targets]
+                if isinstance(self._own_sources, slice):
+                    part[:] = source[self._own_sources]
+                else:
+                    np.take(source, self._own_sources, axis=0, out=part, mode="clip")
+            else:
+                target[self._own_targets] = source[self._own_sources]
         requests.wait()
         for rows, buffer in requests.received(self.targets):
             begin = 0
@@ -83,6 +90,13 @@ class Exchange:
             out, into = (self.sources, self.targets) if is_forward else (self.targets, self.sources)
             self._requests[key] = _Requests(self._ranks, list(map(len, out)), list(map(len, into)), width)
         return self._requests[key]
+
+
+def _as_slice(rows: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Rows that follow one another as a slice, which is copied at once."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1 and (np.diff(rows) == 1).all():
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
 
 
 class _Requests:

@@ -31,6 +31,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepTogether
 from ccd_warp.distributed._partition import imbalance
+from ccd_warp.distributed._plan import is_within
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,
     WORK_OF_PAIR,
@@ -348,9 +349,7 @@ class DistributedPipeline:
                 own = self.mesh.owned_rows
                 is_all = len(own) == len(start)
                 ends = (start, end) if is_all else (start[own], end[own])
-                is_kept = inflation <= plan.bounds.inflation and plan.bounds.hold(
-                    *ends, plan.lower, plan.upper, self.mesh.box_radius if is_all else self.mesh.box_radius[own]
-                )
+                is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in ends)
                 if self.mesh.static.any():
                     is_static = self.mesh.static[self.mesh.bodies[own]]
                     is_same = np.array_equal(ends[0][is_static], plan.static_start)

@@ -78,30 +78,29 @@ class Bounds:
                 upper[k] = np.nextafter(np.maximum(high, ahead) + slack, np.inf)
         return lower, upper
 
-    def hold(
-        self,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
-        lower: NDArray[np.float64],
-        upper: NDArray[np.float64],
-        radius: NDArray[np.float64] | float = 0.0,
-    ) -> bool:
-        """Whether the motion of every vertex, with what boxes are enlarged by, is within its box of a plan."""
+    def limits(
+        self, lower: NDArray[np.float64], upper: NDArray[np.float64], radius: NDArray[np.float64] | float = 0.0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Limits of the positions of vertices, shapes [n, 3], given their boxes in a plan.
+
+        A vertex that stays within them has a box, with what it is enlarged by, within that of the plan: the slack by
+        distance is that of the farthest corner.
+        """
         fixed = self.inflation + _RESOLUTION * self.size
+        low, high = np.empty((lower.shape[1], 3)), np.empty((lower.shape[1], 3))
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(3):
-                a, b = start[:, k], end[:, k]
-                # the slack by distance is that of the larger box, so that of any point in it is no more than twice this
-                low, high = np.minimum(a, b), np.maximum(a, b)
-                slack = np.maximum(np.abs(low - self.centre[k]), np.abs(high - self.centre[k]))
-                slack *= _RESOLUTION
-                slack += fixed
-                slack += radius
-                low -= slack
-                high += slack
-                if not ((low >= lower[k]).all() and (high <= upper[k]).all()):
-                    return False
-        return True
+                slack = np.maximum(np.abs(lower[k] - self.centre[k]), np.abs(upper[k] - self.centre[k]))
+                slack = slack * _RESOLUTION + fixed + radius
+                low[:, k] = np.nan_to_num(lower[k] + slack, nan=np.inf)
+                high[:, k] = np.nan_to_num(upper[k] - slack, nan=-np.inf)
+        return low, high
+
+
+def is_within(positions: NDArray[np.float64], limits: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
+    """Whether every vertex is within its limits."""
+    lower, upper = limits
+    return bool((positions >= lower).all() and (positions <= upper).all())
 
 
 def scene_box(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -30,8 +30,7 @@ class Plan:
 
     Attributes:
         bounds: The numbers from which the boxes follow.
-        lower: Lower corners of the boxes of the vertices that this rank owns, shape [4, n].
-        upper: Their upper corners.
+        limits: Between which the vertices that this rank owns have to stay, shapes [n, 3].
         regions: The regions of the ranks.
         part: The primitives of this rank's region.
         topology: Their data on the device.
@@ -44,8 +43,7 @@ class Plan:
     """
 
     bounds: Bounds
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]]
     regions: partition.Regions
     part: Part
     topology: PartTopology
@@ -108,8 +106,7 @@ def make_plan(
     is_static = whole.static[whole.bodies[own]]
     return Plan(
         bounds,
-        lower[:, own],
-        upper[:, own],
+        bounds.limits(lower[:, own], upper[:, own], whole.box_radius[own]),
         regions,
         part,
         topology,
