@@ -86,7 +86,8 @@ class Cut:
     def local(self, positions):
         """Positions of the vertices on this rank; those of ghosts are spoiled, as they are not to be read."""
         values = positions[self.rows].copy()
-        values[~self.mesh.is_owned] = np.nan
+        ghosts = np.flatnonzero(~self.mesh.is_owned)
+        values[ghosts] = np.resize([np.nan, 0.0, np.inf, -1e308], len(ghosts))[:, None]
         return values
 
 

@@ -8,6 +8,7 @@ line for each case, on rank 0; run by ``-m mpi4py``, a failure on one rank ends 
 
 import sys
 import time
+import warnings
 
 import numpy as np
 import scenes
@@ -252,4 +253,5 @@ def main(names):
 
 
 if __name__ == "__main__":
+    warnings.simplefilter("error")
     main(sys.argv[1:])
