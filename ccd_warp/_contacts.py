@@ -263,8 +263,10 @@ class Contact:
     @property
     def bodies(self) -> tuple[int, int]:
         """Bodies of the first and the second primitive."""
-        first, second = self._row.bodies[0].tolist()
-        return first, second
+        mesh, row = self._row._known().mesh, self._row.vertices[0]
+        if self.kind == PairKind.VERTEX_PLANE:
+            return int(mesh.vertex_body[row[0]]), int(mesh.planes.bodies[self._row.primitives[0, 1]])
+        return int(mesh.vertex_body[row[0]]), int(mesh.vertex_body[row[3]])
 
     @property
     def body_names(self) -> tuple[str, str]:
