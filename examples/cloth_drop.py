@@ -8,14 +8,15 @@ With CCD, each frame is solved in the frame of reference of the obstacle, where 
 paths stay straight. There, a cloth that does not move is carried along with the obstacle, which is always free of
 collisions. From this start, a round
 
-1. computes by `mesh_ccd` the contacts on the path to the desired end, and keeps the two sides of each apart by a plane,
+1. computes by `mesh_ccd` the contacts on the path to the desired end, and from the second round on by `find_proximity`
+   what is near where the first has come to, and keeps the two sides of each pair apart by a plane across its gap,
 2. lets XPBD find an end that obeys springs and planes,
 3. moves each vertex towards it as far as `line_search` allows, which is certain to be free,
 
 and the next round continues from there. Motion that the rounds do not complete is lost, like momentum in an inelastic
-impact. Every accepted position is the end of a path that CCD has found free, with a gap that is larger than the
-rounding of the positions in the world. Every frame is checked independently: CGAL searches for intersecting faces by
-exact arithmetic.
+impact. Every accepted position is the end of a path that CCD has found free, and no path enters the thickness of the
+cloth, twice the `radius` of its vertices, which is larger than the rounding of positions in the world. Every frame is
+checked independently: CGAL searches for intersecting faces by exact arithmetic.
 
 Run it: python examples/cloth_drop.py --output drop
         python examples/cloth_drop.py --output drop_no_ccd --no-ccd
@@ -61,11 +62,13 @@ KICKS = 0.45 * np.array(
     [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]], dtype=np.float64
 )
 FIRST_KICK, FRAMES_BETWEEN_KICKS, FRAMES_OF_KICK = 4, 48, 12
-ROUNDS, ITERATIONS = 3, 32
+ROUNDS, ITERATIONS = 2, 64
 FRICTION, AIR_DRAG = 0.3, 3.0
 SHEAR_COMPLIANCE, BEND_COMPLIANCE = 0.5, 5.0  # of unit masses, over the frame time squared
-# In edge lengths: the gap that contacts aim at, and the least gap along any path.
-THICKNESS, SEPARATION = 0.2, 0.02
+# In edge lengths: half the thickness of the cloth, which any path keeps, and the gap beyond it that is aimed at.
+RADIUS, MARGIN = 0.02, 0.16
+# Signs of the vertices of a vertex and a face, and of two edges, in the gap between the two.
+SIGNS = np.array([[1, -1, -1, -1], [1, 1, -1, -1]])
 BALL_SUBDIVISIONS, GLOBE_SUBDIVISIONS = 3, 4
 KEY_FRAMES = (3, 8, 18, 50, 57, 68, 112, 299)
 
@@ -98,7 +101,7 @@ def push_contacts(
     corners: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4d],
     normals: wp.array[wp.vec3d],
-    thickness: wp.float64,
+    distances: wp.array[wp.float64],
     friction: wp.float64,
     num_cloth: int,
     start: wp.array[wp.vec3d],
@@ -107,7 +110,7 @@ def push_contacts(
     push: wp.array[wp.vec3d],
     num_pushes: wp.array[wp.float64],
 ):
-    """Add up the corrections of each contact for its vertices: the thickness along its normal, and friction."""
+    """Add up the corrections of each contact for its vertices: the distance along its normal, and friction."""
     c = wp.tid()
     normal = normals[c]
     gap = wp.vec3d()
@@ -119,7 +122,7 @@ def push_contacts(
         slide += w * (positions[i] - start[i])
         if i < num_cloth:
             mobility += w * w
-    depth = thickness - wp.dot(normal, gap)
+    depth = distances[c] - wp.dot(normal, gap)
     if depth > wp.float64(0.0) and mobility > wp.float64(0.0):
         slide -= wp.dot(normal, slide) * normal
         damping = wp.min(wp.float64(1.0), friction * depth / wp.max(wp.length(slide), wp.float64(1e-12)))
@@ -192,45 +195,26 @@ def obstacle_offset(frame: int) -> NDArray[np.float64]:
 
 
 class Planes(NamedTuple):
-    """Contacts that stay on their side: normal · Σ weight · corner >= thickness."""
+    """Pairs of primitives that stay on their sides: normal · Σ weight · corner >= distance."""
 
     pairs: NDArray[np.int32]  # kind and primitives, shape [m, 3]
     corners: NDArray[np.int32]  # vertices, shape [m, 4]
     weights: NDArray[np.float64]  # shape [m, 4]
     normals: NDArray[np.float64]  # shape [m, 3]
 
+    @classmethod
+    def between(cls, pairs: ccd.Contacts | ccd.Proximities, normals: NDArray[np.float64]) -> Self:
+        """A plane across the gap of each pair."""
+        keys = np.column_stack([pairs.kind, pairs.primitives])
+        return cls(keys, pairs.vertices, SIGNS[pairs.kind] * pairs.weights, normals)
+
     def joined(self, earlier: Self | None) -> Self:
-        """These contacts and the earlier ones of other pairs."""
+        """These planes and the earlier ones of other pairs."""
         if earlier is None:
             return self
         both = Planes(*(np.concatenate(values) for values in zip(self, earlier, strict=True)))
         kept = np.unique(both.pairs, axis=0, return_index=True)[1]
         return Planes(*(values[kept] for values in both))
-
-
-def contact_planes(
-    mesh: ccd.CollisionMesh, contacts: ccd.Contacts, begin: NDArray[np.float64], end: NDArray[np.float64]
-) -> Planes:
-    """A plane through each contact, between its two primitives."""
-    corners = np.empty((len(contacts), 4), dtype=np.int32)
-    weights = np.empty((len(contacts), 4))
-    for kind in (ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE):
-        chosen = contacts.kind == kind
-        first, second = contacts.primitives[chosen].T
-        u, v = contacts.parameters[chosen].T
-        if kind == ccd.PairKind.VERTEX_FACE:
-            corners[chosen] = np.column_stack([first, mesh.faces[second]])
-            weights[chosen] = np.column_stack([np.ones_like(u), u + v - 1.0, -u, -v])
-        else:
-            corners[chosen] = np.column_stack([mesh.edges[first], mesh.edges[second]])
-            weights[chosen] = np.column_stack([1.0 - u, u, v - 1.0, -v])
-    # Across the gap that the finder's separation leaves: two primitives may be side by side, where the normal of a
-    # face would push them the wrong way.
-    toi = contacts.toi[:, None, None]
-    gap = np.einsum("mk,mkd->md", weights, (1.0 - toi) * begin[corners] + toi * end[corners])
-    length = np.linalg.norm(gap, axis=1, keepdims=True)
-    normals = np.divide(gap, length, out=contacts.normal.copy(), where=length > 0.0)
-    return Planes(np.column_stack([contacts.kind, contacts.primitives]), corners, weights, normals)
 
 
 class ClothDrop:
@@ -241,15 +225,17 @@ class ClothDrop:
         obstacle = obstacle_mesh()
         self.with_ccd = with_ccd
         self.num_cloth = len(vertices)
-        self.mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (obstacle.vertices, obstacle.faces)], static=[1])
+        self.edge_length = CLOTH_SIDE / (resolution - 1)
+        bodies = [(vertices, faces), (obstacle.vertices, obstacle.faces)]
+        radius = [RADIUS * self.edge_length, 0.0]
+        self.mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], radius=radius)
         self.positions = self.mesh.vertices.copy()
         self.velocity = np.zeros_like(vertices)  # in the world
-        self.edge_length = CLOTH_SIDE / (resolution - 1)
-        self.thickness = THICKNESS * self.edge_length
-        # lengths in metres; the tolerance is small beside the separation, so that what is close can still move
+        self.margin = MARGIN * self.edge_length
+        # lengths in metres; the tolerance is small beside the thickness, so that what is close can still move
         lengths = {"length_scale": 1.0, "tolerance": 1e-8}
-        self.finder = ccd.CollisionPipeline(self.mesh, minimum_separation=self.thickness, **lengths)
-        self.guard = ccd.CollisionPipeline(self.mesh, minimum_separation=SEPARATION * self.edge_length, **lengths)
+        self.finder = ccd.CollisionPipeline(self.mesh, minimum_distance=self.margin, **lengths)
+        self.guard = ccd.CollisionPipeline(self.mesh, **lengths)
         self.springs = []
         for pairs, compliance in cloth_springs(resolution):
             rest = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
@@ -268,10 +254,12 @@ class ClothDrop:
         planes = None
         reached = start
         for _ in range(ROUNDS):
-            # Without CCD only the primitives close to each other at one instant are known.
-            begin = reached if self.with_ccd else wish
-            found = self.finder.mesh_ccd(begin, wish).contacts
-            planes = contact_planes(self.mesh, found, begin, wish).joined(planes)
+            if self.with_ccd and planes is None:
+                found = self.finder.mesh_ccd(reached, wish).contacts
+                planes = Planes.between(found, found.normal)
+            else:  # what is close at one instant; without CCD nothing else is known
+                near = self.finder.find_proximity(reached if self.with_ccd else wish, self.margin)
+                planes = Planes.between(near, near.direction).joined(planes)
             wish = self.solve(start, wish, planes)
             reached = self.guard.line_search(reached, wish, per="vertex").vertices if self.with_ccd else wish
         self.positions = reached
@@ -281,16 +269,16 @@ class ClothDrop:
     def solve(self, start: NDArray[np.float64], wish: NDArray[np.float64], planes: Planes) -> NDArray[np.float64]:
         """Solve springs and contacts in turn, from the end of the last round."""
         positions, start = (wp.array(values, dtype=wp.vec3d) for values in (wish, start))
-        corners = wp.array(planes.corners, dtype=wp.vec4i)
-        weights = wp.array(planes.weights, dtype=wp.vec4d)
-        normals = wp.array(planes.normals, dtype=wp.vec3d)
-        sides = [corners, weights, normals, self.thickness, FRICTION, self.num_cloth, start, positions]
+        distances = self.margin + self.mesh.radius[planes.corners[:, [0, 3]]].sum(axis=1)
+        sides = [wp.array(planes.corners, dtype=wp.vec4i), wp.array(planes.weights, dtype=wp.vec4d)]
+        sides += [wp.array(planes.normals, dtype=wp.vec3d), wp.array(distances, dtype=wp.float64)]
+        sides += [FRICTION, self.num_cloth, start, positions]
         pushes = [self.push, self.num_pushes]
         for _ in range(ITERATIONS):
             for springs, rest_length, compliance, multiplier in self.springs:
                 given = [springs, rest_length, compliance]
                 wp.launch(pull_springs, dim=len(springs), inputs=given, outputs=[multiplier, positions])
-            wp.launch(push_contacts, dim=len(normals), inputs=sides, outputs=pushes)
+            wp.launch(push_contacts, dim=len(distances), inputs=sides, outputs=pushes)
             wp.launch(apply_pushes, dim=self.num_cloth, outputs=[*pushes, positions])
         return positions.numpy()
 
