@@ -247,7 +247,7 @@ class Topology:
         collision_filter.by_listed_body = int(len(listed[-1]) > 0)
         collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
         collision_filter.by_region = 0
-        collision_filter.vertex_lower = wp.empty(0, dtype=wp.vec4d, device=self.device)
+        collision_filter.vertex_below = none
         collision_filter.applies = int(
             collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
@@ -277,7 +277,7 @@ class Topology:
             collision_filter.ring,
             collision_filter.listed_begin,
             collision_filter.listed,
-            collision_filter.vertex_lower,
+            collision_filter.vertex_below,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 

@@ -95,8 +95,7 @@ class PartTopology(Topology):
         self,
         part: Part,
         device: Any,
-        vertex_lower: NDArray[np.float64],
-        region: tuple[NDArray[np.float64], NDArray[np.float64]],
+        vertex_below: NDArray[np.int32],
         rings: tuple[NDArray[np.int32], NDArray[np.int32]] | None,
         is_whole: bool,
     ) -> None:
@@ -105,14 +104,14 @@ class PartTopology(Topology):
         Args:
             part: The part.
             device: The device.
-            vertex_lower: Lower corner of the box of each vertex in the plan, shape [n, 4].
-            region: Lower and upper corner of the region.
+            vertex_below: The axes along which the box of each vertex in the plan begins below the region, a bit each,
+                shape [n].
             rings: The vertices that must not meet each vertex, as of `rings.excluded_vertices`.
             is_whole: Whether this is all of the mesh, so that no pair belongs elsewhere.
         """
         super().__init__(part.mesh, device)
         self._part = part
-        self._vertex_lower, self._region, self._rings, self._is_whole = vertex_lower, region, rings, is_whole
+        self._vertex_below, self._rings, self._is_whole = vertex_below, rings, is_whole
         # positions of the samples of the whole mesh in this step, as `sampled` gives them
         self.samples_of_all: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -146,10 +145,8 @@ class PartTopology(Topology):
             collision_filter.by_ring, collision_filter.applies = 1, 1
             collision_filter.ring_begin, collision_filter.ring = (self.array(array) for array in self._rings)
         if not self._is_whole:
-            collision_filter.by_region, collision_filter.applies = 1, 1
-            lower, upper = self._region
-            collision_filter.region_lower, collision_filter.region_upper = wp.vec4d(*lower), wp.vec4d(*upper)
-            collision_filter.vertex_lower = self.array(self._vertex_lower, wp.vec4d)
+            collision_filter.by_region, collision_filter.applies = 1 if collision_filter.applies else 2, 1
+            collision_filter.vertex_below = self.array(self._vertex_below)
         return collision_filter
 
     @property

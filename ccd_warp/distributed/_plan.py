@@ -137,6 +137,18 @@ def destinations(
     return {kind: regions_met(regions, *united(lower, upper, c)) for kind, c in corners.items()}
 
 
+def axes_below(lower: NDArray[np.float64], region_lower: NDArray[np.float64]) -> NDArray[np.int32]:
+    """The axes along which each box begins below a region, as the bits of a number, given their lower corners [4, n].
+
+    The corner of an intersection is the larger of two lower corners. So a pair of boxes that meet a region belongs to
+    it unless both begin below it along the same axis.
+    """
+    bits = np.zeros(lower.shape[1], dtype=np.int32)
+    for k, least in enumerate(region_lower):
+        bits |= (lower[k] < least).astype(np.int32) << k
+    return bits
+
+
 def used_rows(num_rows: int, corners: list[NDArray[np.integer]]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """The rows that some primitives use, ascending, and the place of each row among them."""
     is_used = np.zeros(num_rows, dtype=bool)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
-from ccd_warp.distributed._plan import Bounds, destinations, scene_box, united, used_rows
+from ccd_warp.distributed._plan import Bounds, axes_below, destinations, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
 LEAST_SAMPLES = 1 << 14
@@ -92,8 +92,7 @@ def make_plan(
     topology = PartTopology(
         part,
         device,
-        np.ascontiguousarray(part_lower.T),
-        region,
+        axes_below(part_lower, region[0]),
         None if whole.rings is None else whole.rings.among(part.vertex_numbers),
         ranks.size == 1,
     )
