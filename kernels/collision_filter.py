@@ -26,10 +26,6 @@ class CollisionFilter:
     by_listed_pair: int  # 1: pairs of primitives are listed
     listed_begin: wp.array[wp.int32]  # first key of each pair kind, then of the bodies, and the end
     listed: wp.array[wp.int64]  # keys of the listed pairs, ascending for each kind
-    by_region: int  # 1: only pairs that belong to a region are kept, and the next array applies; 2: it alone does
-    vertex_below: wp.array[
-        wp.int32
-    ]  # the axes along which a box around each vertex begins below the region, a bit each
 
 
 # In place of a pair kind: pairs of bodies.
@@ -60,23 +56,6 @@ def are_bodies_listed(a: int, b: int, collision_filter: CollisionFilter) -> bool
     if collision_filter.by_listed_body != 0:
         return is_listed(BODIES, wp.min(a, b), wp.max(a, b), collision_filter)
     return False
-
-
-@wp.func
-def axes_below(c: wp.vec3i, collision_filter: CollisionFilter) -> int:
-    """The axes along which the box around a primitive begins below the region, a bit each."""
-    below = collision_filter.vertex_below[c[0]] | collision_filter.vertex_below[c[1]]
-    return below | collision_filter.vertex_below[c[2]]
-
-
-@wp.func
-def belongs_elsewhere(a: wp.vec3i, b: wp.vec3i, collision_filter: CollisionFilter) -> bool:
-    """Whether the lower corner of the intersection of two boxes, the larger of both corners, is in another region.
-
-    Boxes of this region begin below its upper corner, and so does their intersection. It begins below the lower corner
-    along an axis if both boxes do.
-    """
-    return (axes_below(a, collision_filter) & axes_below(b, collision_filter)) != 0
 
 
 @wp.func

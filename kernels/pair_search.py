@@ -20,7 +20,7 @@ import warp as wp
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i, vec8u
 from .collected import make_collected
-from .collision_filter import CollisionFilter, are_bodies_listed, axes_below, belongs_elsewhere, is_excluded, is_listed
+from .collision_filter import CollisionFilter, are_bodies_listed, is_excluded, is_listed
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, number_of_bits, overlap_mask, shared_vertex_mask
 from .minima import CANDIDATES, FOUND, Minima
@@ -78,13 +78,7 @@ def is_pair_listed(
     a: wp.vec3i,  # vertices of the query
     b: wp.vec3i,
 ) -> bool:
-    """Whether the mesh lists a pair of boxes, given by their places, or the pair of their bodies.
-
-    The same goes for a pair that belongs to another region, which another process counts.
-    """
-    if collision_filter.by_region != 0:
-        if belongs_elsewhere(a, b, collision_filter):
-            return True
+    """Whether the mesh lists a pair of boxes, given by their places, or the pair of their bodies."""
     if are_bodies_listed(collision_filter.vertex_body[a[0]], collision_filter.vertex_body[b[0]], collision_filter):
         return True
     if collision_filter.by_listed_pair != 0:
@@ -153,10 +147,6 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         if collision_filter.applies != 0:
             a = box_corners(query, q)
             left = wp.uint32(mask)
-            if wp.static(with_lists):
-                if collision_filter.by_region == 2:
-                    if axes_below(a, collision_filter) == 0:
-                        left = _NONE  # all its pairs belong here
             while left != _NONE:
                 lane = lowest_bit(left)
                 left = left & (left - wp.uint32(1))

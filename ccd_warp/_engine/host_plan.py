@@ -515,6 +515,15 @@ class HostPlan:
         keys: wp.array = self._recording.values[f"{kind.name} keys"][:count]
         return keys
 
+    def replace_keys(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
+        """Let a batch consist of these pairs of a kind, some of those that it has."""
+        if len(keys):
+            self.found_keys(kind, len(keys)).assign(keys)
+        counts = self.counts()
+        counts[kind, FOUND] = len(keys)
+        if self._counts_view is None:
+            self._counts.assign(counts)
+
     def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
         """The marked keys of the open pairs among the first ``count`` of a batch."""
         keys = self._recording.values[f"{kind.name} keys"][:count].numpy()

@@ -246,8 +246,6 @@ class Topology:
         collision_filter.listed = self.array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
         collision_filter.by_listed_body = int(len(listed[-1]) > 0)
         collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
-        collision_filter.by_region = 0
-        collision_filter.vertex_below = none
         collision_filter.applies = int(
             collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
@@ -277,7 +275,6 @@ class Topology:
             collision_filter.ring,
             collision_filter.listed_begin,
             collision_filter.listed,
-            collision_filter.vertex_below,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 

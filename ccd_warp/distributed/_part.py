@@ -14,6 +14,7 @@ from ccd_warp._engine.topology import Positions, PrimitiveSet, Topology
 from ccd_warp._input.half_spaces import planes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._status import PairKind
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._mesh import DistributedMesh
 
@@ -89,15 +90,14 @@ def part_mesh(
 
 
 class PartTopology(Topology):
-    """The data of a part on a device; its collision filter leaves out pairs that belong to other ranks."""
+    """The data of a part on a device, and which of the pairs found there belong to this rank."""
 
     def __init__(
         self,
         part: Part,
         device: Any,
-        vertex_below: NDArray[np.int32],
+        vertex_below: NDArray[np.uint8],
         rings: tuple[NDArray[np.int32], NDArray[np.int32]] | None,
-        is_whole: bool,
     ) -> None:
         """The data of a part.
 
@@ -107,11 +107,11 @@ class PartTopology(Topology):
             vertex_below: The axes along which the box of each vertex in the plan begins below the region, a bit each,
                 shape [n].
             rings: The vertices that must not meet each vertex, as of `rings.excluded_vertices`.
-            is_whole: Whether this is all of the mesh, so that no pair belongs elsewhere.
         """
         super().__init__(part.mesh, device)
         self._part = part
-        self._vertex_below, self._rings, self._is_whole = vertex_below, rings, is_whole
+        self._vertex_below, self._rings = vertex_below, rings
+        self._axes_below: dict[str, NDArray[np.uint8]] = {}
         # positions of the samples of the whole mesh in this step, as `sampled` gives them
         self.samples_of_all: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -144,15 +144,33 @@ class PartTopology(Topology):
         if self._rings is not None and not collision_filter.by_ring:
             collision_filter.by_ring, collision_filter.applies = 1, 1
             collision_filter.ring_begin, collision_filter.ring = (self.array(array) for array in self._rings)
-        if not self._is_whole:
-            collision_filter.by_region, collision_filter.applies = 1 if collision_filter.applies else 2, 1
-            collision_filter.vertex_below = self.array(self._vertex_below)
         return collision_filter
 
-    @property
-    def has_lists(self) -> bool:
-        """Whether the search of meshes with lists is needed, which asks for the region, too."""
-        return not self._is_whole or super().has_lists
+    def own_pairs(self, kind: PairKind, first: NDArray[np.integer], second: NDArray[np.integer]) -> Any:
+        """Which pairs of primitives belong to this rank: a slice of all, or flags.
+
+        Both boxes meet the region, so the larger of their lower corners is below its upper corner. It is below its
+        lower corner, and the pair another rank's, if both begin below along one axis.
+        """
+        below = [self._below(name) for name in self.corner_arrays(kind)]
+        if not all(flags.any() for flags in below):
+            return slice(None)
+        may_differ = np.flatnonzero(below[0].take(first))
+        both = below[0].take(first[may_differ]) & below[1].take(second[may_differ])
+        if not both.any():
+            return slice(None)
+        own = np.ones(len(first), dtype=bool)
+        own[may_differ[both != 0]] = False
+        return own
+
+    def _below(self, name: str) -> NDArray[np.uint8]:
+        """The axes along which the box of each primitive begins below the region, a bit each."""
+        if name not in self._axes_below:
+            vertices = np.arange(self.mesh.num_vertices)[:, None]
+            corners: NDArray[Any] = {"vertex": vertices, "edge": self.mesh.edges, "face": self.mesh.faces}[name]
+            each = self._vertex_below[corners]
+            self._axes_below[name] = np.bitwise_or.reduce(each, axis=1)
+        return self._axes_below[name]
 
 
 class TogetherIn:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import bodies_near_boxes
-from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.host_plan import Batch, Goal, HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.line_search import OneProcess
 from ccd_warp._status import PairKind
@@ -43,6 +44,30 @@ class StepTogether(Step):
         near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)
         self._num_active_bodies = int((near | self.mesh.static).sum())
         return near
+
+    def timed_batches(self, batches: Iterator[Any]) -> Iterator[Any]:
+        """The batches of a search, each without the pairs that belong to other ranks.
+
+        Candidates, which are no batches of keys, lose theirs where they are given out.
+        """
+        for batch in super().timed_batches(batches):
+            if isinstance(batch, Batch):
+                with self.timed("pairs"):
+                    found = {kind: self._keep_own(kind, count) for kind, count in batch.found.items()}
+                batch = Batch(found, batch.is_only)
+            yield batch
+
+    def _keep_own(self, kind: PairKind, count: int) -> int:
+        """Keep the keys of this rank's pairs among the ``count`` of a kind; returns their number."""
+        if count == 0:
+            return 0
+        keys = self.plan.found_keys(kind, count).numpy()
+        own = self.together.topology.own_pairs(kind, keys >> 32, keys & 0xFFFFFFFF)
+        if isinstance(own, slice):
+            return count
+        kept = keys[own]
+        self.plan.replace_keys(kind, kept)
+        return len(kept)
 
     def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
         """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.

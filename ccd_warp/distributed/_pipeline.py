@@ -223,7 +223,7 @@ class DistributedPipeline:
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
             found = self._run(plan.start, plan.end, lambda step: step.candidates(inflation))
-            candidates = candidates_of(plan.part, found, self._ranks)
+            candidates = candidates_of(plan.part, plan.topology, found, self._ranks)
             self._finished()
             return candidates
 

@@ -137,15 +137,15 @@ def destinations(
     return {kind: regions_met(regions, *united(lower, upper, c)) for kind, c in corners.items()}
 
 
-def axes_below(lower: NDArray[np.float64], region_lower: NDArray[np.float64]) -> NDArray[np.int32]:
+def axes_below(lower: NDArray[np.float64], region_lower: NDArray[np.float64]) -> NDArray[np.uint8]:
     """The axes along which each box begins below a region, as the bits of a number, given their lower corners [4, n].
 
     The corner of an intersection is the larger of two lower corners. So a pair of boxes that meet a region belongs to
     it unless both begin below it along the same axis.
     """
-    bits = np.zeros(lower.shape[1], dtype=np.int32)
+    bits = np.zeros(lower.shape[1], dtype=np.uint8)
     for k, least in enumerate(region_lower):
-        bits |= (lower[k] < least).astype(np.int32) << k
+        bits |= (lower[k] < least).astype(np.uint8) << k
     return bits
 
 

@@ -17,7 +17,7 @@ from ccd_warp._results import Counts
 from ccd_warp._status import PairKind
 
 if TYPE_CHECKING:
-    from ccd_warp.distributed._part import Part
+    from ccd_warp.distributed._part import Part, PartTopology
     from ccd_warp.distributed._ranks import Ranks
 
 
@@ -288,11 +288,12 @@ class DistributedCandidates:
         return DistributedCandidates(**{name: _in_order(pairs) for name, pairs in gathered.items()})
 
 
-def candidates_of(part: Part, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
-    """The candidates of a part, in lexicographic order, as pairs of the whole mesh."""
+def candidates_of(part: Part, topology: PartTopology, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
+    """The candidates of a part that belong to this rank, in lexicographic order, as pairs of the whole mesh."""
     found = {}
     for kind in PRIMITIVES:
         pairs: Any = getattr(candidates, kind.name.lower())
+        pairs = pairs[topology.own_pairs(kind, *pairs.T)]
         found[kind.name.lower()] = _in_order(whole_pairs(part, np.full(len(pairs), kind, dtype=np.int32), pairs))
     result = DistributedCandidates(**found)
     vars(result)["_ranks"] = ranks
