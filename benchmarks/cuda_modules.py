@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from itertools import product
 from typing import Any
 
 import warp as wp
@@ -48,11 +49,10 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     modules["candidate_cull"] = make_candidate_cull(False).cull_candidates.module
     if with_distances:
         modules["candidate_cull thick"] = make_candidate_cull(True).cull_candidates.module
-        for end in (BOXES, CULL):
-            modules[f"half_warp_search {end} thick"] = make_half_warp_search(end, False, True).search_queries.module
-    for end in (BOXES, LIST, CULL):
-        for with_lists in (False, True):
-            search = make_half_warp_search(end, with_lists).search_queries
-            modules[f"half_warp_search {end} {with_lists}"] = search.module
-            modules[f"half_warp_grid_search {end} {with_lists}"] = make_half_warp_grid_search(end, with_lists).module
+    for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, with_distances)):
+        if is_thick and end == LIST:
+            continue  # lists candidates with radii as it does without
+        name = f"{end} {with_lists}{' thick' if is_thick else ''}"
+        modules[f"half_warp_search {name}"] = make_half_warp_search(end, with_lists, is_thick).search_queries.module
+        modules[f"half_warp_grid_search {name}"] = make_half_warp_grid_search(end, with_lists, is_thick).module
     return {name: module for name, module in modules.items() if module.kernels}

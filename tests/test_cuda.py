@@ -10,12 +10,16 @@ import pkgutil
 import re
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import ccd_warp.kernels
 import pytest
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+
+from ccd_warp._runtime.lanes import grid_search_on, pair_search_on
 
 # Files whose kernels have other versions for CUDA.
 CPU_ONLY = ["pair_search", "grid_search"]
@@ -30,6 +34,14 @@ def test_every_file_with_kernels_is_covered():
         source = open(module.__file__, encoding="utf-8").read()
         if "@wp.kernel" in source:
             assert (info.name in covered) != (info.name in CPU_ONLY)
+
+
+@pytest.mark.parametrize("search_on", [pair_search_on, grid_search_on])
+def test_every_search_that_a_scene_may_ask_for_is_listed(search_on):
+    modules = cuda_modules(with_distances=True).values()
+    for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, True)):
+        kernel = search_on(None, end, with_lists, is_cuda=True, is_thick=is_thick)
+        assert kernel.module in modules, (end, with_lists, is_thick)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +59,8 @@ def compiled(tmp_path_factory, request):
 
 
 # Of the kernels for radii, which all run emulated, those that take the distances of pairs each in another way.
-_OF_RADII = ["queued_pairs solve_pairs later float64 thick", "candidate_cull thick", "half_warp_search boxes thick"]
+_OF_RADII = ["queued_pairs solve_pairs later float64 thick", "candidate_cull thick"]
+_OF_RADII += ["half_warp_search boxes False thick"]
 NAMES = [name for name in cuda_modules(with_distances=True) if not name.endswith("thick") or name in _OF_RADII]
 
 

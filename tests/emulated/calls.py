@@ -53,10 +53,25 @@ def with_radii(case: StepCase, precision: str) -> Outputs:
         near, bounds = pipeline.launch_proximity(t0, 0.02), pipeline.launch_displacement_bounds(t0, 0.05)
         found |= outputs_of(_rows(near.to_host()), f"launch_proximity with {share} of the radii")
         found |= outputs_of(bounds.bounds, f"launch_displacement_bounds with {share} of the radii")
-    # so few that candidates are searched for again, and culled where they are found; which of them find a place depends
-    # on the order of threads
+    return found | _with_little_capacity(pipeline, t0, t1)
+
+
+def searches_with_radii(case: StepCase, precision: str) -> Outputs:
+    """The searches that a mesh with radii has of its own, one of which culls where it finds."""
+    mesh, start, end = case.make()
+    of_search = {"broad_phase": case.options["broad_phase"]}
+    found = outputs_of(ccd.find_candidates(mesh, start, end, **of_search), "find_candidates")
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **case.options)
+    return found | _with_little_capacity(pipeline, _on_device(start, "float64"), _on_device(end, "float64"))
+
+
+def _with_little_capacity(pipeline: ccd.CollisionPipeline, t0: wp.array, t1: wp.array) -> Outputs:
+    """How many pairs a launch finds that has so little capacity that candidates are searched for again, and culled.
+
+    Which of them find a place depends on the order of threads.
+    """
     pipeline.reserve(max_pairs=20)
-    return found | outputs_of({"num_pairs": pipeline.launch(t0, t1).num_pairs}, "launch with little capacity")
+    return outputs_of({"num_pairs": pipeline.launch(t0, t1).num_pairs}, "launch with little capacity")
 
 
 def line_searches(case: StepCase, precision: str) -> Outputs:

@@ -23,7 +23,8 @@ _PLAN = {
     "launched_line_searches": (*_SOME, "half-spaces", "little work"),
     "at_one_time": ("worlds in one place", "excluded pairs", "spatial hash", "half-spaces"),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
-    "with_radii": tuple(THICK),
+    "with_radii": ("radii",),
+    "searches_with_radii": ("radii, spatial hash, excluded pairs",),
 }
 
 
@@ -66,6 +67,14 @@ CPU_ALONE = {
     ),
     "split_segments": "the order at rest by selection; CUDA sorts keys",
 }
+# Of modules for distances, ends of the names of those that are not run, and the ones that run what is theirs.
+RUN_ELSEWHERE = {
+    " euclidean": "those for radii, which take their distance from the pair in place of the options",
+    "half_warp_search boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
+    "half_warp_search cull True thick": "likewise",
+    "half_warp_grid_search boxes False thick": "likewise, the other way round",
+    "half_warp_grid_search cull False thick": "likewise",
+}
 
 
 class Comparison:
@@ -106,7 +115,8 @@ class Comparison:
         """The kernels for CUDA that no call so far has launched, with the names of their modules."""
         return [
             f"{name}: {key}"
-            for name, module in cuda_modules().items()
+            for name, module in cuda_modules(with_distances=True).items()
+            if not name.endswith(tuple(RUN_ELSEWHERE))
             for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
             if key not in CPU_ALONE and not self._num_launches[module.name, key]
         ]

@@ -45,10 +45,11 @@ def _every_kind(half_spaces: tuple[ccd.HalfSpace, ...] = (), **arguments: Any) -
     return mesh, start, start + moves
 
 
-def _thick() -> Made:
+def _thick(**arguments: Any) -> Made:
     """Every kind of pair, one body static, with radii that differ within primitives; some are 0."""
     vertices = np.arange(3 * len(scenes.cables_and_particles(np.random.default_rng(22), 14, 0.1)[0]))
-    return _every_kind(static=[1], radius=0.03 * np.random.default_rng(28).random(len(vertices)) * (vertices % 3))
+    radius = 0.03 * np.random.default_rng(28).random(len(vertices)) * (vertices % 3)
+    return _every_kind(static=[1], radius=radius, **arguments)
 
 
 def _between_walls() -> Made:
@@ -172,4 +173,10 @@ STEPS = {
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
 # Meshes with radii, for which kernels of their own are compiled: by the calls that need each of these, and no others.
-THICK = {"radii": StepCase(_thick, {"minimum_distance": 0.004})}
+THICK = {
+    "radii": StepCase(_thick, {"minimum_distance": 0.004}),
+    "radii, spatial hash, excluded pairs": StepCase(
+        lambda: _thick(exclude_pairs={"bodies": [(0, 2)], "vertices": [(0, 130), (7, 250), (3, 20)]}),
+        {"broad_phase": "hash"},
+    ),
+}
