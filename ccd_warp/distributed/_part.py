@@ -167,8 +167,8 @@ class PartTopology(Topology):
         """The axes along which the box of each primitive begins below the region, a bit each."""
         if name not in self._axes_below:
             vertices = np.arange(self.mesh.num_vertices)[:, None]
-            corners: NDArray[Any] = {"vertex": vertices, "edge": self.mesh.edges, "face": self.mesh.faces}[name]
-            each = self._vertex_below[corners]
+            corners: dict[str, NDArray[Any]] = {"vertex": vertices, "edge": self.mesh.edges, "face": self.mesh.faces}
+            each = self._vertex_below[corners[name]]
             self._axes_below[name] = np.bitwise_or.reduce(each, axis=1)
         return self._axes_below[name]
 
