@@ -8,7 +8,9 @@ the cancellation. A computed point is therefore a point of the patch to within a
 and no point is nearer by more than that: so accurate is the distance.
 
 The decision does not rest on it. As everywhere, any direction is a proof: along the difference vector, whatever it is
-worth, all corners lie beyond the bound that is reported (rounding, step 15).
+worth, all corners lie beyond the bound that is reported (rounding, step 15). Near its minimum the distance changes by
+the square of what the direction changes by, so where rounding hides which feature is the nearest, the distance is right
+and the direction may not be: then it is turned until no corner lies below the closest point.
 """
 
 import warp as wp
@@ -29,6 +31,8 @@ _DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 _TINY = wp.constant(wp.float64(TINY[wp.float64]))
 _SHRUNK = wp.constant(wp.float64(2.0**-10))
 _RESTORED = wp.constant(wp.float64(2.0**10))
+# In scaled units, beside which a corner counts as lower than the closest point.
+_TURN = wp.constant(wp.float64(UNIT_ROUNDOFF[wp.float64]))
 _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 # More than a number can lose where it becomes subnormal.
 UNDERFLOW = wp.constant(wp.float64(2.0**-1070))
@@ -87,10 +91,12 @@ class Foot:
 def on_side(a: wp.vec3d, b: wp.vec3d, side: wp.vec3d) -> OnSide:
     """Closest point to the origin of the segment from a to b = a + side, reckoned from its nearer end."""
     near = a
+    far = b
     e = side
     is_from_b = wp.dot(b, b) < wp.dot(a, a)
     if is_from_b:
         near = b
+        far = a
         e = -side
     r = OnSide()
     r.d = near
@@ -98,7 +104,9 @@ def on_side(a: wp.vec3d, b: wp.vec3d, side: wp.vec3d) -> OnSide:
     squared = wp.dot(e, e)
     if squared > _ZERO:
         t = wp.clamp(-wp.dot(near, e) / squared, _ZERO, _ONE)
-        if t > _ZERO:
+        if t == _ONE:
+            r.d = far  # only if rounding hides which end is nearer
+        elif t > _ZERO:
             d = near + t * e
             r.d = d - (wp.dot(d, e) / squared) * e
     r.of_a = _ONE - t
@@ -233,6 +241,45 @@ def closest_of_edges(w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d,
 
 
 @wp.func
+def lowest(n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d) -> wp.vec3d:
+    """The corner that is least far along n."""
+    w = w00
+    if wp.dot(n, w01) < wp.dot(n, w):
+        w = w01
+    if wp.dot(n, w10) < wp.dot(n, w):
+        w = w10
+    if wp.dot(n, w11) < wp.dot(n, w):
+        w = w11
+    return w
+
+
+@wp.func
+def without(d: wp.vec3d, a: wp.vec3d) -> wp.vec3d:
+    """The part of d across a; a second time, after the cancellation."""
+    squared = wp.dot(a, a)
+    if squared > _ZERO:
+        d = d - (wp.dot(d, a) / squared) * a
+        d = d - (wp.dot(d, a) / squared) * a
+    return d
+
+
+@wp.func
+def turned(d: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d) -> wp.vec3d:
+    """A direction near that of the closest point d, along which the patch begins there.
+
+    Where a foot lies so near the end of a side that rounding hides it, the distance does not tell, and the direction is
+    off by as much: it is made orthogonal to what leads from there to the lowest corner, and then to a second one.
+    """
+    a = lowest(to_unit_size(d), w00, w01, w10, w11) - d
+    e = without(d, a)
+    n = to_unit_size(e)
+    b = without(lowest(n, w00, w01, w10, w11) - d, a)
+    if wp.dot(n, b) < -_TURN:
+        e = without(without(e, b), a)
+    return e
+
+
+@wp.func
 def measured(kind: int, given: Points) -> PairDistance:
     """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15)."""
     p = given
@@ -263,8 +310,17 @@ def measured(kind: int, given: Points) -> PairDistance:
         closest.features = _FIRST + span(side, _THIRD, _FOURTH)
     # corners that repeat do no harm
     n = to_unit_size(closest.d)
-    along = wp.min(wp.min(wp.dot(n, w00), wp.dot(n, w01)), wp.min(wp.dot(n, w10), wp.dot(n, w11)))
-    along = along - (_PROJECTION * s * wp.dot(wp.abs(n), size) + _TINY)
+    along = wp.dot(n, lowest(n, w00, w01, w10, w11))
+    error = _PROJECTION * s * wp.dot(wp.abs(n), size)
+    if wp.dot(n, closest.d) - along > error:
+        e = turned(closest.d, w00, w01, w10, w11)
+        m = to_unit_size(e)
+        # of two directions that are as good as each other, the one that proves more
+        if wp.dot(m, lowest(m, w00, w01, w10, w11)) * wp.length(n) > along * wp.length(m):
+            n = m
+            along = wp.dot(n, lowest(n, w00, w01, w10, w11))
+            error = _PROJECTION * s * wp.dot(wp.abs(n), size)
+    along = along - (error + _TINY)
     length = wp.sqrt(wp.dot(n, n))
     r = PairDistance()
     r.parameters = wp.vec2d(closest.u, closest.v)
@@ -274,7 +330,8 @@ def measured(kind: int, given: Points) -> PairDistance:
         r.least = wp.max(wp.min(least / s * restored, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
     if length > _ZERO:
         r.direction = n / length
-        r.distance = length / inverse_power_of_two(wp.max(wp.abs(closest.d))) / s * restored
+        of_unit_size = to_unit_size(closest.d)
+        r.distance = wp.length(of_unit_size) / inverse_power_of_two(wp.max(wp.abs(closest.d))) / s * restored
     if not (t[0] + t[1] + t[2] == t[0] + t[1] + t[2]) or not wp.isfinite(wp.max(size)):
         r.least = wp.float64(wp.nan)
     return r

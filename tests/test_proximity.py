@@ -44,13 +44,23 @@ def test_the_pairs_and_their_distances_are_those_of_exact_arithmetic(scene, devi
     assert total > 30
 
 
+def hard_pairs(kind, corners, rng):
+    """Pairs of all families of hard cases, and pairs on a lattice in which points are nearly in one place."""
+    families = [x for family in FAMILIES.values() for x in family(kind, 4, rng)]
+    points = rng.integers(0, 3, (80, corners, 3)).astype(float)
+    for pair in points:
+        for i, j in rng.integers(0, corners, (rng.integers(1, 4), 2)):
+            pair[i] = pair[j] + rng.integers(-2, 3, 3) * 2.0 ** -rng.integers(30, 54)
+    return np.concatenate([*families, points])
+
+
 @pytest.mark.parametrize(
     "kind", [kind for kind in KIND if kind != KIND.VERTEX_PLANE], ids=lambda kind: kind.name.lower()
 )
-def test_distances_of_hard_pairs_are_exact_to_the_last_digits_of_their_size(kind):
+def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_their_size(kind):
     rng = np.random.default_rng(int(kind))
     name = kind.name.lower().replace("_", "-")
-    pairs = np.concatenate([x for family in FAMILIES.values() for x in family(name, 4, rng)])
+    pairs = hard_pairs(name, {KIND.POINT_SEGMENT: 3, KIND.POINT_POINT: 2}.get(kind, 4), rng)
     count, corners, _ = pairs.shape
     bodies = []
     for points in pairs:
@@ -64,11 +74,16 @@ def test_distances_of_hard_pairs_are_exact_to_the_last_digits_of_their_size(kind
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=kind != KIND.EDGE_EDGE, vertex_world=world)
     found = ccd.find_proximity(mesh, mesh.vertices, 1e300, pair_kinds=[kind])
     assert found.world.tolist() == list(range(count))  # each pair is in a world of its own, and none is left out
-    for points, distance, direction in zip(pairs, found.distance, found.direction, strict=True):
+    bounds = ccd.displacement_bounds(mesh, mesh.vertices, 1e300, pair_kinds=[kind]).reshape(count, corners)
+    assert (bounds == bounds[:, :1]).all()
+    rows = zip(pairs, found.distance, found.direction, bounds[:, 0], strict=True)
+    for points, distance, direction, bound in rows:
         largest = np.abs(points).max()
         size = 0.0 if largest == 0.0 else largest * size_of(points / largest)
-        assert abs(distance - exact_distance(name, points, points, 0.0)) <= 1e-15 * size
+        exact = exact_distance(name, points, points, 0.0)
+        assert abs(distance - exact) <= 1e-15 * size
         assert abs(np.linalg.norm(direction) - (distance > 0)) <= 1e-15
+        assert exact - 3e-15 * size - 1e-300 <= 2 * bound <= exact
 
 
 def test_a_gap_of_a_millionth_is_measured_a_hundred_million_away_from_the_origin():
