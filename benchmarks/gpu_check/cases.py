@@ -201,6 +201,21 @@ def launch_line_search(step: Step, per: str, real: Any, device: str) -> Arrays:
     return {"vertices_t1": host(end), "world_toi": host(result.world_toi), "flags": host(result.flags)}
 
 
+def at_one_time(step: Step, options: dict[str, Any], device: str) -> Arrays:
+    """What is near at the start, and how far vertices may move, on the host and by launches."""
+    pipeline = ccd.CollisionPipeline(step.mesh, device=device, **step.capacities, **options)
+    distance = 0.02 * float(np.ptp(step.start, axis=0).max())
+    start = positions(step, np.float64, device)[0]
+    names = ("kind", "primitives", "parameters", "distance", "direction", "features", "points")
+    arrays = {"bounds": np.asarray(pipeline.displacement_bounds(step.start, distance))}
+    arrays["launched bounds"] = pipeline.launch_displacement_bounds(start, distance).to_host()
+    result = pipeline.launch_proximity(start, distance)
+    arrays["flags"] = host(result.flags)
+    for label, found in (("near", pipeline.find_proximity(step.start, distance)), ("launched", result.to_host())):
+        arrays |= {f"{label}.{name}": np.asarray(getattr(found, name)) for name in names}
+    return arrays
+
+
 def mesh_options(is_short: bool) -> dict[str, dict[str, Any]]:
     """The options that a mesh may have, its own among them."""
     return {
@@ -219,6 +234,9 @@ def mesh_cases(is_short: bool) -> Iterator[Case]:
         for inflation, options in [(0.0, {}), (0.01, {}), *((0.0, other) for other in others)]:
             name = f"find_candidates, {step.name}, inflation {inflation}{''.join(f', {x}' for x in options.values())}"
             yield Case(name, partial(candidates, step, inflation, options))
+        for options in ({}, *others) if step.name == "crowd" or not is_short else ():
+            name = f"find_proximity and displacement_bounds, {step.name}{''.join(f', {x}' for x in options.values())}"
+            yield Case(name, partial(at_one_time, step, options))
         for other in others:
             name = f"launch, {step.name}, {other[OPTION]}"
             yield Case(name, partial(launch, step, np.float64, other, "positions"))
