@@ -183,7 +183,7 @@ def test_body_pairs_and_rings_against_brute_force(device):
         mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=self_collision, body_pairs=allowed)
         start, end = mesh.vertices, mesh.vertices + 0.1
         found = ccd.find_candidates(mesh, start, end, device=device).sorted()
-        vertex_face, edge_edge, _, _ = brute_force(mesh, start, end)
+        vertex_face, edge_edge, *_ = brute_force(mesh, start, end)
         body = mesh.vertex_body
         expected = [(v, f) for v, f in vertex_face if {body[v], mesh.face_body[f]} != {0, 2}]
         assert found.vertex_face.tolist() == [list(pair) for pair in expected] and len(expected) < len(vertex_face)
@@ -202,7 +202,7 @@ def test_rings_leave_out_neighbours(rings):
     joined[mesh.edges[:, 0], mesh.edges[:, 1]] = joined[mesh.edges[:, 1], mesh.edges[:, 0]] = True
     for _ in range(rings - 1):
         near = near @ joined
-    _, edge_edge, _, _ = brute_force(mesh, start, start, 0.2)
+    _, edge_edge, *_ = brute_force(mesh, start, start, 0.2)
     expected = [(a, b) for a, b in edge_edge if not near[np.ix_(mesh.edges[a], mesh.edges[b])].any()]
     assert found.edge_edge.tolist() == [list(pair) for pair in expected]
     assert len(expected) < len(edge_edge) or rings == 1
