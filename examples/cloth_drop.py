@@ -30,7 +30,7 @@ It needs: pip install 'ccd-warp[examples]'. It writes key frames as cloth_drop.p
 
 and without:
 
-    300 frames, 22 with intersecting faces, at most 779 pairs of them
+    300 frames, 22 with intersecting faces, at most 739 pairs of them
     100% of the cloth outside the globe at the end
 """
 

@@ -124,15 +124,13 @@ def report_contacts(
     kind: wp.array[wp.int32],
     primitives: wp.array[wp.vec2i],
     parameters: wp.array[wp.vec2d],
-    toi: wp.array[wp.float64],
+    normal: wp.array[wp.vec3d],
     # in: the mesh; particles come first
     edges: wp.array[wp.vec2i],
     faces: wp.array[wp.vec3i],
     vertex_body: wp.array[wp.int32],
     rest: wp.array[wp.vec3f],
-    # in: the path that was checked
-    start: wp.array[wp.vec3f],
-    wished: wp.array[wp.vec3f],
+    num_particles: int,
     # out: newton's soft contacts
     soft_count: wp.array[wp.int32],
     soft_indices: wp.array[wp.vec3i],
@@ -161,27 +159,26 @@ def report_contacts(
         corners = wp.vec4i(pair[0], f[0], f[1], f[2])
         weights = wp.vec4f(1.0, u + v - 1.0, -u, -v)
 
-    t = wp.float32(toi[i])
     indices = wp.vec3i(-1, -1, -1)
     barycentric = wp.vec3f()
     shape = wp.int32(-1)
-    on_particles = wp.vec3f()
     on_obstacle = wp.vec3f()
     n = wp.int32(0)
     for k in range(4):
         c = corners[k]
         w = wp.abs(weights[k])
-        if c < start.shape[0]:
+        if c < num_particles:
             if n < 3:
                 indices[n] = c
                 barycentric[n] = w
             n += 1
-            on_particles += w * ((1.0 - t) * start[c] + t * wished[c])
         else:
             on_obstacle += w * rest[c]
             shape = vertex_body[c] - 1
-    gap = on_particles - on_obstacle
-    if n == 4 or wp.length(gap) == 0.0:
+    direction = wp.vec3f(normal[i])  # from the second primitive to the first
+    if corners[0] >= num_particles:
+        direction = -direction
+    if n == 4 or wp.length(direction) == 0.0:
         return  # newton has no contact of this kind for cloth with cloth
     slot = wp.atomic_add(soft_count, 0, 1)
     soft_indices[slot] = indices
@@ -189,7 +186,7 @@ def report_contacts(
     soft_barycentric[slot] = barycentric
     soft_shape[slot] = shape
     soft_position[slot] = on_obstacle
-    soft_normal[slot] = wp.normalize(gap)
+    soft_normal[slot] = direction
 
 
 class CCDCollisionPipeline(newton.CollisionPipeline):
@@ -225,8 +222,8 @@ class CCDCollisionPipeline(newton.CollisionPipeline):
         wp.launch(
             report_contacts,
             dim=MAX_CONTACTS,
-            inputs=[found.count, found.kind, found.primitives, found.parameters, found.toi]
-            + [*self.topology, self.rest, self.bound.start, state.particle_q],
+            inputs=[found.count, found.kind, found.primitives, found.parameters, found.normal]
+            + [*self.topology, self.rest, len(state.particle_q)],
             outputs=[
                 contacts.soft_contact_count,
                 contacts.soft_contact_indices,

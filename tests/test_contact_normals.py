@@ -81,7 +81,7 @@ def check_against_oracle(kind, points_t0, points_t1, **options):
         length = math.sqrt(sum(x * x for x in gap))
         size = np.abs([x[a] - x[b] for x in (p0, p1) for a, b in CORNERS[kind]]).max(axis=0)
         rounding = UNIT * float(np.linalg.norm(size))
-        if length < 64 * rounding:
+        if length <= 64 * rounding:
             continue  # may be none, as the kernel sees it
         num_gaps += 1
         normal = np.pad(contacts.normal[k], (0, 3 - dimension))
