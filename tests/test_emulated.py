@@ -14,7 +14,7 @@ import scenes
 import warp as wp
 from emulated.build import compiler
 from emulated.comparison import PAIRS, PLAN, shared
-from emulated.device import emulation
+from emulated.device import MULTIPROCESSORS, emulation
 from emulated.outputs import different, outputs_of
 from launches import host, on_device
 
@@ -41,10 +41,10 @@ def sanitized(request, tmp_path_factory):
 
 
 def on_both(call):
-    """What a call returns on the CPU and on the emulated device."""
+    """What a call returns on the CPU and on the emulated device, with as many threads as on a large one."""
     expected = call()
     shared().build()
-    with emulation(shared().emulated):
+    with emulation(shared().emulated, MULTIPROCESSORS):
         return expected, call()
 
 

@@ -26,6 +26,8 @@ from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_poin
 _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
+# Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
+MULTIPROCESSORS = 132
 
 
 class Emulation:
@@ -149,22 +151,33 @@ def _is_asked_by_library() -> bool:
 
 
 @contextmanager
-def emulation(emulated: Emulation | None = None) -> Iterator[Emulation]:
+def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -> Iterator[Emulation]:
     """Run the kernels of the CPU as on a CUDA device, until the end of the block.
 
     Meshes and pipelines keep what they have recorded for a device: those of the block and others must not be mixed.
 
     Args:
         emulated: The emulated modules, which may be those of an earlier block.
+        num_multiprocessors: How many threads the library launches at most where only the device knows how many have
+            work. With a few, threads of small scenes take several turns and few threads take none; with
+            ``MULTIPROCESSORS`` nearly all take none, on which the emulation would spend most of its time.
 
     Raises:
         RuntimeError: If a launch of a graph failed.
     """
+    from ccd_warp.kernels import queued_pairs
+
+    from ccd_warp._engine import stages  # with what only CUDA launches
+
     emulated = emulated or Emulation()
     load, resolve = context.Module.load, context._resolve_launch_block_dim
     numpy, allocate = wp.array.numpy, context.CpuDefaultAllocator.allocate
 
     stream = context.Device.stream
+
+    def of_device(most: int) -> int:
+        """Threads of a launch that a device of this size runs at once."""
+        return most * num_multiprocessors // MULTIPROCESSORS // queued_pairs.WARP * queued_pairs.WARP
 
     def stream_of(device: Any) -> Any:
         return _Stream(device) if _is_asked_by_library() and device.ordinal < 0 else stream.fget(device)
@@ -200,6 +213,8 @@ def emulation(emulated: Emulation | None = None) -> Iterator[Emulation]:
         return place
 
     with ExitStack() as stack:
+        solvers = {stage: of_device(most) for stage, most in queued_pairs.MOST_SOLVERS.items()}
+        stack.enter_context(mock.patch.dict(queued_pairs.MOST_SOLVERS, solvers))
         for target, name, value in (
             (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
             (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
@@ -209,6 +224,8 @@ def emulation(emulated: Emulation | None = None) -> Iterator[Emulation]:
             (context.Module, "load", load_emulated),
             (context.CpuDefaultAllocator, "allocate", allocate_garbage),
             (wp.array, "numpy", copied),
+            (stages, "_MOST_CULLS", of_device(stages._MOST_CULLS)),
+            (stages, "_MOST_REST", of_device(stages._MOST_REST)),
             (wp, "Event", _Event),
             (wp, "get_stream", _Stream),
             (wp, "is_conditional_graph_supported", lambda: True),
