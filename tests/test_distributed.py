@@ -131,6 +131,20 @@ def test_regions_have_the_same_work_where_samples_tell_it():
     assert partition.imbalance(work) < 1.02
 
 
+def test_each_rank_gets_the_region_of_which_it_holds_most():
+    rng = np.random.default_rng(3)
+    points = points_of(rng, 500)
+    regions = partition.bisected(points, np.ones(500), 6)
+    before = partition.region_of(regions, points)
+    turn = np.array([3, 1, 5, 0, 2, 4])  # the rank that holds most of each region
+    held = np.ones((6, 6))
+    held[turn, np.arange(6)] = 9.0
+    after = partition.assigned(regions, held)
+    assert np.array_equal(partition.region_of(after, points), turn[before])
+    inside = (points.T >= after.lower[turn[before]]) & (points.T < after.upper[turn[before]])
+    assert inside.all()
+
+
 def test_worlds_are_not_cut_where_that_is_not_needed():
     """A box is then in one region."""
     rng = np.random.default_rng(0)

@@ -209,6 +209,29 @@ def _descend(
         pending.append((int(regions.above[node]), items[is_above]))
 
 
+def assigned(regions: Regions, work: NDArray[np.float64]) -> Regions:
+    """The same regions in another order, so that each rank gets one of which it holds much already.
+
+    Args:
+        regions: The regions.
+        work: What each rank holds of each region, shape [ranks, regions].
+    """
+    count = regions.count
+    rank_of_region = np.full(count, -1, dtype=np.int64)
+    has_region = np.zeros(count, dtype=bool)
+    for place in np.argsort(-work, axis=None, kind="stable").tolist():
+        rank, region = divmod(place, count)
+        if rank_of_region[region] < 0 and not has_region[rank]:
+            rank_of_region[region], has_region[rank] = rank, True
+    sides = [
+        np.where(side < 0, ~rank_of_region[np.where(side < 0, ~side, 0)], side)
+        for side in (regions.below, regions.above)
+    ]
+    lower, upper = np.empty_like(regions.lower), np.empty_like(regions.upper)
+    lower[rank_of_region], upper[rank_of_region] = regions.lower, regions.upper
+    return Regions(regions.axis, regions.cut, sides[0], sides[1], lower, upper)
+
+
 def even_samples(count: int, most: int) -> NDArray[np.intp]:
     """Indices of at most ``most`` of ``count`` items, evenly spaced."""
     num = min(count, most)

@@ -158,7 +158,7 @@ def _regions(
     total = sum(len(each.numbers) for each in kinds)
     total_of_all = int(ranks.total(np.array(total)))
     most = max(LEAST_SAMPLES, SAMPLES_EACH * ranks.size)
-    rows = [np.empty((0, 10))]
+    rows = [np.empty((0, 11))]
     for each in kinds:
         num = -(-most * len(each.numbers) // max(total_of_all, 1))
         chosen = each.corners[partition.even_samples(len(each.numbers), num)]
@@ -166,9 +166,13 @@ def _regions(
         of_each = WORK_OF_PRIMITIVE + of_vertex[chosen].mean(axis=1) / _PRIMITIVES_A_VERTEX
         of_ghost = np.full(len(chosen), WORK_OF_PRIMITIVE)
         box = np.nan_to_num(np.concatenate(united(lower, upper, chosen)))
-        rows.append(np.concatenate([box, stands_for * np.stack([of_each, of_ghost])]).T)
+        here = np.full((1, len(chosen)), float(ranks.rank))
+        rows.append(np.concatenate([box, stands_for * np.stack([of_each, of_ghost]), here]).T)
     samples = np.ascontiguousarray(ranks.every(np.concatenate(rows)).T)
-    return partition.bisected(samples[:4], samples[8], ranks.size, samples[4:8], samples[9])
+    regions = partition.bisected(samples[:4], samples[8], ranks.size, samples[4:8], samples[9])
+    held = np.zeros((ranks.size, ranks.size))
+    np.add.at(held, (samples[10].astype(np.int64), partition.region_of(regions, samples[:4])), samples[8])
+    return partition.assigned(regions, held)
 
 
 def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDArray[np.int64]:

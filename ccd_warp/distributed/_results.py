@@ -113,7 +113,8 @@ class RankWork:
 
     Attributes:
         counts: Sizes of its part, and numbers of what each stage found there.
-        timings: Seconds of each stage, and their ``total``; ``reductions`` are waits for other ranks.
+        timings: Seconds of each stage, and the ``total``; ``reductions``, which are part of other stages, are mostly
+            waits for other ranks.
         bytes_sent: Bytes sent to other ranks, reductions left out.
         num_neighbours: Ranks to which positions went.
         num_primitives: Primitives of the part.
