@@ -89,6 +89,10 @@ def test_whatever_way_vertices_move_within_their_bounds_nothing_touches(scene):
     for _ in range(12):
         path.append(in_balls(rng, x, bounds, rng.choice([1.0 - 1e-9, rng.random()], len(x))))
     assert stays_free(mesh, path, kept * (1 - 1e-9))
+    # and what crossed at the start, an edge through a face, is what crosses afterwards
+    before, *after = (ccd.find_intersections(mesh, place) for place in path[::4])
+    for found in after:
+        np.testing.assert_array_equal(found[found.is_crossing].primitives, before[before.is_crossing].primitives)
 
 
 def test_vertices_that_all_move_straight_at_what_is_nearest_leave_a_gap_and_farther_than_that_touch():
