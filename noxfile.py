@@ -12,6 +12,8 @@ nox.needs_version = ">=2024.10"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
+# What the Pythons of a run have compiled of the kernels.
+OBJECTS = TemporaryDirectory()
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
@@ -31,8 +33,11 @@ def users(session: nox.Session) -> None:
     if len(session.posargs) != 1:
         session.error("expected the path of one wheel: nox --session users -- dist/NAME.whl")
     session.install(str(Path(session.posargs[0]).resolve()))
-    # kernels are compiled anew, for it is this Python that reads their source
+    # kernels are read anew, by this Python, and compiled where they differ from those that an earlier one has read;
+    # without the seed, Warp writes the same functions in an order of its own
+    variables = {"PYTHONHASHSEED": "0"}
     with TemporaryDirectory() as kernels, TemporaryDirectory() as empty, session.chdir(empty):
-        session.run("python", "-P", str(TESTS / "as_users.py"), env={"WARP_CACHE_PATH": kernels})
+        variables["WARP_CACHE_PATH"] = kernels
+        session.run("python", "-P", str(TESTS / "as_users.py"), OBJECTS.name, env=variables)
     session.install("pytest", "hypothesis")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))

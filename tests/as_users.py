@@ -2,13 +2,17 @@
 
 One replaces ipc-toolkit's CCD in the line search of a cloth code, one has a loop on the device with a graph and arrays
 of Warp, NumPy and another library, one has STL and OBJ files and a command line. The environment holds the package and
-what it depends on, nothing else, and the current folder is empty: `python -P …/tests/as_users.py`.
+what it depends on, nothing else, and the current folder is empty: `python -P …/tests/as_users.py [OBJECTS]`. OBJECTS is
+a folder in which Pythons that are checked one after another leave what they have compiled.
 """
 
+import hashlib
 import json
 import pickle
 import re
+import shutil
 import subprocess
+import sys
 import sysconfig
 import time
 from importlib import metadata
@@ -17,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 import warp as wp
+from warp._src import build
 
 import ccd_warp as ccd
 
@@ -31,6 +36,31 @@ def check_surroundings() -> None:
     installed = {str(found.metadata["Name"]).lower().replace("_", "-") for found in metadata.distributions()}
     assert installed <= BARE, f"more is installed than the package needs: {sorted(installed - BARE)}"
     assert not list(Path.cwd().iterdir()), f"{Path.cwd()} is not empty"
+
+
+class SharedObjects:
+    """What Pythons have compiled: where one writes the same C++ as another, it takes the other's object code.
+
+    Each Python reads the source of the kernels by itself, which is where they may differ; the compiler is the same.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.compiled, self.taken = folder, 0, 0
+        self._build = build.build_cpu
+        build.build_cpu = self._build_once
+
+    def _build_once(self, object_path: str, source_path: str, **options: object) -> None:
+        lines = Path(source_path).read_text(encoding="utf-8").splitlines()
+        source = [line for line in lines if not line.startswith("//")]  # these name files of the environment
+        flags = sorted((name, str(value)) for name, value in options.items() if name != "pch_dir")
+        name = hashlib.sha256(repr((wp.__version__, flags, source)).encode()).hexdigest()
+        if (kept := self.folder / f"{name}.o").exists():
+            shutil.copy(kept, object_path)
+            self.taken += 1
+            return
+        self._build(object_path, source_path, **options)
+        shutil.copy(object_path, kept)
+        self.compiled += 1
 
 
 def sheet(cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -233,10 +263,13 @@ def run_on_files() -> str:
 
 def main() -> None:
     check_surroundings()
+    shared = SharedObjects(Path(sys.argv[1])) if len(sys.argv) > 1 else None
     for user in (run_cloth_code, run_loop_on_the_device, run_on_files):
         begin = time.perf_counter()
         said = user()
         print(f"{user.__name__}: {said} ({time.perf_counter() - begin:.1f} s)", flush=True)
+    if shared:
+        print(f"{shared.compiled} modules compiled, {shared.taken} written in the same C++ as by an earlier Python")
 
 
 if __name__ == "__main__":
