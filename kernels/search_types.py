@@ -50,5 +50,7 @@ class SearchRange:
 
 @wp.func
 def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
-    """Whether the target is the first primitive of a pair."""
-    return tree_pair.swapped != 0 or (tree_pair.symmetric != 0 and target < query)
+    """Whether the target is the first primitive of a pair: of two of one kind, whatever is searched, the lower one."""
+    if tree_pair.symmetric != 0:
+        return target < query
+    return tree_pair.swapped != 0

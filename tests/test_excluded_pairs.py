@@ -187,6 +187,21 @@ def test_a_body_paired_with_itself_has_no_self_collision():
     assert mesh.self_collision.tolist() == [True, False] and not mesh.exclude_pairs
 
 
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_a_short_static_edge_and_a_long_one_that_moves_through_it_are_one_excluded_pair(broad_phase, device):
+    """A spatial hash finds them from the shorter edge, which is the first primitive, but not the one that moves."""
+    k = np.arange(30)
+    cable = np.column_stack([0.01 * k - 0.145, 0 * k, 0 * k])
+    no_faces = np.zeros((0, 3), dtype=int)
+    bodies = [(cable, no_faces, np.column_stack([k[:-1], k[1:]])), ([[0, -1, 1], [0, 1, 1]], no_faces, [[0, 1]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0])
+    end = mesh.vertices - [0, 0, 2] * ~mesh.static[mesh.vertex_body][:, None]
+    contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, broad_phase=broad_phase, device=device).contacts
+    assert contacts.primitives.tolist() == [[14, 29]]
+    without = mesh.excluding({"edge_edge": [[14, 29]]})
+    assert ccd.mesh_ccd(without, mesh.vertices, end, broad_phase=broad_phase, device=device).toi == np.inf
+
+
 def test_duplicates_and_either_order_are_one_pair():
     mesh = stacked(0.0, 0.5)[0].excluding({"edge_edge": [[4, 1], [1, 4], [4, 1], [2, 2]], "vertex_face": [[0, 1]] * 3})
     assert {key: pairs.tolist() for key, pairs in mesh.exclude_pairs.items()} == {
