@@ -35,6 +35,35 @@ def everywhere(kind, parts, call):
     assert len(set(texts)) == 1 and all(part in texts[0] for part in parts), texts
 
 
+def interrupted(pipeline, x, y):
+    """Ctrl-C on one rank, in the engine and where others wait for its messages, ends the call on all."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have had it ignored
+
+    def strike():
+        if RANK == LAST:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def before(original):
+        return lambda *given, **named: (strike(), original(*given, **named))[1]
+
+    def after(original):
+        return lambda *given, **named: (original(*given, **named), strike())[0]
+
+    pipeline.mesh_ccd(x, y)
+    for of, name, struck in (
+        (lambda: pipeline, "_run", before),
+        (lambda: pipeline, "_bring", after),
+        (lambda: pipeline._planned.part.everything._of(False, 1), "start", after),
+        (lambda: pipeline._planned.part.everything._of(False, 1), "wait", before),
+    ):
+        holder = of()
+        original = getattr(holder, name)
+        setattr(holder, name, struck(original))
+        everywhere(KeyboardInterrupt, [f"rank {LAST}"], lambda: pipeline.mesh_ccd(x, y))
+        setattr(holder, name, original)
+        pipeline.mesh_ccd(x, y)
+
+
 def together():
     mesh, start, end = scenes.sheet_over_ball()
     mesh = whole_mesh(mesh)
@@ -70,6 +99,24 @@ def together():
     everywhere(ValueError, ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour"))
     everywhere(ValueError, ["inflation is"], lambda: pipeline.find_candidates(x, y, 0.1 * RANK))
 
+    # ranks that would wait for each other
+    for calls in (("mesh_ccd", "collision_free_step"), ("line_search", "find_candidates")):
+        everywhere(
+            ValueError,
+            ["rank 0 calls", f"{calls[0]}", f"and rank 1 {calls[1]}"],
+            lambda calls=calls: getattr(pipeline, calls[min(RANK, 1)])(x, y),
+        )
+    for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
+        given = {name: values[min(RANK, 1)]}
+        everywhere(
+            ValueError,
+            [f"{name}={values[0]!r}", f"{name}={values[1]!r}"],
+            lambda given=given: pipeline.line_search(x, y, **given),
+        )
+    several = [pipeline, limited]
+    everywhere(ValueError, ["of pipeline 2"], lambda: several[min(RANK, 1)].mesh_ccd(x, y))
+    interrupted(pipeline, x, y)
+
     triangle, face = scenes.TRIANGLE, scenes.FACE
     ids = np.arange(3)
 
@@ -84,6 +131,7 @@ def together():
             [f"rank {LAST}: vertex_ids holds 4 more than once"],
             made(vertex_ids=np.array([4, 4, 5]) if RANK == LAST else ids),
         ),
+        (["vertex_ids holds 9223372036854775813"], made(vertex_ids=ids.astype(np.uint64) + np.uint64(2**63 + 3))),
         (["static", "differs between ranks"], made(static=[0] if RANK == 0 else [])),
         (["radius is given on some ranks"], made(radius=0.1 if RANK == 0 else None)),
         (["rank 0: exclude_pairs is"], made(exclude_pairs={"edge_edge": [[0, 1]]})),

@@ -48,18 +48,18 @@ class Exchange:
                 part = buffer[begin : begin + width * len(rows)]
                 np.take(source, rows, axis=0, out=part.reshape(len(rows), *source.shape[1:]), mode="clip")
                 begin += width * len(rows)
-        self._ranks.agree()
-        requests.start()
-        for source, target in pairs:
-            if isinstance(self._own_targets, slice):
-                part = target[self._own_targets]
-                if isinstance(self._own_sources, slice):
-                    part[:] = source[self._own_sources]
+        with self._ranks.after_agreement():
+            requests.start()
+            for source, target in pairs:
+                if isinstance(self._own_targets, slice):
+                    part = target[self._own_targets]
+                    if isinstance(self._own_sources, slice):
+                        part[:] = source[self._own_sources]
+                    else:
+                        np.take(source, self._own_sources, axis=0, out=part, mode="clip")
                 else:
-                    np.take(source, self._own_sources, axis=0, out=part, mode="clip")
-            else:
-                target[self._own_targets] = source[self._own_sources]
-        requests.wait()
+                    target[self._own_targets] = source[self._own_sources]
+            requests.wait()
         for rows, buffer in requests.received(self.targets):
             begin = 0
             for (_, target), width in zip(pairs, columns, strict=True):
@@ -75,12 +75,12 @@ class Exchange:
         requests = self._of(False, 1)
         for rows, buffer in requests.to_send(self.targets):
             np.take(values, rows, out=buffer, mode="clip")
-        self._ranks.agree()
-        requests.start()
         here = self._ranks.rank
         own = self.sources[here]
-        result[own] = op(result[own], values[self.targets[here]])  # a row goes to a rank once
-        requests.wait()
+        with self._ranks.after_agreement():
+            requests.start()
+            result[own] = op(result[own], values[self.targets[here]])  # a row goes to a rank once
+            requests.wait()
         for rows, buffer in requests.received(self.sources):
             result[rows] = op(result[rows], buffer)
 

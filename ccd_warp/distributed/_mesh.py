@@ -120,7 +120,7 @@ class DistributedMesh:
             ImportError: If mpi4py is not installed.
         """
         self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
-        with ranks.together():
+        with ranks.together("DistributedMesh"):
             self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
             self._number_vertices()
             self._take_tables(static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs)
@@ -441,6 +441,11 @@ class DistributedMesh:
             ValueError: If a shape differs, or a value that is read is not finite.
         """
         count = len(self.vertex_ids)
+        if count == 0:  # an empty list has no columns
+            vertices_t0, vertices_t1 = (
+                as_positions(vertices_t0, "vertices_t0", 3),
+                as_positions(vertices_t1, "vertices_t1", 3),
+            )
         start = as_positions(vertices_t0, "vertices_t0", 3, count, "one row a vertex of this rank")
         end = as_positions(vertices_t1, "vertices_t1", 3, count, "one row a vertex of this rank")
         is_static = self.static[self.bodies] if self.static.any() else None
@@ -462,6 +467,7 @@ def _per_vertex(name: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
         return np.zeros(0, dtype=np.int64)
     if array.shape != (count,) or array.dtype.kind not in "iu":
         raise ValueError(f"{name} has dtype {array.dtype} and shape {array.shape}; expected integers and {(count,)}")
-    if array.min() < 0 or array.max() > np.iinfo(np.int64).max:
-        raise ValueError(f"{name} holds {array.min()}; expected integers of at least 0")
+    low, high = array.min(), array.max()
+    if low < 0 or high > np.iinfo(np.int64).max:
+        raise ValueError(f"{name} holds {low if low < 0 else high}; expected integers of at least 0, below 2**63")
     return array.astype(np.int64)

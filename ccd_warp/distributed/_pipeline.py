@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -90,14 +90,16 @@ class DistributedPipeline:
         self.mesh = mesh
         self.work: RankWork | None = None
         self._ranks = ranks = mesh.ranks
-        with ranks.together():
+        with ranks.together("DistributedPipeline"):
             given: dict[str, Any] = dict(options)
             if given.get("device") is None:
                 given["device"] = _device_of(ranks.local_rank)
             given.setdefault("num_threads", ranks.default_num_threads)
             self._options = options_of("DistributedPipeline", MeshOptions, given)  # type: ignore[arg-type]
             self._device = resolve_device(self._options.device)
-        self._check_same_options()
+            self._check_same_options()
+        ranks.num_pipelines += 1
+        self._number = ranks.num_pipelines
         self._plan: Plan | None = None
         self._workspace: Workspace | None = None
         self._work: NDArray[np.float64] | None = None  # by the vertices that this rank owns, when it last mattered
@@ -150,7 +152,8 @@ class DistributedPipeline:
                 float(least[0]), vertex_toi, least[1:body], least[body:], contacts, num_contacts, self._finished()
             )
 
-        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+        with self._together("mesh_ccd"):
+            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
 
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
         """Like :func:`ccd_warp.collision_free_step`, collectively.
@@ -195,7 +198,8 @@ class DistributedPipeline:
             self._finished()
             return toi
 
-        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+        with self._together("is_step_collision_free" if any_suffices else "collision_free_step"):
+            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
 
     def find_candidates(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
@@ -216,9 +220,6 @@ class DistributedPipeline:
 
         Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
         """
-        with self._ranks.together(), naming("find_candidates"):
-            inflation = validated_inflation(inflation)
-        self._check_same_length("inflation", inflation)
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
@@ -227,7 +228,11 @@ class DistributedPipeline:
             self._finished()
             return candidates
 
-        return self._collectively(vertices_t0, vertices_t1, inflation, work)
+        with self._together("find_candidates"):
+            with naming("find_candidates"):
+                inflation = validated_inflation(inflation)
+            self._check_same_length("inflation", inflation)
+            return self._collectively(vertices_t0, vertices_t1, inflation, work)
 
     def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedProximities:
         """Like :func:`ccd_warp.find_proximity`, collectively.
@@ -247,10 +252,6 @@ class DistributedPipeline:
         """
         from ccd_warp.distributed._part_proximity import PartProximityStep  # few programs need it
 
-        with self._ranks.together(), naming("find_proximity"):
-            distance = check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
-        self._check_same_length("distance", distance)
-
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
             plan = self._planned
             found = self._run(plan.start, plan.start, lambda step: step.proximities(distance), PartProximityStep)
@@ -258,7 +259,11 @@ class DistributedPipeline:
             self._finished()
             return proximities
 
-        return self._collectively(positions, positions, half_up(distance), work)
+        with self._together("find_proximity"):
+            with naming("find_proximity"):
+                distance = check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
+            self._check_same_length("distance", distance)
+            return self._collectively(positions, positions, half_up(distance), work)
 
     def _check_same_length(self, name: str, length: float) -> None:
         least, negative = self._ranks.agree(length, -length)
@@ -292,10 +297,6 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.line_search`, for the whole mesh.
         """
-        with self._ranks.together(), naming("line_search"):
-            check_step_is_whole(self._options.t_max)
-            per, safety = validated_line_search(per, safety)
-            max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
@@ -320,7 +321,23 @@ class DistributedPipeline:
                 vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited
             )
 
-        return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+        with self._together("line_search"):
+            with naming("line_search"):
+                check_step_is_whole(self._options.t_max)
+                per, safety = validated_line_search(per, safety)
+                max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
+            self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
+            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+
+    def _together(self, call: str) -> AbstractContextManager[None]:
+        return self._ranks.together(self._named(call))
+
+    def _name_call(self, call: str) -> None:
+        self._ranks.name_call(self._named(call))
+
+    def _named(self, call: str) -> str:
+        """A call, and of which pipeline, if there are several."""
+        return call if self._number == 1 else f"{call} of pipeline {self._number}"
 
     @property
     def _inflation(self) -> float:
@@ -343,25 +360,20 @@ class DistributedPipeline:
         self._begin, self._sent_before = time.perf_counter(), self._ranks.bytes_sent
         plan = self._plan
         is_kept = is_same = False
-        try:
-            start, end = self.mesh.frames(vertices_t0, vertices_t1)
-            if plan is not None and not self._wants_plan:
-                own = self.mesh.owned_rows
-                is_all = len(own) == len(start)
-                ends = (start, end) if is_all else (start[own], end[own])
-                is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in ends)
-                if self.mesh.static.any():
-                    is_static = self.mesh.static[self.mesh.bodies[own]]
-                    is_same = np.array_equal(ends[0][is_static], plan.static_start)
-        except Exception as error:
-            self._ranks.agree(error=error)
-            raise
+        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        if plan is not None and not self._wants_plan:
+            own = self.mesh.owned_rows
+            is_all = len(own) == len(start)
+            ends = (start, end) if is_all else (start[own], end[own])
+            is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in ends)
+            if self.mesh.static.any():
+                is_static = self.mesh.static[self.mesh.bodies[own]]
+                is_same = np.array_equal(ends[0][is_static], plan.static_start)
         self._seconds["input"] = time.perf_counter() - self._begin
         kept, same = self._ranks.agree(float(is_kept), float(is_same))
         try:
-            with self._ranks.together():
-                self._bring(start, end, inflation, is_kept=kept > 0.0, is_same=same > 0.0)
-                return work(start, end)
+            self._bring(start, end, inflation, is_kept=kept > 0.0, is_same=same > 0.0)
+            return work(start, end)
         except BaseException:
             # whatever was half done is not used again, on no rank
             self._plan = self._workspace = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
 from collections.abc import Iterator, Sequence
@@ -11,9 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp.distributed._interrupts import Interrupts
+
 # Exceptions that all ranks raise as they are; any other becomes a RuntimeError.
-_KEPT = (ValueError, TypeError, MemoryError, RuntimeError)
-_NUM_SLOTS = 8
+_KEPT = (ValueError, TypeError, MemoryError, RuntimeError, KeyboardInterrupt)
+# What an agreement reduces: whether a rank has failed, the call twice, and the values.
+_NUM_SLOTS, _FIRST_VALUE = 8, 3
 
 
 def mpi() -> Any:
@@ -34,7 +38,8 @@ class Ranks:
 
     Every collective call begins with an agreement: one small reduction, which tells whether a rank has failed. A rank
     that fails goes to its next agreement, too, so that all meet there and raise the same error. Between an agreement
-    and the call that it stands before nothing can fail but MPI itself.
+    and the call that it stands before nothing can fail but MPI itself, and Ctrl-C waits. An agreement also compares
+    what the ranks call, so that those that call different functions raise an error and do not wait for each other.
 
     Attributes:
         rank: Number of this rank.
@@ -42,6 +47,7 @@ class Ranks:
         local_rank: Number of this rank among those of its machine.
         local_size: Number of ranks of its machine.
         bytes_sent: Bytes that this rank has sent to others since the last reset, reductions left out.
+        num_pipelines: Number of pipelines that these ranks have made.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -54,23 +60,37 @@ class Ranks:
         local = comm.Split_type(MPI.COMM_TYPE_SHARED)
         self.local_rank, self.local_size = local.Get_rank(), local.Get_size()
         local.Free()
-        self.bytes_sent = 0
+        self.bytes_sent = self.num_pipelines = 0
+        self._interrupts = Interrupts()
+        self.name_call("DistributedMesh")
 
     @property
     def default_num_threads(self) -> int:
         """Threads for each rank of a machine, so that they share its cores."""
         return max(1, len(os.sched_getaffinity(0)) // self.local_size)
 
+    def name_call(self, call: str) -> None:
+        """Say which call follows; all ranks must say the same before the next agreement."""
+        self._call = call
+        self._code = float(int.from_bytes(hashlib.sha256(call.encode()).digest()[:6], "big"))
+
     def agree(self, *values: float, error: BaseException | None = None) -> list[float]:
         """The least of each of a few numbers over all ranks, or the error of the lowest rank that has one."""
         mine = np.full(_NUM_SLOTS, np.inf)
         mine[0] = self.size if error is None else self.rank
-        mine[1 : 1 + len(values)] = values
+        mine[1:_FIRST_VALUE] = self._code, -self._code
+        mine[_FIRST_VALUE : _FIRST_VALUE + len(values)] = values
         least = np.empty(_NUM_SLOTS)
-        self.comm.Allreduce(mine, least, op=self.mpi.MIN)
-        if least[0] < self.size:
-            self._raise(int(least[0]), error)
-        return least[1 : 1 + len(values)].tolist()
+        with self._interrupts.held():
+            self.comm.Allreduce(mine, least, op=self.mpi.MIN)
+            if least[0] < self.size:
+                self._raise(int(least[0]), error)
+            if least[1] != -least[2]:
+                calls = self.comm.allgather(self._call)
+                other = next(r for r, call in enumerate(calls) if call != calls[0])
+                text = f"rank 0 calls {calls[0]} and rank {other} {calls[other]}; expected one call of all ranks"
+                raise _agreed(ValueError(text))
+        return least[_FIRST_VALUE : _FIRST_VALUE + len(values)].tolist()
 
     def _raise(self, rank: int, error: BaseException | None) -> None:
         """Raise the error of a rank everywhere."""
@@ -78,25 +98,41 @@ class Ranks:
         if rank == self.rank:
             kind = next((kind for kind in _KEPT if isinstance(error, kind)), RuntimeError)
             name = "" if isinstance(error, _KEPT) else f"{type(error).__name__}: "
-            text = pickle.dumps((kind.__name__, f"rank {rank}: {name}{error}"))
+            text = pickle.dumps((kind.__name__, f"rank {rank}: {name}{str(error) or type(error).__name__}"))
         name, message = pickle.loads(self.comm.bcast(text, root=rank))
-        agreed = {kind.__name__: kind for kind in _KEPT}[name](message)
-        vars(agreed)["_is_agreed"] = True
+        agreed = _agreed({kind.__name__: kind for kind in _KEPT}[name](message))
         if rank == self.rank:
             raise agreed from error
         raise agreed
 
     @contextmanager
-    def together(self) -> Iterator[None]:
-        """A block of a collective call: where it fails on one rank, it raises the same error on all."""
-        try:
-            yield
-        except Exception as error:
-            if getattr(error, "_is_agreed", False):
-                raise
-            self.agree(error=error)
-        else:
+    def together(self, call: str | None = None) -> Iterator[None]:
+        """A block of a collective call: where it fails on one rank, it raises the same error on all.
+
+        ``call`` says of which, if it is the outermost block.
+        """
+        with self._interrupts.taken():
+            if call is not None:
+                self.name_call(call)
+            try:
+                yield
+                self._interrupts.hold()
+            except (Exception, KeyboardInterrupt) as error:
+                if getattr(error, "_is_agreed", False):
+                    raise
+                self.agree(error=error)
+            else:
+                try:
+                    self.agree()
+                finally:
+                    self._interrupts.release()
+
+    @contextmanager
+    def after_agreement(self) -> Iterator[None]:
+        """A collective operation, which no rank begins where one has failed; Ctrl-C waits for its end."""
+        with self._interrupts.held():
             self.agree()
+            yield
 
     def total(self, values: NDArray[Any]) -> NDArray[Any]:
         """The sums of arrays of equal length and type."""
@@ -111,34 +147,34 @@ class Ranks:
         return self._reduced(values, self.mpi.MAX)
 
     def _reduced(self, values: NDArray[Any], op: Any) -> NDArray[Any]:
-        self.agree()
         values = np.asarray(values, order="C")
         result = np.empty_like(values)
-        self.comm.Allreduce(values, result, op=op)
+        with self.after_agreement():
+            self.comm.Allreduce(values, result, op=op)
         return result
 
     def sum_before(self, value: int) -> int:
         """The sum of the values of the ranks below this one."""
-        self.agree()
-        return int(self.comm.exscan(int(value)) or 0)
+        with self.after_agreement():
+            return int(self.comm.exscan(int(value)) or 0)
 
     def every(self, values: NDArray[Any]) -> NDArray[Any]:
         """The arrays of all ranks, one after the other; they may differ in length but not in type and columns."""
-        self.agree()
         values = np.ascontiguousarray(values)
-        rows = np.array(self.comm.allgather(len(values)))
-        result = np.empty((int(rows.sum()), *values.shape[1:]), dtype=values.dtype)
         row_bytes = values.itemsize * int(np.prod(values.shape[1:], dtype=np.int64))
-        counts = rows * row_bytes
-        begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
         byte = self.mpi.BYTE
-        self.comm.Allgatherv([values, counts[self.rank], byte], [result, counts, begins, byte])
+        with self.after_agreement():
+            rows = np.array(self.comm.allgather(len(values)))
+            result = np.empty((int(rows.sum()), *values.shape[1:]), dtype=values.dtype)
+            counts = rows * row_bytes
+            begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
+            self.comm.Allgatherv([values, counts[self.rank], byte], [result, counts, begins, byte])
         return result
 
     def at_root(self, values: NDArray[Any]) -> NDArray[Any] | None:
         """The arrays of all ranks, one after the other, on rank 0; None on the others."""
-        self.agree()
-        parts = self.comm.gather(values, root=0)
+        with self.after_agreement():
+            parts = self.comm.gather(values, root=0)
         return None if parts is None else np.concatenate(parts)
 
     def swap(self, arrays: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
@@ -146,20 +182,28 @@ class Ranks:
 
         All arrays have the type of the first, and as many columns.
         """
-        self.agree()
         arrays = [np.ascontiguousarray(array) for array in arrays]
         like = arrays[0]
         lengths, coming = np.array([len(array) for array in arrays]), np.empty(self.size, dtype=np.int64)
-        self.comm.Alltoall(lengths, coming)
+        with self.after_agreement():
+            self.comm.Alltoall(lengths, coming)
+        # what comes may not fit into memory, and then nothing is sent
         found = [np.empty((int(n), *like.shape[1:]), dtype=like.dtype) for n in coming]
         byte, requests = self.mpi.BYTE, []
-        for r in range(self.size):
-            if r != self.rank and len(found[r]):
-                requests.append(self.comm.Irecv([found[r], byte], source=r))
-        for r in range(self.size):
-            if r != self.rank and len(arrays[r]):
-                requests.append(self.comm.Isend([arrays[r], byte], dest=r))
-                self.bytes_sent += arrays[r].nbytes
+        with self.after_agreement():
+            for r in range(self.size):
+                if r != self.rank and len(found[r]):
+                    requests.append(self.comm.Irecv([found[r], byte], source=r))
+            for r in range(self.size):
+                if r != self.rank and len(arrays[r]):
+                    requests.append(self.comm.Isend([arrays[r], byte], dest=r))
+                    self.bytes_sent += arrays[r].nbytes
+            self.mpi.Request.Waitall(requests)
         found[self.rank] = arrays[self.rank]
-        self.mpi.Request.Waitall(requests)
         return found
+
+
+def _agreed(error: BaseException) -> BaseException:
+    """An error that all ranks raise, so that none has to tell the others."""
+    error._is_agreed = True  # type: ignore[attr-defined]
+    return error

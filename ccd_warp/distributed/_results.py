@@ -246,7 +246,7 @@ def _at_root(found: DistributedContacts | DistributedProximities) -> dict[str, A
     ranks: Ranks | None = vars(found)["_ranks"]
     if ranks is None:
         raise ValueError("what to_root() has brought to rank 0 is there already; expected the result of a call")
-    with ranks.together():
+    with ranks.together("to_root"):
         gathered = {f.name: ranks.at_root(getattr(found, f.name)) for f in fields(found)}
     if gathered["kind"] is None:
         return None
@@ -282,7 +282,7 @@ class DistributedCandidates:
         ranks: Ranks | None = vars(self)["_ranks"]
         if ranks is None:
             raise ValueError("candidates were brought to rank 0 already; expected those of a call")
-        with ranks.together():
+        with ranks.together("to_root"):
             gathered = {f.name: ranks.at_root(getattr(self, f.name)) for f in fields(self)}
         if gathered["vertex_face"] is None:
             return None
