@@ -108,7 +108,8 @@ def one_triangle_falls_on_another():
 
 def nothing_at_all():
     mesh = ccd.CollisionMesh.from_arrays([(np.zeros((0, 3)), scenes.NO_FACES)])
-    pipeline = check((mesh, mesh.vertices, mesh.vertices), interleaved, ["mesh_ccd", "collision_free_step", "find_candidates"])
+    calls = ["mesh_ccd", "collision_free_step", "find_candidates"]
+    pipeline = check((mesh, mesh.vertices, mesh.vertices), interleaved, calls)
     assert pipeline.mesh_ccd([], []).toi == np.inf  # an empty list has no columns
 
 
