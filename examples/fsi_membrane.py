@@ -4,18 +4,19 @@ The fluid is position-based (an incompressible particle method), the membrane a 
 prescribed motion, up to several edge lengths a step, which throws the fluid up and catches it. Both are stored in one
 float32 array on the device, and ccd_warp works on it in place:
 
-1. `launch` finds which particles come near which faces on the desired path; each such contact becomes a plane that
-   keeps the particle and the three corners of the face on either side, with corrections according to their masses;
+1. `launch` finds which particles come near which faces on the desired path; each such pair is kept apart along its
+   normal, with corrections according to the masses of the particle and of the three corners of the face;
 2. `launch_line_search(per="vertex")` shortens the displacements that would still lead to contact. It gives the
    guarantee: every accepted path has been found free, between exactly the numbers that the arrays hold. The path of the
    rim is shortened, too, where fluid is in the way, and the rim catches up later.
 
+A particle has a radius, and the mesh knows it: every gap is one between the membrane and the surface of a particle.
 Only pairs of points and faces are searched (`pair_kinds=["vertex_face"]`): the others have no search, capacity or
 launch.
 
 An independent check counts particles on the wrong side: the generalised winding number (libigl) of the membrane, closed
-by walls and a lid. With `--no-ccd` the contacts are the pairs that are close at the end of a step, and nothing is
-shortened.
+by walls and a lid. With `--no-ccd` the contacts are what `launch_proximity` finds near at the end of a step, and
+nothing is shortened.
 
     pip install -e '.[examples]' && python examples/fsi_membrane.py --output fsi
 
@@ -47,8 +48,8 @@ STROKE, STROKE_FREQUENCY, FIRST_STROKE = 0.25, 2.0, 30
 REACH = 2.2  # of the fluid's kernel, in spacings
 PASSES, ITERATIONS, SWEEPS = 3, 8, 8
 VISCOSITY = 0.05
-# Distances in spacings of particles: that at which contacts act, that at which they aim, and the least that is left.
-ACTIVATION, THICKNESS, SEPARATION = 0.6, 0.3, 0.01
+# In spacings of particles: their radius, and the gaps before it at which contacts act and at which they aim.
+RADIUS, ACTIVATION, MARGIN = 0.02, 0.58, 0.28
 KEY_FRAMES = (29, 36, 44, 52, 60)
 
 
@@ -157,62 +158,38 @@ def pull_springs(
 
 
 @wp.kernel
-def place_planes(
+def push_pairs(
     count: wp.array[int],
     primitives: wp.array[wp.vec2i],
     parameters: wp.array[wp.vec2d],
-    toi: wp.array[wp.float64],
+    directions: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
-    start: wp.array[wp.vec3],
-    wished: wp.array[wp.vec3],
-    # out
-    corners: wp.array[wp.vec4i],
-    weights: wp.array[wp.vec4],
-    normals: wp.array[wp.vec3],
-):
-    """The plane of each contact: across the gap at its toi."""
-    c = wp.tid()
-    if c >= wp.min(count[0], toi.shape[0]):
-        return
-    f = faces[primitives[c][1]]
-    v = wp.vec4i(primitives[c][0], f[0], f[1], f[2])
-    u, w = float(parameters[c][0]), float(parameters[c][1])
-    weight = wp.vec4(1.0, u + w - 1.0, -u, -w)
-    gap = wp.vec3()
-    for k in range(4):
-        gap += weight[k] * wp.lerp(start[v[k]], wished[v[k]], float(toi[c]))
-    corners[c] = v
-    weights[c] = weight
-    normals[c] = wp.normalize(gap)
-
-
-@wp.kernel
-def push_contacts(
-    count: wp.array[int],
-    corners: wp.array[wp.vec4i],
-    weights: wp.array[wp.vec4],
-    normals: wp.array[wp.vec3],
-    thickness: float,
+    distance: float,
     inverse_mass: wp.array[float],
     x: wp.array[wp.vec3],
     # out
     push: wp.array[wp.vec3],
     num_pushes: wp.array[int],
 ):
-    """Add up the corrections of the contact planes: momentum is conserved, and nothing bounces."""
+    """Add up the corrections of particles and faces that are near: momentum is conserved, and nothing bounces."""
     c = wp.tid()
-    if c >= wp.min(count[0], corners.shape[0]):
+    if c >= wp.min(count[0], primitives.shape[0]):
         return
+    f = faces[primitives[c][1]]
+    corners = wp.vec4i(primitives[c][0], f[0], f[1], f[2])
+    u, v = float(parameters[c][0]), float(parameters[c][1])
+    weights = wp.vec4(1.0, u + v - 1.0, -u, -v)
+    direction = wp.vec3(directions[c])
     gap = wp.vec3()
     total = wp.float32(0.0)
     for k in range(4):
-        gap += weights[c][k] * x[corners[c][k]]
-        total += inverse_mass[corners[c][k]] * weights[c][k] * weights[c][k]
-    depth = thickness - wp.dot(normals[c], gap)
+        gap += weights[k] * x[corners[k]]
+        total += inverse_mass[corners[k]] * weights[k] * weights[k]
+    depth = distance - wp.dot(direction, gap)
     if depth > 0.0:
         for k in range(4):
-            i = corners[c][k]
-            wp.atomic_add(push, i, inverse_mass[i] * weights[c][k] * depth / total * normals[c])
+            i = corners[k]
+            wp.atomic_add(push, i, inverse_mass[i] * weights[k] * depth / total * direction)
             wp.atomic_add(num_pushes, i, 1)
 
 
@@ -304,16 +281,16 @@ class Trampoline:
             [(membrane, faces), (particles, np.zeros((0, 3), dtype=int))],
             self_collision=False,
             codimensional_points=[False, True],
+            radius=[0.0, RADIUS * self.spacing],
         )
-        # lengths in metres; the tolerance is small beside the separation, so that what is close can still move
+        # lengths in metres; the tolerance is small beside the radius, so that what is close can still move
         lengths = {"length_scale": 1.0, "tolerance": 1e-8, "pair_kinds": ["vertex_face"]}
-        self.finder = ccd.CollisionPipeline(self.mesh, minimum_separation=ACTIVATION * self.spacing, **lengths)
-        self.guard = ccd.CollisionPipeline(self.mesh, minimum_separation=SEPARATION * self.spacing, **lengths)
+        self.finder = ccd.CollisionPipeline(self.mesh, minimum_distance=ACTIVATION * self.spacing, **lengths)
+        self.guard = ccd.CollisionPipeline(self.mesh, **lengths)
         count = self.mesh.num_vertices
-        self.max_contacts = 32 * len(particles)
+        self.max_contacts = 16 * len(particles)
         self.found = self.finder.reserve(max_pairs=2 * self.max_contacts, max_contacts=self.max_contacts)
         self.looked = self.guard.reserve(max_pairs=2 * self.max_contacts)
-        self.planes = [wp.zeros(self.max_contacts, dtype=dtype) for dtype in (wp.vec4i, wp.vec4, wp.vec3)]
 
         self.rest = wp.array(self.mesh.vertices, dtype=wp.vec3)
         self.x, self.wished, self.moved = (wp.clone(self.rest) for _ in range(3))
@@ -343,15 +320,16 @@ class Trampoline:
         inputs = [self.x, self.velocity, self.inverse_mass, self.rest, rim_height(frame + 1), FRAME_TIME]
         wp.launch(predict, dim=len(self.x), inputs=inputs, outputs=[self.wished])
         for _ in range(PASSES):
-            # Without CCD only the primitives close to each other at one instant are known.
-            start = self.x if self.with_ccd else self.wished
-            self.finder.launch(start, self.wished)
-            found = self.found.contacts
-            inputs = [found.count, found.primitives, found.parameters, found.toi, self.faces, start, self.wished]
-            wp.launch(place_planes, dim=self.max_contacts, inputs=inputs, outputs=self.planes)
+            if self.with_ccd:
+                found = self.finder.launch(self.x, self.wished).contacts
+                direction = found.normal
+            else:  # only what is near at one instant is known
+                found = self.found = self.finder.launch_proximity(self.wished, ACTIVATION * self.spacing)
+                direction = found.direction
+            pairs = [found.count, found.primitives, found.parameters, direction]
             self.grid.build(self.fluid_part(self.wished), self.reach)
             for _ in range(ITERATIONS):
-                self.relax()
+                self.relax(pairs)
         if self.with_ccd:
             self.guard.launch_line_search(self.x, self.wished, per="vertex")
         wp.launch(accept, dim=len(self.x), inputs=[self.wished, FRAME_TIME], outputs=[self.x, self.velocity])
@@ -361,8 +339,8 @@ class Trampoline:
         wp.launch(smooth_velocity, dim=len(particles), inputs=inputs, outputs=[self.fluid_part(self.smoothed)])
         wp.copy(velocity, self.fluid_part(self.smoothed))
 
-    def relax(self) -> None:
-        """Solve the fluid once, then springs and contacts in turn."""
+    def relax(self, pairs: list[wp.array]) -> None:
+        """Solve the fluid once, then springs and pairs in turn."""
         particles, moved = self.fluid_part(self.wished), self.fluid_part(self.moved)
         shared = [self.grid.id, particles, self.reach, self.rest_density]
         num_particles = len(particles)
@@ -376,8 +354,8 @@ class Trampoline:
             inputs = [self.wished, self.inverse_mass, *self.springs]
             wp.launch(pull_springs, dim=self.num_membrane, inputs=inputs, outputs=[self.moved])
             wp.copy(self.wished, self.moved, count=self.num_membrane)
-            inputs = [self.found.contacts.count, *self.planes, THICKNESS * self.spacing, self.inverse_mass, self.wished]
-            wp.launch(push_contacts, dim=self.max_contacts, inputs=inputs, outputs=pushes)
+            inputs = [*pairs, self.faces, (RADIUS + MARGIN) * self.spacing, self.inverse_mass, self.wished]
+            wp.launch(push_pairs, dim=self.max_contacts, inputs=inputs, outputs=pushes)
             wp.launch(apply_pushes, dim=len(self.wished), outputs=[*pushes, self.wished])
 
     def check_capacity(self) -> None:
