@@ -219,10 +219,13 @@ def assigned(regions: Regions, work: NDArray[np.float64]) -> Regions:
     count = regions.count
     rank_of_region = np.full(count, -1, dtype=np.int64)
     has_region = np.zeros(count, dtype=bool)
-    for place in np.argsort(-work, axis=None, kind="stable").tolist():
+    # the pairs of a rank and a region are as many as the square of the ranks, and few hold anything
+    places = np.flatnonzero(work)
+    for place in places[np.argsort(-work.ravel()[places], kind="stable")].tolist():
         rank, region = divmod(place, count)
         if rank_of_region[region] < 0 and not has_region[rank]:
             rank_of_region[region], has_region[rank] = rank, True
+    rank_of_region[rank_of_region < 0] = np.flatnonzero(~has_region)
     sides = [
         np.where(side < 0, ~rank_of_region[np.where(side < 0, ~side, 0)], side)
         for side in (regions.below, regions.above)
