@@ -140,32 +140,46 @@ def options():
 def work_that_open_pairs_share():
     """Pairs of parallel faces that approach each other slowly stay open in the first round, and share what is left."""
     rng = np.random.default_rng(5)
-    start, faces = scenes.soup(rng, 60, 0.3)
+    start, faces = scenes.soup(rng, 30, 0.3)
     mesh = scenes.single(start, faces)
     end = start[rng.permutation(len(start))]
-    for max_work in (1, 40, 5_000_000):
+    for max_work in (1, 5_000_000):
         options = dict(method="bisection", max_work=max_work)
         check((mesh, start, end), interleaved, ["mesh_ccd", "collision_free_step"], **options)
 
 
-def random_scenes(count=50):
-    """Few faces at random places with large motions, cut at random; other scenes for other numbers of ranks."""
-    for seed in range(count * (SIZE - 1), count * SIZE):
-        rng = np.random.default_rng(seed)
-        num_faces = int(rng.integers(1, 40))
-        num_vertices = int(rng.integers(3, 3 * num_faces + 1))
-        start, faces = scenes.soup(rng, num_faces, 10.0 ** rng.uniform(-2, 0), num_vertices)
-        end = start + 10.0 ** rng.uniform(-2, 0) * rng.standard_normal(start.shape)
-        cut = int(rng.integers(0, len(start)))
-        bodies = [(start, faces)]
-        if 0 < cut and not ((faces < cut).any(axis=1) & (faces >= cut).any(axis=1)).any():
-            low = (faces < cut).all(axis=1)
-            bodies = [(start[:cut], faces[low]), (start[cut:], faces[~low] - cut)]
-        static = [0] if len(bodies) > 1 and rng.random() < 0.5 else []
-        points = bool(rng.random() < 0.3)
-        mesh = ccd.CollisionMesh.from_arrays(bodies, static=static, codimensional_points=points)
-        calls = [["mesh_ccd"], ["collision_free_step"], ["find_candidates"], ["line_search vertex"]][seed % 4]
-        check((mesh, start, end), lambda mesh, s=seed: interleaved(mesh, s), calls, with_owners=seed % 5 == 0)
+def random_bodies(seed):
+    """Few faces at random places with large motions, in one body or two: bodies, those that are static, the end."""
+    rng = np.random.default_rng(seed)
+    num_faces = int(rng.integers(1, 40))
+    num_vertices = int(rng.integers(3, 3 * num_faces + 1))
+    start, faces = scenes.soup(rng, num_faces, 10.0 ** rng.uniform(-2, 0), num_vertices)
+    end = start + 10.0 ** rng.uniform(-2, 0) * rng.standard_normal(start.shape)
+    cut = int(rng.integers(0, len(start)))
+    bodies = [(start, faces)]
+    if 0 < cut and not ((faces < cut).any(axis=1) & (faces >= cut).any(axis=1)).any():
+        low = (faces < cut).all(axis=1)
+        bodies = [(start[:cut], faces[low]), (start[cut:], faces[~low] - cut)]
+    return bodies, [0] if len(bodies) > 1 and rng.random() < 0.5 else [], end
+
+
+def random_scenes(alone=14, meshes=6, worlds=6):
+    """Fifty scenes, others for other numbers of ranks, cut at random: some alone, most as worlds of few meshes."""
+    seeds = iter(range(50 * (SIZE - 1), 50 * SIZE))
+    for k in range(alone + meshes):
+        bodies, static, ends, world = [], [], [], []
+        for w in range(1 if k < alone else worlds):
+            scene, fixed, end = random_bodies(next(seeds))
+            static += [len(bodies) + b for b in fixed]
+            bodies += scene
+            ends.append(end)
+            world += [w] * len(end)
+        mesh = ccd.CollisionMesh.from_arrays(
+            bodies, static=static, codimensional_points=k % 3 == 0, vertex_world=np.array(world)
+        )
+        calls = [["mesh_ccd"], ["collision_free_step"], ["find_candidates"], ["line_search vertex"]][k % 4]
+        scene = mesh, mesh.vertices, np.concatenate(ends)
+        check(scene, lambda mesh, k=k: interleaved(mesh, k), calls, with_owners=k % 5 == 0)
 
 
 def radii():

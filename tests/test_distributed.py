@@ -16,6 +16,7 @@ from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._plan import Bounds, destinations, is_within, scene_box, united
 
 TESTS = Path(__file__).resolve().parent
+EXAMPLES = TESTS.parent / "examples"
 
 
 def mpiexec():
@@ -51,6 +52,14 @@ def test_every_cut_over_ranks_gives_the_bits_of_one_process(num_ranks):
     done = run_ranks(num_ranks, TESTS / "mpi_program.py")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("the bits of one process") == 16, done.stdout
+
+
+@needs_ranks
+def test_the_cloth_of_the_example_has_the_same_positions_on_every_number_of_ranks():
+    arguments = (EXAMPLES / "mpi_cloth.py", "--frames", 12, "--resolution", 17)
+    said = [run_ranks(num_ranks, *arguments).stdout.splitlines()[-2:] for num_ranks in (1, 3)]
+    assert said[0] == said[1] and said[0][0] == "0 frames with intersecting faces", said
+    assert "fingerprint" in said[0][1]
 
 
 @needs_ranks

@@ -171,11 +171,11 @@ class Ranks:
             self.comm.Allgatherv([values, counts[self.rank], byte], [result, counts, begins, byte])
         return result
 
-    def at_root(self, values: NDArray[Any]) -> NDArray[Any] | None:
-        """The arrays of all ranks, one after the other, on rank 0; None on the others."""
+    def at_root(self, values: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
+        """Arrays by name, those of all ranks one after the other, on rank 0; None on the others."""
         with self.after_agreement():
             parts = self.comm.gather(values, root=0)
-        return None if parts is None else np.concatenate(parts)
+        return None if parts is None else {name: np.concatenate([part[name] for part in parts]) for name in values}
 
     def swap(self, arrays: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """Send an array to every rank and get one from each; empty ones are not sent.

@@ -247,11 +247,11 @@ def _at_root(found: DistributedContacts | DistributedProximities) -> dict[str, A
     if ranks is None:
         raise ValueError("what to_root() has brought to rank 0 is there already; expected the result of a call")
     with ranks.together("to_root"):
-        gathered = {f.name: ranks.at_root(getattr(found, f.name)) for f in fields(found)}
-    if gathered["kind"] is None:
+        gathered = ranks.at_root({f.name: getattr(found, f.name) for f in fields(found)})
+    if gathered is None:
         return None
-    order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))  # type: ignore[union-attr]
-    return {name: values[order] for name, values in gathered.items()}  # type: ignore[index]
+    order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))
+    return {name: values[order] for name, values in gathered.items()}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -283,8 +283,8 @@ class DistributedCandidates:
         if ranks is None:
             raise ValueError("candidates were brought to rank 0 already; expected those of a call")
         with ranks.together("to_root"):
-            gathered = {f.name: ranks.at_root(getattr(self, f.name)) for f in fields(self)}
-        if gathered["vertex_face"] is None:
+            gathered = ranks.at_root({f.name: getattr(self, f.name) for f in fields(self)})
+        if gathered is None:
             return None
         return DistributedCandidates(**{name: _in_order(pairs) for name, pairs in gathered.items()})
 
