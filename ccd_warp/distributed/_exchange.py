@@ -70,16 +70,15 @@ class Exchange:
     def back(self, values: NDArray[np.float64], result: NDArray[np.float64], op: np.ufunc) -> None:
         """Combine what the target rows hold with the source rows of ``result``.
 
-        ``op`` is np.minimum, np.maximum or np.add.
+        ``op`` is np.minimum, np.maximum or np.add. Source rows that also stay on this rank hold nothing yet: the value
+        of their target is taken as it is.
         """
         requests = self._of(False, 1)
         for rows, buffer in requests.to_send(self.targets):
             np.take(values, rows, out=buffer, mode="clip")
-        here = self._ranks.rank
-        own = self.sources[here]
         with self._ranks.after_agreement():
             requests.start()
-            result[own] = op(result[own], values[self.targets[here]])  # a row goes to a rank once
+            result[self._own_sources] = values[self._own_targets]
             requests.wait()
         for rows, buffer in requests.received(self.sources):
             result[rows] = op(result[rows], buffer)

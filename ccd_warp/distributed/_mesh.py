@@ -214,7 +214,9 @@ class DistributedMesh:
             name = "bodies" if self.num_bodies > max(self.num_vertices, 1) else "vertex_world"
             value = max(self.num_bodies, self.num_worlds) - 1
             raise ValueError(f"{name} holds {value}; expected numbers below {self.num_vertices}, that of all vertices")
-        self.copies = self._exchange_to(self.numbers, self.owner)
+        every = self._exchange_to(self.numbers, self.owner)
+        every.sources[ranks.rank] = every.targets[ranks.rank] = np.zeros(0, dtype=np.intp)  # owners have their own rows
+        self.copies = Exchange(ranks, every.sources, every.targets)
         self.has_ghosts = ranks.agree(-float(self.copies.num_sent))[0] < 0.0
 
     def _check_bodies(self, ids: NDArray[np.int64], bodies: NDArray[np.int64]) -> None:
@@ -382,7 +384,7 @@ class DistributedMesh:
     def _measure(self) -> None:
         """The longest side of the whole mesh; rest positions of ghosts become those of their owners."""
         self.vertices = self.vertices.copy()
-        self.copies.forward([(self.vertices.copy(), self.vertices)])
+        self.copies.forward([(self.vertices, self.vertices)])
         self._measure_radii()
         own = self.vertices[self.owned_rows]
         lower = self.ranks.least(own.min(axis=0, initial=np.inf))
@@ -398,12 +400,12 @@ class DistributedMesh:
         self.is_thick = False
         if self.radius is None:
             return
-        self.copies.forward([(self.radius.copy(), self.radius)])
+        self.copies.forward([(self.radius, self.radius)])
         self.box_radius = self.radius.copy()
         for a, b in (self.primitives["edge"].corners.T, self.primitives["edge"].corners.T[::-1]):
             np.maximum.at(self.box_radius, a, self.radius[b])
         self.copies.back(self.box_radius.copy(), self.box_radius, np.maximum)
-        self.copies.forward([(self.box_radius.copy(), self.box_radius)])
+        self.copies.forward([(self.box_radius, self.box_radius)])
         body_radius = np.zeros(self.num_bodies)
         np.maximum.at(body_radius, self.bodies, self.radius)
         self.body_radius = self.ranks.most(body_radius)

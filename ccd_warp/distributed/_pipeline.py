@@ -314,7 +314,7 @@ class DistributedPipeline:
             plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
             vertices, own = np.empty_like(start), self.mesh.owned_rows
             vertices[own] = moved(start[own], end[own], fraction[own])
-            self.mesh.copies.forward([(vertices.copy(), vertices), (fraction.copy(), fraction)])
+            self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
             touching = contacts_of(plan.part, found.touching, self._ranks)
             self._finished()
             return DistributedLineSearch(
@@ -426,7 +426,7 @@ class DistributedPipeline:
         result = np.full(len(self.mesh.vertex_ids), np.inf)
         self._planned.part.everything.back(values, result, np.minimum)
         if self.mesh.has_ghosts:
-            self.mesh.copies.forward([(result.copy(), result)])
+            self.mesh.copies.forward([(result, result)])
         return result
 
     def _finished(self) -> RankWork:

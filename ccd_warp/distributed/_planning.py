@@ -74,7 +74,7 @@ def make_plan(
         device: Device of the engine.
     """
     ranks = whole.ranks
-    whole.copies.forward([(start.copy(), start), (end.copy(), end)])
+    whole.copies.forward([(start, start), (end, end)])
     bounds = _bounds(whole, start, end, inflation)
     lower, upper = bounds.boxes(start, end, whole.worlds, whole.box_radius)
     regions = _regions(whole, lower, upper, work)
@@ -153,7 +153,7 @@ def _regions(
     of_vertex = np.zeros(len(whole.vertex_ids))
     if work is not None:
         of_vertex[whole.owned_rows] = work
-        whole.copies.forward([(of_vertex.copy(), of_vertex)])
+        whole.copies.forward([(of_vertex, of_vertex)])
     kinds = [each for each in whole.primitives.values() if len(each.numbers)]
     total = sum(len(each.numbers) for each in kinds)
     total_of_all = int(ranks.total(np.array(total)))
