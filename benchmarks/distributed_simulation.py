@@ -1,203 +1,308 @@
-"""The partition and the plan of many ranks, run in one process without MPI, and a model of the time of a step.
+"""Towards many machines, by simulation: plans of 16 to 1,024 ranks, made in one process without MPI.
 
-    python -m ccd_warp.benchmarks.distributed_simulation --faces 4000000 16000000 --ranks 16 64 256 1024
+    python -m ccd_warp.benchmarks.distributed_simulation --output benchmarks/results/distributed_simulation.json \\
+        --docs docs/distributed.md --figure docs/figures/distributed_model.png
 
-The regions, the primitives that meet them, and the vertices that travel are what ranks would have: they come from the
-same functions. The application is taken to own vertices by the same regions. Seconds are a **model**: the work of the
-slowest rank at a measured rate of one core, and its messages on a network of 10 GB/s and 2 µs.
+The regions of all ranks, who has which primitives, and what goes from rank to rank come from the functions that
+`ccd_warp.distributed` itself calls. The engine runs on the parts: of the least number of ranks on all, one after the
+other, which also says where the pairs are; of more ranks on the one with the most work. The time of a step is then a
+**model**: the CPU time of that rank, measured on one core of this machine, and its messages and the reductions on a
+network of 2 µs a message and 10 GB/s.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import math
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere, pile
+import warp as wp
+from ccd_warp.benchmarks import scenes, side_figures
+from ccd_warp.benchmarks.numbers import count_text, table, time_text
+from ccd_warp.benchmarks.virtual_mesh import Traffic, VirtualMesh, VirtualPlan
+from ccd_warp.kernels.minima import FOUND
 
-import ccd_warp as ccd
-from ccd_warp._input.edges import unique_edges
+from ccd_warp._engine.topology import NUM_SAMPLES
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.option_types import MeshOptions
+from ccd_warp._input.options import options_of
+from ccd_warp._status import PairKind
 from ccd_warp.distributed import _partition as partition
-from ccd_warp.distributed._plan import Bounds, scene_box, united
-from ccd_warp.distributed._planning import LEAST_SAMPLES, SAMPLES_EACH
+from ccd_warp.distributed import _planning as planning
+from ccd_warp.distributed._part import Part, PartTopology
+from ccd_warp.distributed._part_step import PartStep
+from ccd_warp.distributed._pipeline import _MOST_IMBALANCE
+from ccd_warp.distributed._plan import axes_below, is_within
 
-BYTES_A_SECOND = 10e9
-LATENCY = 2e-6
-# Reductions and agreements of a step, each of which takes the latency once for every level of a tree of ranks.
-_REDUCTIONS = 24
-# Positions at both ends of a step, and a toi on the way back.
-_BYTES_FORTH, _BYTES_BACK = 48, 8
-# What docs/architecture.md says of memory: a primitive with two AABBs, a vertex with two of its own; and here what a
-# vertex takes beside that: positions twice on either side, boxes of the plan, numbers.
-_BYTES_A_PRIMITIVE, _BYTES_A_VERTEX = 32 + 2 * 26, 2 * 32 + 4 * 24 + 3 * 32 + 32
-_CHUNK = 1 << 21
+RANKS = (16, 64, 256, 1024)
+LATENCY, BANDWIDTH = 2e-6, 10e9
+# Small collective operations of `mesh_ccd` with a plan that is kept, and one more where ranks have ghosts;
+# `tests/mpi_program.py` counts them.
+NUM_REDUCTIONS = 15
+FACES_OF_BODY = 4_000
+_REPEATS = 3
+_TABLES = {PairKind.VERTEX_FACE: ("vertex", "face"), PairKind.EDGE_EDGE: ("edge", "edge")}
+
+
+def all_scenes(sizes: Sequence[int]) -> list[tuple[str, Callable[[], scenes.Scene]]]:
+    """Name and maker of each scene."""
+    made: list[tuple[str, Callable[[], scenes.Scene]]] = []
+    for size in sizes:
+        made.append(("cloth over sphere", lambda n=size: scenes.cloth_over_sphere(n)))
+        each = min(FACES_OF_BODY, size // 8)
+        made.append(("pile", lambda n=size, k=each: scenes.pile(n // k, k)))
+    return made
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """One scene on a number of ranks; of ranks the mean and the largest.
+class Worked:
+    """What the engine has done on a part.
 
     Attributes:
-        scene: Its name.
-        faces: Faces of the scene.
-        ranks: Number of ranks.
-        faces_each: Faces on a rank.
-        ghosts_each: Those of them whose boxes begin in another region.
-        imbalance: The most primitives of a rank in multiples of the mean.
-        duplicates: Primitives of all ranks in multiples of those of the scene.
-        neighbours: Ranks from which a rank gets positions.
-        bytes_each: Bytes that a rank receives in a step.
-        memory_each: Bytes that a part takes.
-        seconds_to_plan: Seconds of this process for the partition and the lists.
-        model: Modelled seconds of a step: of the work, of messages, of reductions, and all.
-        efficiency: Modelled speed in multiples of one core, for each rank.
+        seconds: CPU time of a step on one thread, boxes to contacts.
+        copy_seconds: CPU time to see whether positions are within the plan, and to copy them twice.
+        num_candidates: Candidates of its search.
+        pairs: Pairs that the cull left there, by kind, as numbers in the whole mesh, shape [n, 2].
+        num_bytes: Memory that the part takes.
+        vertices: Its vertices.
     """
 
-    scene: str
-    faces: int
-    ranks: int
-    faces_each: tuple[float, int]
-    ghosts_each: tuple[float, int]
-    imbalance: float
-    duplicates: float
-    neighbours: tuple[float, int]
-    bytes_each: tuple[float, int]
-    memory_each: tuple[float, int]
-    seconds_to_plan: float
-    model: dict[str, float]
-    efficiency: float
+    seconds: float
+    copy_seconds: float
+    num_candidates: int
+    pairs: dict[PairKind, np.ndarray]
+    num_bytes: int
+    vertices: np.ndarray
 
 
-def chunks(count: int) -> Iterator[slice]:
-    """Ranges of items, so many at a time that their boxes fit into memory."""
-    return (slice(k, min(k + _CHUNK, count)) for k in range(0, count, _CHUNK))
-
-
-def simulate(scene: Scene, edges: np.ndarray, num_ranks: int, seconds_a_primitive: float) -> Simulated:
-    """Divide a scene over ranks, given its edges and the time of a primitive on one core."""
-    begin = time.perf_counter()
-    start, end = scene.vertices_t0, scene.vertices_t1
-    count = len(start)
-    sample = edges[partition.even_samples(len(edges), 100_000)]
-    extent = float(np.abs(start[sample[:, 0]] - start[sample[:, 1]]).max(axis=1).mean())
-    bounds = Bounds.of(extent, 0.0, *scene_box(start, end))
-    lower, upper = bounds.boxes(start, end, np.zeros(1, dtype=np.int64))
-    kinds = {"vertex": np.arange(count)[:, None], "edge": edges, "face": scene.faces}
-    total = sum(map(len, kinds.values()))
-    boxes = []
-    for corners in kinds.values():
-        num = max(LEAST_SAMPLES, SAMPLES_EACH * num_ranks) * len(corners) // total
-        boxes.append(np.concatenate(united(lower, upper, corners[partition.even_samples(len(corners), num)])))
-    samples = np.concatenate(boxes, axis=1)
-    regions = partition.bisected(samples[:4], np.ones(samples.shape[1]), num_ranks, samples[4:])
-    owner = partition.region_of(regions, lower)
-    primitives = np.zeros(num_ranks, dtype=np.int64)
-    ghosts, faces = np.zeros(num_ranks, dtype=np.int64), np.zeros(num_ranks, dtype=np.int64)
-    needed: list[list[np.ndarray]] = [[] for _ in range(num_ranks)]
-    for kind, corners in kinds.items():
-        for part in chunks(len(corners)):
-            box = united(lower, upper, corners[part])
-            met = partition.regions_met(regions, *box)
-            sizes = np.array([len(items) for items in met])
-            primitives += sizes
-            if kind == "face":
-                faces += sizes
-                ghosts += sizes - np.bincount(partition.region_of(regions, box[0]), minlength=num_ranks)
-            for rank, items in enumerate(met):
-                used = corners[part][items]
-                # vertices of its own a rank has anyway
-                needed[rank].append(np.unique(used[owner[used] != rank]))
-    remote = np.zeros(num_ranks, dtype=np.int64)
-    neighbours = np.zeros(num_ranks, dtype=np.int64)
-    for rank in range(num_ranks):
-        vertices = np.unique(np.concatenate(needed[rank]))
-        remote[rank] = len(vertices)
-        neighbours[rank] = len(np.unique(owner[vertices]))
-    seconds = time.perf_counter() - begin
-    own = np.bincount(owner, minlength=num_ranks)
-    memory = _BYTES_A_PRIMITIVE * primitives + _BYTES_A_VERTEX * (own + remote)
-    traffic = (_BYTES_FORTH + _BYTES_BACK) * remote
-    work = seconds_a_primitive * float(primitives.max())
-    messages = float((2 * LATENCY * neighbours + traffic / BYTES_A_SECOND).max())
-    reductions = _REDUCTIONS * LATENCY * math.ceil(math.log2(num_ranks))
-    model = {"work": work, "messages": messages, "reductions": reductions, "all": work + messages + reductions}
-
-    def each(values: np.ndarray) -> tuple[float, int]:
-        return float(values.mean()), int(values.max())
-
-    return Simulated(
-        scene.name,
-        len(scene.faces),
-        num_ranks,
-        each(faces),
-        each(ghosts),
-        partition.imbalance(primitives),
-        float(primitives.sum()) / total,
-        each(neighbours),
-        each(traffic),
-        each(memory),
-        seconds,
-        model,
-        seconds_a_primitive * total / model["all"] / num_ranks,
+def worked(mesh: VirtualMesh, plan: VirtualPlan, rank: int) -> Worked:
+    """Run the engine on the part of a rank."""
+    part = planning._part_of(mesh, [planning._message(mesh, plan.items[rank])])
+    start, end = (x[part.vertex_numbers] for x in (mesh.start, mesh.end))
+    vars(part.mesh)["vertices"] = start.copy()
+    lower, upper = plan.bounds.boxes(start, end, part.mesh.vertex_world, part.box_radius)
+    topology = PartTopology(part, wp.get_device("cpu"), axes_below(lower, plan.regions.lower[rank]), None)
+    # the quantization is that of the part, which is as good
+    together = SimpleNamespace(whole=mesh, topology=topology, ranks=mesh.ranks, collect_samples=lambda positions: None)
+    limits = plan.bounds.limits(lower, upper, part.box_radius)
+    workspace = Workspace(part.mesh, topology.device, topology)
+    options = options_of("distributed_simulation", MeshOptions, {"num_threads": 1, "device": "cpu"})
+    seconds, copies = [], []
+    for k in range(_REPEATS + 1):
+        begin = time.process_time()
+        step = PartStep(together, workspace, (start, end), options)
+        step.contacts()
+        middle = time.process_time()
+        all(is_within(x, limits) for x in (start, end))
+        buffers = [np.take(x, np.arange(len(x)), axis=0) for x in (start, end)]
+        for x, buffer in zip((start, end), buffers, strict=True):
+            np.copyto(x, buffer)
+        if k:
+            seconds.append(middle - begin)
+            copies.append(time.process_time() - middle)
+    return Worked(
+        min(seconds),
+        min(copies),
+        sum(step.counts.num_candidates.values()),
+        _pairs_of(part, step),
+        step.fixed_bytes + _bytes_of(part) + _bytes_of(part.mesh) + 4 * start.nbytes,
+        part.vertex_numbers,
     )
 
 
-def measured_rate(num_faces: int = 200_000, rounds: int = 7) -> float:
-    """Seconds of a primitive in `mesh_ccd` on one core: the least of some steps, divided by all primitives."""
-    scene = cloth_over_sphere(num_faces)
-    mesh = scene.mesh(ccd)
-    pipeline = ccd.CollisionPipeline(mesh, num_threads=1, device="cpu")
-    seconds = []
-    for _ in range(rounds):
-        begin = time.perf_counter()
-        pipeline.mesh_ccd(scene.vertices_t0, scene.vertices_t1)
-        seconds.append(time.perf_counter() - begin)
-    return min(seconds) / (mesh.num_vertices + mesh.num_edges + mesh.num_faces)
+def _pairs_of(part: Part, step: PartStep) -> dict[PairKind, np.ndarray]:
+    """The pairs that the last search found, by kind, as numbers in the whole mesh."""
+    if step.plan.num_batches != 1:
+        raise ValueError(f"the pairs of a part came in {step.plan.num_batches} batches; expected one: take more ranks")
+    numbers = {"vertex": part.vertex_numbers, "edge": part.edge_numbers, "face": part.face_numbers}
+    pairs = {}
+    for kind, of in _TABLES.items():
+        keys = step.plan.found_keys(kind, int(step.plan.counts()[kind, FOUND])).numpy()
+        keys = np.where(keys < 0, ~keys, keys)
+        first, second = keys >> 32, keys & 0xFFFFFFFF
+        pairs[kind] = np.stack([numbers[of[0]][first], numbers[of[1]][second]], axis=1)
+    return pairs
 
 
-def table(rows: list[Simulated]) -> list[str]:
-    """The figures as a table of Markdown."""
-    head = (
-        "| scene | ranks | faces a rank: mean, most | ghosts: mean, most | imbalance | duplicates "
-        "| neighbours: mean, most | MB a step: mean, most | memory, MB: mean, most | model: ms of a step "
-        "| of these work | efficiency |"
+def _bytes_of(holder: Any) -> int:
+    return sum(value.nbytes for value in vars(holder).values() if isinstance(value, np.ndarray))
+
+
+def work_of(mesh: VirtualMesh, done: list[Worked]) -> tuple[np.ndarray, np.ndarray]:
+    """Work of all parts by vertices, as `PartStep.work_by_vertex` sees it, and the candidates' share of it."""
+    candidates = np.zeros(mesh.num_vertices)
+    of_pairs = np.zeros(mesh.num_vertices)
+    for each in done:
+        of_each = planning.WORK_OF_CANDIDATE * each.num_candidates / max(len(each.vertices), 1)
+        candidates[each.vertices] += of_each
+        for kind, pairs in each.pairs.items():
+            first = mesh.edges[pairs[:, 0], 0] if kind == PairKind.EDGE_EDGE else pairs[:, 0]
+            of_pairs += planning.WORK_OF_PAIR * np.bincount(first, minlength=mesh.num_vertices)
+    return candidates + of_pairs, candidates
+
+
+def pairs_by_rank(mesh: VirtualMesh, plan: VirtualPlan, pairs: dict[PairKind, np.ndarray]) -> np.ndarray:
+    """How many pairs each rank counts: those whose boxes' intersection has its lower corner in its region."""
+    result = np.zeros(plan.regions.count, dtype=np.int64)
+    for kind, of in _TABLES.items():
+        corner = np.full((4, len(pairs[kind])), -np.inf)
+        for side, name in enumerate(of):
+            vertices = mesh.primitives[name].corners[pairs[kind][:, side]]
+            np.maximum(corner, plan.lower[:, vertices].min(axis=2), out=corner)
+        result += np.bincount(partition.region_of(plan.regions, corner), minlength=plan.regions.count)
+    return result
+
+
+def work_by_rank(mesh: VirtualMesh, plan: VirtualPlan, pairs: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Work of each rank, in the weights by which the pipeline measures it."""
+    home = partition.region_of(plan.regions, plan.lower)
+    spread = np.bincount(home, weights=candidates, minlength=plan.regions.count)
+    return planning.WORK_OF_PRIMITIVE * plan.num_primitives + spread + planning.WORK_OF_PAIR * pairs
+
+
+def network_seconds(num_ranks: int, traffic: Traffic, num_bodies: int) -> float:
+    """The model: the busiest rank's messages one after the other, and reductions in rounds of all ranks."""
+    rounds = (num_ranks - 1).bit_length()
+    reduced = 2 * 3 * 8 * 3 * NUM_SAMPLES + 8 * (2 + num_bodies) + 8 * num_ranks
+    messages = LATENCY * traffic.num_messages + traffic.num_sent / BANDWIDTH
+    return float(messages.max()) + rounds * ((NUM_REDUCTIONS + 1) * LATENCY + reduced / BANDWIDTH)
+
+
+def simulate(name: str, scene: scenes.Scene, ranks: tuple[int, ...]) -> list[dict]:
+    """One row for each number of ranks."""
+    mesh = VirtualMesh(scene)
+    first = VirtualPlan.of(mesh, ranks[0], None, mesh.owners(ranks[0]))
+    done = [worked(mesh, first, rank) for rank in range(ranks[0])]
+    work, candidates = work_of(mesh, done)
+    pairs = {kind: np.concatenate([each.pairs[kind] for each in done]) for kind in _TABLES}
+    on_one_core = sum(each.seconds for each in done)
+    num_pairs, num_candidates = sum(map(len, pairs.values())), sum(each.num_candidates for each in done)
+    del done
+    rows = []
+    for num_ranks in ranks:
+        owner = mesh.owners(num_ranks)
+        plan = first if num_ranks == ranks[0] else VirtualPlan.of(mesh, num_ranks, None, owner)
+        blind = partition.imbalance(work_by_rank(mesh, plan, pairs_by_rank(mesh, plan, pairs), candidates))
+        if blind > _MOST_IMBALANCE:
+            plan = VirtualPlan.of(mesh, num_ranks, work, owner)
+        load = work_by_rank(mesh, plan, pairs_by_rank(mesh, plan, pairs), candidates)
+        chosen = {"busiest": int(load.argmax()), "largest": int(plan.num_primitives.argmax())}
+        of = {rank: worked(mesh, plan, rank) for rank in set(chosen.values())}
+        busiest, largest = (of[rank] for rank in chosen.values())
+        near = Traffic.of(mesh, plan, owner)
+        far = Traffic.of(mesh, plan, np.arange(mesh.num_vertices) * num_ranks // mesh.num_vertices)
+        on_network = network_seconds(num_ranks, near, mesh.num_bodies)
+        ghosts = plan.num_primitives - plan.num_home
+        row = {
+            "scene": name,
+            "faces": mesh.num_faces,
+            "primitives": mesh.num_vertices + mesh.num_edges + mesh.num_faces,
+            "pairs": num_pairs,
+            "candidates": num_candidates,
+            "ranks": num_ranks,
+            "faces_mean": float(plan.num_faces.mean()),
+            "faces_most": int(plan.num_faces.max()),
+            "ghosts_mean": float(ghosts.mean()),
+            "ghosts_most": int(ghosts.max()),
+            "ghost_share": float(ghosts.sum() / plan.num_home.sum()),
+            "imbalance_first": blind,
+            "imbalance": partition.imbalance(load),
+            "neighbours_mean": float(near.num_neighbours.mean()),
+            "neighbours_most": int(near.num_neighbours.max()),
+            "bytes_mean": float(near.num_sent.mean()),
+            "bytes_most": int(near.num_sent.max()),
+            "bytes_most_by_index": int(far.num_sent.max()),
+            "plan_bytes_most": int(plan.message_bytes.max()),
+            "memory_most": largest.num_bytes,
+            "one_core_seconds": on_one_core,
+            "engine_seconds": busiest.seconds,
+            "copy_seconds": busiest.copy_seconds,
+            "network_seconds": on_network,
+        }
+        row["step_seconds"] = busiest.seconds + busiest.copy_seconds + on_network
+        row["efficiency"] = on_one_core / (num_ranks * row["step_seconds"])
+        rows.append(row)
+        print(f"{name}, {mesh.num_faces:,} faces, {num_ranks} ranks: {row}", flush=True)
+    return rows
+
+
+def rows_table(rows: list[dict]) -> list[str]:
+    """The table of docs/distributed.md."""
+    header = [
+        "scene",
+        "ranks",
+        "faces a rank, most",
+        "ghosts a rank",
+        "imbalance",
+        "neighbours, most",
+        "sent a step, most",
+        "memory, most",
+        "engine",
+        "network (model)",
+        "step (model)",
+        "efficiency (model)",
+    ]
+    cells = (
+        [
+            f"{row['scene']}, {count_text(row['faces'])}",
+            f"{row['ranks']:,}",
+            f"{count_text(row['faces_mean'])}, {count_text(row['faces_most'])}",
+            f"{row['ghost_share']:.1%}",
+            f"{row['imbalance_first']:.2f} → {row['imbalance']:.2f}",
+            f"{row['neighbours_mean']:.1f}, {row['neighbours_most']}",
+            f"{row['bytes_most'] / 2**20:.2f} MiB",
+            f"{row['memory_most'] / 2**20:.0f} MiB",
+            time_text(row["engine_seconds"] + row["copy_seconds"]),
+            time_text(row["network_seconds"]),
+            time_text(row["step_seconds"]),
+            f"{row['efficiency']:.0%}",
+        ]
+        for row in rows
     )
-    lines = [head, "|" + "---|" * 12]
-    for row in rows:
-        both = [f"{mean:,.0f}, {most:,}" for mean, most in (row.faces_each, row.ghosts_each)]
-        sizes = [f"{mean / 1e6:.2f}, {most / 1e6:.2f}" for mean, most in (row.bytes_each, row.memory_each)]
-        lines.append(
-            f"| {row.scene} | {row.ranks:,} | {both[0]} | {both[1]} | {row.imbalance:.2f} | {row.duplicates:.3f} "
-            f"| {row.neighbours[0]:.1f}, {row.neighbours[1]} | {sizes[0]} | {sizes[1]} "
-            f"| {1e3 * row.model['all']:.2f} | {1e3 * row.model['work']:.2f} | {row.efficiency:.2f} |"
+    return table(header, cells)
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Draw the modelled time of a step against the number of ranks."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for name, faces in dict.fromkeys((row["scene"], row["faces"]) for row in rows):
+        chosen = [row for row in rows if (row["scene"], row["faces"]) == (name, faces)]
+        ranks = [row["ranks"] for row in chosen]
+        (line,) = axes.loglog(
+            ranks, [1e3 * row["step_seconds"] for row in chosen], "o-", label=f"{name}, {count_text(faces)} faces"
         )
-    return lines
+        axes.loglog(ranks, [1e3 * chosen[0]["one_core_seconds"] / n for n in ranks], ":", color=line.get_color())
+    axes.set(xlabel="ranks", ylabel="ms of a step", title="A model, not a measurement; dotted: one core's time / ranks")
+    axes.set_xticks(ranks, [f"{n:,}" for n in ranks])
+    axes.minorticks_off()
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Simulate, print a table and write the figures."""
+    parser = side_figures.parser("Plans of many ranks, made in one process", "docs/distributed.md")
+    parser.add_argument("--figure", type=Path, help="where a picture of the model goes")
+    parser.add_argument("--quick", action="store_true", help="scenes of 100,000 faces on 16 and 64 ranks")
     parser.add_argument("--faces", type=int, nargs="+", default=[4_000_000, 16_000_000], help="faces of the scenes")
-    parser.add_argument("--ranks", type=int, nargs="+", default=[16, 64, 256, 1024], help="numbers of ranks")
-    parser.add_argument("--nanoseconds", type=float, help="of a primitive on one core (measured)")
-    parser.add_argument("--output", type=Path, help="file for the raw figures")
-    arguments = parser.parse_args()
-    rate = 1e-9 * arguments.nanoseconds if arguments.nanoseconds else measured_rate()
-    print(f"{1e9 * rate:.1f} ns of a primitive on one core; the time of a step is a model, not a measurement\n")
-    rows: list[Simulated] = []
-    for num_faces in arguments.faces:
-        for scene in (cloth_over_sphere(num_faces), pile(max(8, num_faces // 4_000), 4_000)):
-            edges, _ = unique_edges(scene.faces, np.zeros((0, 2), dtype=np.int64))
-            for num_ranks in arguments.ranks:
-                rows.append(simulate(scene, edges, num_ranks, rate))
-                print("\n".join(table(rows)[-1:] if len(rows) > 1 else table(rows)), flush=True)
-    if arguments.output:
-        raw = {"seconds_a_primitive": rate, "rows": [asdict(row) for row in rows]}
-        arguments.output.write_text(json.dumps(raw, indent=1) + "\n", encoding="utf-8")
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    begin = time.perf_counter()
+    sizes, ranks = ([100_000], RANKS[:2]) if options.quick else (options.faces, RANKS)
+    rows = [row for name, make in all_scenes(sizes) for row in simulate(name, make(), ranks)]
+    side_figures.publish(options, "simulation", rows, rows_table(rows))
+    print(f"{time.perf_counter() - begin:.0f} s; the time of a step is a model, not a measurement")
+    if options.figure:
+        draw(rows, options.figure)
 
 
 if __name__ == "__main__":
