@@ -16,7 +16,8 @@ class DeviceProximities:
 
     The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
     :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
-    captured graph uses, so keep it as long as the graph.
+    captured graph uses, so keep it as long as the graph. What is beside the fields is computed as that of
+    :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
 
     Attributes:
         count: Number of pairs within the distance, which may exceed the capacity; int32, shape [1].
@@ -31,7 +32,7 @@ class DeviceProximities:
             coordinate that is not finite.
         world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [4].
+            capacity, int64, shape [5].
     """
 
     count: wp.array
@@ -45,6 +46,21 @@ class DeviceProximities:
     world_flags: wp.array
     num_pairs: wp.array
     _step: Any = field(repr=False, compare=False)
+
+    @property
+    def vertices(self) -> wp.array:
+        """Vertices of each pair, as in :class:`ccd_warp.Proximities`, vec4i, shape [max_contacts]."""
+        return self._step.contact_arrays.vertices()
+
+    @property
+    def bodies(self) -> wp.array:
+        """Bodies of the first and the second primitive of each pair, vec2i, shape [max_contacts]."""
+        return self._step.contact_arrays.bodies()
+
+    @property
+    def world(self) -> wp.array:
+        """World of each pair, int32, shape [max_contacts]."""
+        return self._step.contact_arrays.world()
 
     def to_host(self) -> Proximities:
         """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.
@@ -84,7 +100,7 @@ class DeviceDisplacements:
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
         world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [4].
+            capacity, int64, shape [5].
     """
 
     bounds: wp.array

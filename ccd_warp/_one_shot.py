@@ -248,8 +248,8 @@ def mesh_ccd(
         Wang et al. 2021, section 4 (narrow phase); see :func:`ccd_warp.find_candidates` for the broad phase.
 
     Guarantee: that of :mod:`ccd_warp`, for every pair that passes the mesh's filter (vertex-face, edge-edge and, where
-    the mesh has codimensional primitives, point-segment and point-point): no toi that covers the pair is late, and
-    ``inf`` is certain.
+    the mesh has codimensional primitives or half-spaces, point-segment, point-point and vertex-plane): no toi that
+    covers the pair is late, and ``inf`` is certain.
     """
     chosen = options_of("mesh_ccd", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:

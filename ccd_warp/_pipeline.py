@@ -125,8 +125,7 @@ class CollisionPipeline:
         write others between launches. Every launch reads it anew. A radius that is negative or not finite counts as a
         coordinate that is not finite does: its world has toi 0 and a flag. Calls with NumPy arrays use ``mesh.radius``.
         Where all radii and the minimum distance are 0, launches use the kernels for distances all the same, and calls
-        with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open,
-        by up to some 2e-6 in float32.
+        with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open.
         """
         if self._radius is None and self.mesh.radius is not None:
             self._radius = self._topology.array(self.mesh.radius, wp.float64)

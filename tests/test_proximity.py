@@ -260,6 +260,18 @@ def test_launches_find_what_the_call_on_the_host_finds(broad_phase, device):
             np.testing.assert_array_equal(found.points, expected.points)
 
 
+def test_vertices_bodies_and_worlds_of_what_is_near_are_on_the_device(device):
+    mesh = few(half_spaces=HALF_SPACES, vertex_world=[1] * 27 + [0] * 27)
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    result = pipeline.launch_proximity(on_device(mesh.vertices, device), 0.1)
+    host, count = result.to_host(), len(result.to_host())
+    order = np.lexsort((*result.primitives.numpy()[:count].T[::-1], result.kind.numpy()[:count]))
+    assert {*host.world} == {0, 1} and {*host.kind} == {*ccd.PairKind}
+    for name in ("vertices", "bodies", "world"):
+        assert np.array_equal(getattr(result, name).numpy()[:count][order], getattr(host, name))
+    assert result.world is result.world
+
+
 def test_a_graph_finds_what_is_near_in_the_present_positions():
     mesh, start, end = STEPS["every kind, one body static"].make()
     pipeline = ccd.CollisionPipeline(mesh, max_pairs=20_000, max_contacts=20_000)

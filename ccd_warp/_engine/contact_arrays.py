@@ -1,6 +1,6 @@
-"""What the contacts of a launch are asked for beside their own arrays, computed on the device at that moment."""
+"""What the pairs that a launch lists are asked for beside its arrays, computed on the device at that moment."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,26 +8,30 @@ import warp as wp
 
 from ccd_warp._engine.contacts import new_contact_list
 from ccd_warp._engine.topology import Topology
-from ccd_warp._results import DeviceContacts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels import contact_place as kernels
 
 
 class ContactArrays:
-    """Arrays with a row for each contact that the list has capacity for; one is made when it is first asked for.
+    """Arrays with a row for each pair that a list has capacity for; one is made when it is first asked for.
+
+    The list is that of the contacts, or of what is near at one time, whose pairs have no toi and no points here.
 
     Every call computes an array anew, from what the contacts and positions are when the device gets there. It has a
     launch of fixed size and, after the first, neither allocates nor waits, so that a graph can hold it.
     """
 
-    def __init__(self, topology: Topology, execution: Execution, contacts: DeviceContacts) -> None:
-        self._topology, self._execution = topology, execution
-        self._list = new_contact_list(vars(contacts))
-        self._capacity = len(contacts.kind)
+    def __init__(
+        self, topology: Topology, execution: Execution, arrays: Mapping[str, wp.array], name: str = "contacts"
+    ) -> None:
+        """Take the arrays of a list, by the names of ``kernels.contacts.ContactList``, and what messages call it."""
+        self._topology, self._execution, self._name = topology, execution, name
+        self._list = new_contact_list(arrays)
+        self._capacity = len(arrays["kind"])
         self._arrays: dict[str, wp.array] = {}
 
     def vertices(self) -> wp.array:
-        """Vertices of each contact, vec4i."""
+        """Vertices of each pair, vec4i."""
         return self._filled("vertices", wp.vec4i, kernels.fill_vertices)
 
     def bodies(self) -> wp.array:
@@ -36,7 +40,7 @@ class ContactArrays:
         return self._filled("bodies", wp.vec2i, kernels.fill_bodies, topology.vertex_body, topology.planes.body)
 
     def world(self) -> wp.array:
-        """World of each contact, int32."""
+        """World of each pair, int32."""
         return self._filled("world", wp.int32, kernels.fill_world, self._topology.vertex_world)
 
     def points(self, name: str, positions: tuple[wp.array, wp.array]) -> wp.array:
@@ -94,6 +98,6 @@ class ContactArrays:
         """An array that stays, made at its first use; ``name`` is what the user asked for."""
         if key not in self._arrays:
             if self._topology.device.is_capturing:  # memory of a capture is gone with its graph
-                raise RuntimeError(f"a graph is being captured; ask for contacts.{name} once before the capture")
+                raise RuntimeError(f"a graph is being captured; ask for {self._name}.{name} once before the capture")
             self._arrays[key] = make()
         return self._arrays[key]

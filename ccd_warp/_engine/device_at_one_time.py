@@ -13,6 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
+from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
 from ccd_warp._engine.proximities import (
     PROXIMITY_DTYPES,
@@ -139,6 +140,8 @@ class DeviceProximityStep(DeviceAtOneTime):
         arrays = {name: self._empty(capacities.max_contacts, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
+        listed = {"count": self._count, "kind": arrays["kind"], "primitives": arrays["primitives"]}
+        self.contact_arrays = ContactArrays(topology, self._execution, listed, "proximities")
         result = self.result
         self.proximities = DeviceProximities(
             count=self._count,

@@ -194,7 +194,7 @@ class DeviceStep:
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
-        self.contact_arrays = ContactArrays(topology, execution, result.contacts)
+        self.contact_arrays = ContactArrays(topology, execution, vars(result.contacts))
         minima = new_minima(
             topology,
             vertex=result.vertex_toi,
