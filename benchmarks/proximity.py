@@ -4,8 +4,9 @@ python -m ccd_warp.benchmarks.proximity --faces 100000
 
 Every scene is searched within 0.3 edge lengths. Beside `find_proximity` and `displacement_bounds` at the start of its
 step stand `mesh_ccd` over the step with that `minimum_distance`, and over a step in which nothing moves, whose search
-finds the same pairs. ipc-toolkit builds its `NormalCollisions`, on all cores, where it is installed. Times are medians
-of interleaved rounds, and those of all threads together, which tell more where other programs run beside.
+finds the same pairs. `find_intersections` stands beside `mesh_ccd` without a distance. ipc-toolkit builds its
+`NormalCollisions`, on all cores, where it is installed. Times are medians of interleaved rounds, and those of all
+threads together, which tell more where other programs run beside.
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ def _calls(scene: scenes.Scene, num_threads: int) -> tuple[dict[str, Callable[[]
         "mesh_ccd at rest": lambda: apart.mesh_ccd(x, x),
         "find_proximity": lambda: near.find_proximity(x, distance),
         "displacement_bounds": lambda: near.displacement_bounds(x, distance),
+        "mesh_ccd without a distance": lambda: near.mesh_ccd(x, scene.vertices_t1),
+        "find_intersections": lambda: near.find_intersections(x),
     }
     if (peer := _peer(scene, mesh, distance)) is not None:
         calls[PEER] = peer
