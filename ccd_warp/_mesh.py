@@ -216,8 +216,9 @@ class CollisionMesh:
                 positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
                 vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
                 the radii of its two primitives, each the largest of its vertices'. Where one is given, even 0,
-                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. By default
-                there is none.
+                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. An array that
+                could be either, with as many bodies as vertices, is refused unless both mean the same. By default there
+                is none.
 
         Returns:
             The mesh.
@@ -286,8 +287,9 @@ class CollisionMesh:
                 positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
                 vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
                 the radii of its two primitives, each the largest of its vertices'. Where one is given, even 0,
-                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. By default
-                there is none.
+                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. An array that
+                could be either, with as many bodies as vertices, is refused unless both mean the same. By default there
+                is none.
 
         Returns:
             The mesh.
