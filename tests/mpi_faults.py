@@ -80,6 +80,9 @@ def together():
     everywhere(
         ValueError, [f"rank {LAST}: vertices_t0", "nan", f"vertex id {vertex}"], lambda: pipeline.mesh_ccd(bad, y)
     )
+    everywhere(
+        ValueError, [f"rank {LAST}: positions", "nan", f"vertex id {vertex}"], lambda: pipeline.find_proximity(bad, 0.1)
+    )
     short = y[:-1] if RANK == 0 else y
     everywhere(ValueError, ["rank 0: vertices_t1 has shape"], lambda: pipeline.collision_free_step(x, short))
     # a fault deep in the engine, on one rank only
@@ -137,6 +140,8 @@ def together():
         (["rank 0: exclude_pairs is"], made(exclude_pairs={"edge_edge": [[0, 1]]})),
     ):
         everywhere(ValueError, parts, call)
+    # MPI has few communicators to give, some thousands; a program may make a mesh in every step
+    assert DistributedMesh(COMM, triangle, face, vertex_ids=ids).ranks.comm == cut.mesh.ranks.comm
     wrong = face + (RANK == LAST)
     everywhere(
         ValueError,

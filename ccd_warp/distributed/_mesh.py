@@ -429,12 +429,15 @@ class DistributedMesh:
         self.sample_primitives = self.ranks.most(corners).T
         self.sample_vertices = (chosen * self.num_vertices) // NUM_SAMPLES
 
-    def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def frames(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, name_t0: str = "vertices_t0"
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Check the positions on this rank: those that it owns must be finite, those of ghosts are ignored.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3].
             vertices_t1: End positions; rows of static bodies are ignored.
+            name_t0: Name of the first argument in errors.
 
         Returns:
             Both as float64, static vertices at their start positions; ghosts hold anything.
@@ -445,16 +448,16 @@ class DistributedMesh:
         count = len(self.vertex_ids)
         if count == 0:  # an empty list has no columns
             vertices_t0, vertices_t1 = (
-                as_positions(vertices_t0, "vertices_t0", 3),
+                as_positions(vertices_t0, name_t0, 3),
                 as_positions(vertices_t1, "vertices_t1", 3),
             )
-        start = as_positions(vertices_t0, "vertices_t0", 3, count, "one row a vertex of this rank")
+        start = as_positions(vertices_t0, name_t0, 3, count, "one row a vertex of this rank")
         end = as_positions(vertices_t1, "vertices_t1", 3, count, "one row a vertex of this rank")
         is_static = self.static[self.bodies] if self.static.any() else None
         if is_static is not None and is_static.any():
             end = np.where(is_static[:, None], start, end)
         is_all = len(self.owned_rows) == count
-        for name, values in (("vertices_t0", start), ("vertices_t1", end)):
+        for name, values in ((name_t0, start), ("vertices_t1", end)):
             check_finite(values if is_all else values[self.owned_rows], name, where=self._where)
         return start, end
 

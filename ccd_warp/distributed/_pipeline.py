@@ -98,8 +98,7 @@ class DistributedPipeline:
             self._options = options_of("DistributedPipeline", MeshOptions, given)  # type: ignore[arg-type]
             self._device = resolve_device(self._options.device)
             self._check_same_options()
-        ranks.num_pipelines += 1
-        self._number = ranks.num_pipelines
+        self._number = ranks.next_pipeline()
         self._plan: Plan | None = None
         self._workspace: Workspace | None = None
         self._work: NDArray[np.float64] | None = None  # by the vertices that this rank owns, when it last mattered
@@ -263,7 +262,7 @@ class DistributedPipeline:
             with naming("find_proximity"):
                 distance = check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
             self._check_same_length("distance", distance)
-            return self._collectively(positions, positions, half_up(distance), work)
+            return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
 
     def _check_same_length(self, name: str, length: float) -> None:
         least, negative = self._ranks.agree(length, -length)
@@ -354,13 +353,15 @@ class DistributedPipeline:
         vertices_t1: ArrayLike,
         inflation: float,
         work: Callable[[NDArray[np.float64], NDArray[np.float64]], _T],
+        *,
+        name_t0: str = "vertices_t0",
     ) -> _T:
         """Bring positions to the parts, and run ``work``, given the positions on this rank."""
         self._seconds: dict[str, float] = {}
         self._begin, self._sent_before = time.perf_counter(), self._ranks.bytes_sent
         plan = self._plan
         is_kept = is_same = False
-        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        start, end = self.mesh.frames(vertices_t0, vertices_t1, name_t0)
         if plan is not None and not self._wants_plan:
             own = self.mesh.owned_rows
             is_all = len(own) == len(start)

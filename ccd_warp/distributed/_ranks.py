@@ -33,6 +33,27 @@ def mpi() -> Any:
     return MPI
 
 
+class _Duplicate:
+    """The communicator of our own beside one of the caller's: one for all its meshes, as MPI has few to give."""
+
+    _key: int | None = None
+
+    def __init__(self, comm: Any) -> None:
+        self.comm = comm.Dup()
+        self.num_pipelines = 0
+
+    @classmethod
+    def of(cls, comm: Any) -> _Duplicate:
+        """That of a communicator, made by its first mesh, collectively."""
+        if cls._key is None:
+            cls._key = comm.Create_keyval()
+        found: _Duplicate | None = comm.Get_attr(cls._key)
+        if found is None:
+            found = cls(comm)
+            comm.Set_attr(cls._key, found)
+        return found
+
+
 class Ranks:
     """A communicator of our own with the same ranks, and what we ask of it.
 
@@ -47,7 +68,6 @@ class Ranks:
         local_rank: Number of this rank among those of its machine.
         local_size: Number of ranks of its machine.
         bytes_sent: Bytes that this rank has sent to others since the last reset, reductions left out.
-        num_pipelines: Number of pipelines that these ranks have made.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -55,12 +75,13 @@ class Ranks:
         if not isinstance(comm, MPI.Intracomm):
             raise TypeError(f"comm is {type(comm).__name__}; expected an intracommunicator of mpi4py")
         self.mpi = MPI
-        self.comm = comm.Dup()
+        self._duplicate = _Duplicate.of(comm)
+        self.comm = self._duplicate.comm
         self.rank, self.size = comm.Get_rank(), comm.Get_size()
         local = comm.Split_type(MPI.COMM_TYPE_SHARED)
         self.local_rank, self.local_size = local.Get_rank(), local.Get_size()
         local.Free()
-        self.bytes_sent = self.num_pipelines = 0
+        self.bytes_sent = 0
         self._interrupts = Interrupts()
         self.name_call("DistributedMesh")
 
@@ -68,6 +89,11 @@ class Ranks:
     def default_num_threads(self) -> int:
         """Threads for each rank of a machine, so that they share its cores."""
         return max(1, len(os.sched_getaffinity(0)) // self.local_size)
+
+    def next_pipeline(self) -> int:
+        """The number of a new pipeline among all of the caller's communicator."""
+        self._duplicate.num_pipelines += 1
+        return self._duplicate.num_pipelines
 
     def name_call(self, call: str) -> None:
         """Say which call follows; all ranks must say the same before the next agreement."""
