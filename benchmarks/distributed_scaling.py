@@ -5,9 +5,9 @@
 
 Each rank takes a part of the scene, a band of the cloth and of the sphere; rank 0 keeps all of it only for the process
 that it compares with. The bands are across a diagonal, along which no region is cut, as a code that divides its mesh by
-place does not know ours; with ``--parts torn`` each rank has every other face in the order of the mesh, all vertices, and
-rank 0 owns them, the worst that can be handed in. Prints seconds of a step by stage and rank, the median of the steps, and
-bytes sent.
+place does not know ours. With ``--parts torn`` each rank has every other face in the order of the mesh and so all
+vertices, which rank 0 owns: the worst that can be handed in. Prints seconds of a step by stage and rank, the median of
+the steps, and bytes sent.
 """
 
 from __future__ import annotations

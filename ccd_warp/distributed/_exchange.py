@@ -51,20 +51,13 @@ class Exchange:
         with self._ranks.after_agreement():
             requests.start()
             for source, target in pairs:
-                if isinstance(self._own_targets, slice):
-                    part = target[self._own_targets]
-                    if isinstance(self._own_sources, slice):
-                        part[:] = source[self._own_sources]
-                    else:
-                        np.take(source, self._own_sources, axis=0, out=part, mode="clip")
-                else:
-                    target[self._own_targets] = source[self._own_sources]
+                _rows_of(target)[self._own_targets] = _rows_of(source)[self._own_sources]
             requests.wait()
         for rows, buffer in requests.received(self.targets):
             begin = 0
             for (_, target), width in zip(pairs, columns, strict=True):
                 part = buffer[begin : begin + width * len(rows)]
-                target[rows] = part.reshape(len(rows), *target.shape[1:])
+                _rows_of(target)[rows] = _rows_of(part.reshape(len(rows), *target.shape[1:]))
                 begin += width * len(rows)
 
     def back(self, values: NDArray[np.float64], result: NDArray[np.float64], op: np.ufunc) -> None:
@@ -89,6 +82,11 @@ class Exchange:
             out, into = (self.sources, self.targets) if is_forward else (self.targets, self.sources)
             self._requests[key] = _Requests(self._ranks, list(map(len, out)), list(map(len, into)), width)
         return self._requests[key]
+
+
+def _rows_of(array: NDArray[np.float64]) -> NDArray[Any]:
+    """The rows of a contiguous array as single items, which NumPy picks in less than half the time."""
+    return array if array.ndim == 1 else array.view(np.dtype((np.void, array.itemsize * array.shape[1])))[:, 0]
 
 
 def _as_slice(rows: NDArray[np.intp]) -> slice | NDArray[np.intp]:

@@ -363,13 +363,8 @@ class DistributedPipeline:
         is_kept = is_same = False
         start, end = self.mesh.frames(vertices_t0, vertices_t1, name_t0)
         if plan is not None and not self._wants_plan:
-            own = self.mesh.owned_rows
-            is_all = len(own) == len(start)
-            ends = (start, end) if is_all else (start[own], end[own])
-            is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in ends)
-            if self.mesh.static.any():
-                is_static = self.mesh.static[self.mesh.bodies[own]]
-                is_same = np.array_equal(ends[0][is_static], plan.static_start)
+            is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in (start, end))
+            is_same = np.array_equal(start[plan.static_rows], plan.static_start)
         self._seconds["input"] = time.perf_counter() - self._begin
         kept, same = self._ranks.agree(float(is_kept), float(is_same))
         try:
@@ -401,8 +396,7 @@ class DistributedPipeline:
                 plan.part.moving.forward([(start, plan.start), (end, plan.end)])
             else:
                 plan.part.everything.forward([(start, plan.start), (end, plan.end)])
-                own = self.mesh.owned_rows
-                plan.static_start = start[own[self.mesh.static[self.mesh.bodies[own]]]]
+                plan.static_start = start[plan.static_rows]
 
     def _run(
         self,

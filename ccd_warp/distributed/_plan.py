@@ -98,9 +98,9 @@ class Bounds:
 
 
 def is_within(positions: NDArray[np.float64], limits: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
-    """Whether every vertex is within its limits."""
+    """Whether no coordinate is beyond its limits, between which one that is not a number is."""
     lower, upper = limits
-    return bool((positions >= lower).all() and (positions <= upper).all())
+    return not ((positions < lower).any() or (positions > upper).any())
 
 
 def scene_box(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

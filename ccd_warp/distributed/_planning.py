@@ -30,14 +30,15 @@ class Plan:
 
     Attributes:
         bounds: The numbers from which the boxes follow.
-        limits: Between which the vertices that this rank owns have to stay, shapes [n, 3].
+        limits: Between which the vertices on this rank have to stay, shapes [n, 3]; ghosts may be anywhere.
         regions: The regions of the ranks.
         part: The primitives of this rank's region.
         topology: Their data on the device.
         together: What the ranks reduce in a step.
         start: Start positions of the vertices of the part in the present step, shape [n, 3].
         end: End positions.
-        static_start: Positions of the static vertices that this rank owns, as they were sent.
+        static_rows: Rows of the static vertices that this rank owns.
+        static_start: Their positions, as they were sent.
         num_primitives: Primitives of the part, and those of them that lie in the region.
         imbalance: That of the work of the first step; None before.
     """
@@ -50,6 +51,7 @@ class Plan:
     together: TogetherIn
     start: NDArray[np.float64]
     end: NDArray[np.float64]
+    static_rows: NDArray[np.intp]
     static_start: NDArray[np.float64]
     num_primitives: tuple[int, int]
     imbalance: float | None = None
@@ -100,18 +102,21 @@ def make_plan(
     num_home = int(is_home[part.tested_vertices].sum())
     for c in (part.mesh.edges, part.mesh.faces):
         num_home += int(_is_in(united(part_lower, part_upper, c)[0], region).sum())
-    own = whole.owned_rows
-    is_static = whole.static[whole.bodies[own]]
+    limits = bounds.limits(lower, upper, whole.box_radius)
+    for values, farthest in zip(limits, (-np.inf, np.inf), strict=True):
+        values[~whole.is_owned] = farthest
+    static_rows = np.flatnonzero(whole.is_owned & whole.static[whole.bodies])
     return Plan(
         bounds,
-        bounds.limits(lower[:, own], upper[:, own], whole.box_radius[own]),
+        limits,
         regions,
         part,
         topology,
         together,
         part_start,
         part_end,
-        start[own[is_static]],
+        static_rows,
+        start[static_rows],
         (len(part.tested_vertices) + part.mesh.num_edges + part.mesh.num_faces, num_home),
     )
 
