@@ -90,6 +90,16 @@ def test_without_mpi4py_the_error_names_the_extra(monkeypatch):
         DistributedMesh(None, np.zeros((3, 3)), [[0, 1, 2]], vertex_ids=[0, 1, 2])
 
 
+def test_ranks_of_a_machine_take_its_devices_in_turns_by_default(monkeypatch):
+    pytest.importorskip("mpi4py")
+    from ccd_warp.distributed import _pipeline
+
+    monkeypatch.setattr(_pipeline.wp, "get_cuda_device_count", lambda: 2)
+    assert [_pipeline._device_of(rank) for rank in range(4)] == ["cuda:0", "cuda:1", "cuda:0", "cuda:1"]
+    monkeypatch.setattr(_pipeline.wp, "get_cuda_device_count", lambda: 0)
+    assert _pipeline._device_of(1) is None  # Warp's own choice
+
+
 def points_of(rng, count, num_worlds=1):
     """Points in a box, with coordinates that often coincide, and their worlds; shape [4, n]."""
     points = np.round(8.0 * rng.random((4, count))) / 8.0
