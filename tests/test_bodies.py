@@ -1,6 +1,4 @@
-"""Bodies that another may touch, against every pair of boxes in exact arithmetic."""
-
-from fractions import Fraction
+"""Bodies that another may touch, against every pair of boxes in integers."""
 
 import numpy as np
 import pytest
@@ -23,19 +21,20 @@ def near(mesh, start, end, inflation=0.0, num_threads=2):
 
 
 def near_exactly(mesh, start, end, inflation=0.0):
-    both = np.concatenate([start, end])
-    body = np.concatenate([mesh.vertex_body] * 2)
-    boxes = {
-        b: [[Fraction(float(x)) for x in f(both[body == b], axis=0)] for f in (np.min, np.max)] for b in np.unique(body)
-    }
-    expected = mesh.self_collision & ~mesh.static
-    for a, (low_a, high_a) in boxes.items():
-        for b, (low_b, high_b) in boxes.items():
-            is_possible = a != b and not mesh.static[a] and (mesh.body_pairs is None or mesh.body_pairs[a, b])
-            gap = max(max(p - s, r - q) for p, q, r, s in zip(low_a, high_a, low_b, high_b, strict=True))
-            if is_possible and gap <= 2 * Fraction(inflation):
-                expected[a] = True
-    return expected
+    """By every pair of boxes, in integers: coordinates and inflation are multiples of a quarter."""
+    quarters = np.stack([start, end]) * 4
+    assert (quarters == np.round(quarters)).all() and 4 * inflation == round(4 * inflation)
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    first = mesh.body_vertex_range[filled]
+    low = np.minimum.reduceat(quarters.min(axis=0).astype(np.int64), first, axis=0)
+    high = np.maximum.reduceat(quarters.max(axis=0).astype(np.int64), first, axis=0)
+    gap = np.maximum(low[:, None] - high, low - high[:, None]).max(axis=2)
+    is_possible = ~np.eye(len(filled), dtype=bool)
+    if mesh.body_pairs is not None:
+        is_possible &= mesh.body_pairs[np.ix_(filled, filled)]
+    expected = mesh.self_collision.copy()
+    expected[filled] |= (is_possible & (gap <= round(8 * inflation))).any(axis=1)
+    return expected & ~mesh.static
 
 
 @pytest.mark.parametrize("num_bodies", [2, 15, 16, 17, 40, 300])
