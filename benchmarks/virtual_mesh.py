@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from ccd_warp.benchmarks.scenes import Scene
 
+from ccd_warp._input.half_spaces import planes_of
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed import _planning as planning
 from ccd_warp.distributed._mesh import Primitives
@@ -68,6 +69,7 @@ class VirtualMesh:
         self.end = np.where(self.static[self.bodies][:, None], self.start, self.end)
         self.self_collision = np.full(self.num_bodies, scene.self_collision)
         self.body_pairs, self.exclusion_rings, self.exclude_pairs = None, 1, {}
+        self.planes = planes_of([], 3)
         self.names = tuple(f"body {b}" for b in range(self.num_bodies))
         self.length_scale = float((self.start.max(axis=0) - self.start.min(axis=0)).max())
         self.primitives = {

@@ -36,7 +36,7 @@ from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 
 # Vertices of a mesh with half-spaces: a bit of their index tells contacts with these from others (`contact_key`).
-_MOST_WITH_PLANES = 1 << 30
+MOST_WITH_PLANES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -341,9 +341,9 @@ class CollisionMesh:
                 f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} codimensional edges; "
                 f"expected counts whose edges int32 can index"
             )
-        if half_spaces and offsets[-1] > _MOST_WITH_PLANES:
+        if half_spaces and offsets[-1] > MOST_WITH_PLANES:
             raise ValueError(
-                f"bodies hold {offsets[-1]} vertices; expected at most {_MOST_WITH_PLANES} with half-spaces"
+                f"bodies hold {offsets[-1]} vertices; expected at most {MOST_WITH_PLANES} with half-spaces"
             )
         faces = np.concatenate(all_faces).astype(np.int32)
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)

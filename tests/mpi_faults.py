@@ -121,7 +121,7 @@ def together():
     interrupted(pipeline, x, y)
 
     triangle, face = scenes.TRIANGLE, scenes.FACE
-    ids = np.arange(3)
+    ids, ground = np.arange(3), ccd.HalfSpace([0, 0, -1], [0, 0, 1])
 
     def made(**changed):
         return lambda: DistributedMesh(COMM, triangle, face, **({"vertex_ids": ids} | changed))
@@ -138,6 +138,14 @@ def together():
         (["static", "differs between ranks"], made(static=[0] if RANK == 0 else [])),
         (["radius is given on some ranks"], made(radius=0.1 if RANK == 0 else None)),
         (["rank 0: exclude_pairs is"], made(exclude_pairs={"edge_edge": [[0, 1]]})),
+        (["half_spaces differs between ranks"], made(half_spaces={1: ground} if RANK else {})),
+        (["half_spaces differs"], made(half_spaces={1: ccd.HalfSpace([0, 0, RANK], [0, 0, 1])})),
+        (["rank 0: bodies gives vertex id 0 body 0, which is a half-space"], made(half_spaces={0: ground})),
+        (["rank 0: normal of body 1 is [0.0, 0.0, 0.0]"], made(half_spaces={1: ccd.HalfSpace([0, 0, 0], [0, 0, 0])})),
+        (["rank 0: half_spaces is"], made(half_spaces=[ground])),
+        (["rank 0: half_spaces has the key 'ground'"], made(half_spaces={"ground": ground})),
+        ([f"rank {LAST}: half_spaces holds"], made(half_spaces={1: 2.0 if RANK == LAST else ground})),
+        (["half_spaces holds 9; expected numbers below 4"], made(half_spaces={9: ground})),
     ):
         everywhere(ValueError, parts, call)
     # MPI has few communicators to give, some thousands; a program may make a mesh in every step
@@ -153,6 +161,10 @@ def together():
         ValueError,
         ["bodies gives vertex id 0 body 1 and the next, 7, body 0"],
         lambda: DistributedMesh(COMM, triangle, scenes.NO_FACES, **descending),
+    )
+    alone = {"vertex_ids": ids[:0], "half_spaces": {0: ground}}
+    everywhere(
+        ValueError, ["half_spaces holds all bodies"], lambda: DistributedMesh(COMM, triangle[:0], face[:0], **alone)
     )
     # and after all that the pipeline works
     compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")

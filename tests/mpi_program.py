@@ -208,6 +208,40 @@ def radii():
     check((mesh, mesh.vertices, end), interleaved, ["mesh_ccd", "line_search vertex"])
 
 
+def half_spaces():
+    """A ground and a wall, whose numbers are among those of other bodies; vertices meet them on one rank each."""
+    vertices, faces = scenes.sheet(8)
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+    ground, wall = ccd.HalfSpace([0.3, 0, 0], [0.1, -0.2, 3.0]), ccd.HalfSpace([0.9, 0, 0], [-2e-3, 0, 0])
+    bodies = [ground, (vertices + [0, 0, 0.6] + 0.3 * vertices[:, :1] * [0, 0, 1], faces)]
+    bodies += [wall, (ball.vertices + [0.4, 0.5, 1.1], ball.faces)]
+    pairs = np.ones((4, 4), dtype=bool)
+    pairs[2, 3] = pairs[3, 2] = False
+    radius = [0.0, 0.02, 0.0, 0.05]
+    calls = ["collision_free_step", "find_candidates", "mesh_ccd"]
+    for k, given in enumerate([{"self_collision": [True, True, True, False]}, {"radius": radius, "body_pairs": pairs}]):
+        mesh = ccd.CollisionMesh.from_arrays(bodies, exclude_pairs={"bodies": [[3, 0], [1, 1]][: 2 * k]}, **given)
+        end = mesh.vertices - [-0.2, 0, 0.9]
+        pipeline = check((mesh, mesh.vertices, end), interleaved, calls, minimum_distance=0.01)
+        found = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_distance=0.01).counts
+        kind = ccd.PairKind.VERTEX_PLANE
+        numbers = COMM.allreduce(pipeline.work.counts.num_candidates[kind]), found.num_candidates[kind]
+        assert numbers[0] == numbers[1] > 40, numbers
+    # the solid holds a vertex of one rank, which is done with its step at once; the others must not wait for it
+    deep = mesh.vertices - [0, 0, 0.56]
+    check((mesh, deep, deep - [0, 0, 0.1]), in_blocks, [*ALL_CALLS[1:3], "line_search vertex", "find_proximity"])
+
+
+def planes_and_nothing_else():
+    """Particles that meet a ground alone, in worlds; some of them are static."""
+    points = np.random.default_rng(6).random((60, 3))
+    bodies = [(points[:40], scenes.NO_FACES), (points[40:], scenes.NO_FACES), ccd.HalfSpace([0, 0, 0.1], [0, 0.1, 1])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], vertex_world=np.arange(60) % 3)
+    end = points - [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
+    start = points + [0, 0, 0.3]
+    check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world"])
+
+
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
     mesh, start, _ = scenes.sheet_over_ball()
@@ -304,6 +338,8 @@ CASES = [
     options,
     work_that_open_pairs_share,
     radii,
+    half_spaces,
+    planes_and_nothing_else,
     random_scenes,
     many_steps,
     one_rank_more_work_than_the_others,

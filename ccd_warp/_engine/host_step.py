@@ -199,7 +199,8 @@ class Step:
             candidates = collector.candidates()
         if plan.has_planes:
             with self.timed("planes"):
-                near = plane_candidates(self.mesh, self.positions, inflation, self.topology.box_radius.numpy())
+                vertices, box_radius = self.topology.plane_vertices.numpy(), self.topology.box_radius.numpy()
+                near = plane_candidates(self.mesh, vertices, self.positions, inflation, box_radius)
             candidates = replace(candidates, vertex_plane=near)
             num_launches[PairKind.VERTEX_PLANE], num_candidates[PairKind.VERTEX_PLANE] = 1, len(near)
         self.finish_counts(num_launches, num_candidates, search.num_batches)
@@ -224,7 +225,7 @@ class Step:
                 plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
                 plan.set_least(best)
                 plan.bound_by_planes()
-                best = plan.least()
+                best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
             if best <= 0.0 or (any_suffices and best < np.inf):
                 strides = ()
         for stride in strides:

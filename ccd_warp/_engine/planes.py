@@ -121,18 +121,18 @@ def plane_query(options: "Options", separation: float, *, is_euclidean: bool) ->
 
 def plane_candidates(
     mesh: "CollisionMesh",
+    vertices: NDArray[np.int32],
     positions: tuple[NDArray[np.float64], NDArray[np.float64]],
     inflation: float,
     box_radius: NDArray[np.float64],
 ) -> NDArray[np.int32]:
-    """Vertices and planes whose boxes, enlarged by ``inflation``, overlap in a step, in lexicographic order.
+    """Those of the vertices and planes whose boxes, enlarged by ``inflation``, overlap in a step, lexicographically.
 
     The enlarged half-space is where f ≤ inflation·Σ|n_k|, and the box of a vertex reaches as far beyond it, and by its
     radius more where there are any. So they overlap where f of the vertex is at most the sum of both, and f is least at
     one of both ends of the step.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    vertices = mesh.moving_vertices
     found = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):

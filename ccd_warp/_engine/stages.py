@@ -302,7 +302,7 @@ class Stages:
         inputs = [*self._met_by_planes(), every if active is None else active]
         inputs += [self.vertices_t0, self.vertices_t1, int(only_moving), float(gaps_moved)]
         outputs = [self.counts, self.minima, self.contacts]
-        launcher.launch(meet_planes.meet_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+        launcher.launch(meet_planes.meet_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def bound_by_planes(self, launcher: Launcher) -> None:
         """The same, for the least toi alone."""
@@ -310,11 +310,11 @@ class Stages:
 
         inputs = [*self._met_by_planes(), self.vertices_t0, self.vertices_t1]
         outputs = [self.counts, self.least_bits]
-        launcher.launch(meet_planes.bound_by_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+        launcher.launch(meet_planes.bound_by_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def _met_by_planes(self) -> list[Any]:
         topology = self.topology
-        return [topology.moving_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
+        return [topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
         """A round of the narrow phase: lower the minima, and list the contacts.
@@ -351,7 +351,7 @@ class Stages:
 
         inputs = [*self._near_planes(), self.vertices_t0, self.reach]
         outputs = [self.counts, self.minima, self.proximities]
-        launcher.launch(list_near_planes, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+        launcher.launch(list_near_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def bound_by_half_spaces(self, launcher: Launcher) -> None:
         """Lower the bounds of vertices beside planes."""
@@ -359,10 +359,10 @@ class Stages:
 
         inputs = [*self._near_planes(), self.vertices_t0, self.reach]
         outputs = [self.counts, self.minima]
-        launcher.launch(bound_by_half_spaces, len(self.topology.moving_vertices), inputs=inputs, outputs=outputs)
+        launcher.launch(bound_by_half_spaces, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def _near_planes(self) -> list[Any]:
-        return [self.topology.moving_vertices, self.topology.vertex_body, self.topology.planes, self.box_radius]
+        return [self.topology.plane_vertices, self.topology.vertex_body, self.topology.planes, self.box_radius]
 
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel for the pairs of each kind that the search has found."""

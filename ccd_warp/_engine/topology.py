@@ -155,6 +155,11 @@ class Topology:
         return planes_on(self.mesh, self.array)
 
     @lazy_property
+    def plane_vertices(self) -> wp.array:
+        """The vertices that meet the planes of half-spaces: all that move, or of a part some of them."""
+        return self.moving_vertices
+
+    @lazy_property
     def body_static(self) -> wp.array:
         """Whether each body is static, int32."""
         return self.array(self.mesh.static.astype(np.int32))
@@ -264,6 +269,7 @@ class Topology:
         """Bytes on the device that belong to the mesh, not to a step."""
         arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
         arrays += [self.radius, self.box_radius]
+        arrays += [self.plane_vertices] if len(self.mesh.planes) else []
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
         arrays += [array for order in self.orders.values() for array in order]

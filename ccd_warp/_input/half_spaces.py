@@ -1,12 +1,14 @@
 """Checks of half-spaces."""
 
-from collections.abc import Iterable
+import numbers
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._half_space import HalfSpace, Planes
+from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_array, as_float64
 from ccd_warp._input.foreign import on_host
 
@@ -32,6 +34,25 @@ def planes_of(half_spaces: Iterable[tuple[int, str, HalfSpace]], dimension: int)
         np.array(normals, dtype=np.float64).reshape(shape),
         np.array(bodies, dtype=np.int32),
     )
+
+
+def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
+    """Half-spaces by the number of the body that each of them is, ascending.
+
+    Raises:
+        ValueError: If they are no mapping, a key is no such number, or a value is something else.
+    """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"half_spaces is {shown(values)}; expected a mapping from numbers of bodies to HalfSpace")
+    found = {}
+    for body, half_space in values.items():
+        is_number = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
+        if not is_number or not 0 <= body <= np.iinfo(np.int32).max:
+            raise ValueError(f"half_spaces has the key {shown(body)}; expected the number of a body")
+        if not isinstance(half_space, HalfSpace):
+            raise ValueError(f"half_spaces holds {shown(half_space)} for body {body}; expected a HalfSpace")
+        found[int(body)] = half_space
+    return dict(sorted(found.items()))
 
 
 def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.topology import NUM_SAMPLES
+from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_array, check_finite
 from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.foreign import on_host
+from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._input.mesh_checks import (
     as_positions,
     validated_body_pairs,
@@ -63,12 +65,13 @@ class DistributedMesh:
         num_vertices: Vertices of the whole mesh.
         num_edges: Its edges.
         num_faces: Its faces.
-        num_bodies: Its bodies.
+        num_bodies: Its bodies, half-spaces among them.
         num_worlds: Its worlds.
         length_scale: Longest side of the box around the whole mesh, the default unit of tolerance and separation.
         vertex_ids: The ids of the vertices on this rank, as given, int64, shape [n].
         owner: Rank that owns each of them, int64, shape [n].
         is_owned: Whether this rank does, bool, shape [n].
+        planes: The planes of half-spaces in the order of their bodies, as of :class:`ccd_warp.CollisionMesh`.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class DistributedMesh:
         vertex_world: ArrayLike | None = None,
         radius: ArrayLike | None = None,
         owned: ArrayLike | None = None,
+        half_spaces: Mapping[int, HalfSpace] | None = None,
     ) -> None:
         """Make the mesh, collectively.
 
@@ -101,7 +105,8 @@ class DistributedMesh:
             edges: Rows of the vertices of codimensional edges, integer, shape [e, 2]. A given edge that belongs to a
                 face of any rank counts as an edge of that face.
             bodies: Body of each vertex, integers that ascend with the ids, shape [n]. By default there is one body.
-            static: Bodies that do not move; the same on all ranks, as all that follows but the last three.
+            static: Bodies that do not move; the same on all ranks, as all that follows but ``vertex_world``,
+                ``radius`` and ``owned``.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
                 codimensional points: one flag for all bodies or one for each.
@@ -113,6 +118,8 @@ class DistributedMesh:
                 given on all ranks or on none. Those of the owners count.
             owned: Which vertices this rank owns, bool, shape [n]; given on all ranks or on none. By default the lowest
                 rank that has a vertex owns it.
+            half_spaces: Half-spaces (:class:`ccd_warp.HalfSpace`), each by the number of the body that it is. Such a
+                body has no vertices, and is static.
 
         Raises:
             ValueError: On all ranks, if an argument of one is not as described; the message begins with its rank.
@@ -121,6 +128,7 @@ class DistributedMesh:
         """
         self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
         with ranks.together("DistributedMesh"):
+            self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
             self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
             self._number_vertices()
             self._take_tables(static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs)
@@ -160,6 +168,13 @@ class DistributedMesh:
         self._given_edges = none if edges is None else validated_indices(edges, 2, count, "edges")
         zeros = np.zeros(count, dtype=np.int64)
         self.bodies = zeros if bodies is None else _per_vertex("bodies", bodies, count)
+        is_solid = np.isin(self.bodies, list(self._half_spaces))
+        if is_solid.any():
+            at = int(np.argmax(is_solid))
+            raise ValueError(
+                f"bodies gives vertex id {self.vertex_ids[at]} body {self.bodies[at]}, which is a half-space; "
+                f"expected the number of another body"
+            )
         self.worlds = zeros if vertex_world is None else _per_vertex("vertex_world", vertex_world, count)
         self.radius = validated_radius(radius, [0, count], lambda row: f" (vertex id {self.vertex_ids[row]})", {})
         self._owned = np.full(count, -1, dtype=np.int64)
@@ -208,12 +223,19 @@ class DistributedMesh:
             raise ValueError(f"the ranks hold {self.num_vertices} vertices; expected at most {_MOST_VERTICES}")
         # of each home but the first, as `numbering.home_of` takes them
         self._first_numbers = np.cumsum(counts)[:-1]
-        largest = ranks.most(np.array([self.bodies.max(initial=0), self.worlds.max(initial=0)]))
-        self.num_bodies, self.num_worlds = (int(n) + 1 for n in largest)
-        if self.num_bodies > max(self.num_vertices, 1) or self.num_worlds > max(self.num_vertices, 1):
-            name = "bodies" if self.num_bodies > max(self.num_vertices, 1) else "vertex_world"
-            value = max(self.num_bodies, self.num_worlds) - 1
-            raise ValueError(f"{name} holds {value}; expected numbers below {self.num_vertices}, that of all vertices")
+        largest = {
+            "bodies": self.bodies.max(initial=0),
+            "half_spaces": max(self._half_spaces, default=0),
+            "vertex_world": self.worlds.max(initial=0),
+        }
+        of_all = ranks.most(np.array(list(largest.values()), dtype=np.int64)).tolist()
+        for name, value in zip(largest, of_all, strict=True):
+            more = 0 if name == "vertex_world" else len(self._half_spaces)
+            most = max(self.num_vertices, 1) + more
+            if value >= most:
+                of = "all vertices and half-spaces" if more else "all vertices"
+                raise ValueError(f"{name} holds {value}; expected numbers below {most}, that of {of}")
+        self.num_bodies, self.num_worlds = max(of_all[:2]) + 1, of_all[2] + 1
         every = self._exchange_to(self.numbers, self.owner)
         every.sources[ranks.rank] = every.targets[ranks.rank] = np.zeros(0, dtype=np.intp)  # owners have their own rows
         self.copies = Exchange(ranks, every.sources, every.targets)
@@ -257,6 +279,10 @@ class DistributedMesh:
         names = [f"body {b}" for b in range(self.num_bodies)]
         self.names = tuple(names)
         self.static = validated_static(static, names)
+        if len(self._half_spaces) == self.num_bodies:
+            raise ValueError("half_spaces holds all bodies; expected at least one body with vertices")
+        self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), 3)
+        self.static[self.planes.bodies] = True
         self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
         self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
         self.body_pairs = validated_body_pairs(body_pairs, names)
@@ -276,15 +302,15 @@ class DistributedMesh:
         self.self_collision[excluded_bodies[is_self, 0]] = False
         self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
         same = [self.static, self.self_collision, self._with_points, self.exclude_pairs.get("bodies", np.zeros(0))]
-        same += [np.zeros(0) if self.body_pairs is None else self.body_pairs]
+        same += [np.zeros(0) if self.body_pairs is None else self.body_pairs, *vars(self.planes).values()]
         pairs = () if exclude_pairs is None else exclude_pairs.get("vertices", ())
         same += [np.asarray(self.exclusion_rings), np.asarray(pairs)]
         text = b"".join(bytes(str(array.shape), "ascii") + array.tobytes() for array in same)
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
             raise ValueError(
-                "static, self_collision, codimensional_points, body_pairs, exclusion_rings or exclude_pairs differs "
-                "between ranks; expected the same on all"
+                "static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs or "
+                "half_spaces differs between ranks; expected the same on all"
             )
         if exclude_pairs is not None and "vertices" in exclude_pairs:
             self._excluded = self._numbers_of(exclude_pairs["vertices"])

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import swept_boxes
 from ccd_warp._engine.topology import Positions, PrimitiveSet, Topology
-from ccd_warp._input.half_spaces import planes_of
-from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._exchange import Exchange
@@ -58,6 +57,11 @@ def part_mesh(
     codimensional_points: NDArray[np.int32],
 ) -> CollisionMesh:
     """A mesh of given primitives alone: no edge is derived from a face, whose edges may belong to other ranks."""
+    if len(whole.planes) and len(vertices) > MOST_WITH_PLANES:
+        raise ValueError(
+            f"the region of a rank holds {len(vertices)} vertices; expected at most {MOST_WITH_PLANES} with "
+            f"half-spaces, so more ranks"
+        )
     begin = np.searchsorted(bodies, np.arange(whole.num_bodies + 1)).astype(np.int32)
     vertex_body = bodies.astype(np.int32)
     state: dict[str, Any] = dict(
@@ -79,7 +83,7 @@ def part_mesh(
         names=whole.names,
         exclude_pairs=whole.exclude_pairs,
         radius=radius,
-        planes=planes_of([], 3),
+        planes=whole.planes,
     )
     assert state.keys() == {f.name for f in fields(CollisionMesh)}
     mesh = object.__new__(CollisionMesh)
@@ -126,6 +130,16 @@ class PartTopology(Topology):
     def box_radius(self) -> wp.array:
         """For each vertex the largest radius of the primitives around it, some of which may be on other ranks."""
         return self.array(self._part.box_radius if self.mesh.radius is not None else np.zeros(0), wp.float64)
+
+    @lazy_property
+    def plane_vertices(self) -> wp.array:
+        """The vertices whose pairs with planes belong to this rank: they move, and their boxes begin in its region.
+
+        The box of a vertex that is tested meets the region, so it begins there unless it begins below it.
+        """
+        mesh, tested = self.mesh, self._part.tested_vertices
+        is_here = ~mesh.static[mesh.vertex_body[tested]] & (self._vertex_below[tested] == 0)
+        return self.array(tested[is_here])
 
     def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
         if kind != "vertex":

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contacts
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
-from ccd_warp._engine.topology import PRIMITIVES
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts
 from ccd_warp._status import PairKind
@@ -26,7 +25,8 @@ class DistributedContacts:
     """Contacts that this rank has found; each contact of the whole mesh is on one rank.
 
     They are ordered by kind and then by primitives, as :class:`ccd_warp.Contacts` are; primitives are indices in the
-    whole mesh, whose edges are ordered by (max, min) of their vertices, and faces by their sorted vertices.
+    whole mesh, whose edges are ordered by (max, min) of their vertices, and faces by their sorted vertices; that of a
+    half-space is its number in ``mesh.planes``.
 
     Attributes:
         kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
@@ -71,12 +71,11 @@ class DistributedContacts:
 
 def contacts_of(part: Part, contacts: Contacts, ranks: Ranks) -> DistributedContacts:
     """The contacts of a part, with the numbers and ids of the whole mesh."""
-    vertices = contacts.vertices
     found = DistributedContacts(
         kind=contacts.kind,
         primitives=whole_pairs(part, contacts.kind, contacts.primitives),
-        vertices=part.vertex_ids[vertices],
-        bodies=part.mesh.vertex_body[vertices[:, [0, 3]]],
+        vertices=part.vertex_ids[contacts.vertices],
+        bodies=contacts.bodies,
         toi=contacts.toi,
         parameters=contacts.parameters,
         normal=contacts.normal,
@@ -98,6 +97,7 @@ def whole_pairs(part: Part, kind: NDArray[np.int32], pairs: NDArray[np.int32]) -
         PairKind.EDGE_EDGE: (edge, edge),
         PairKind.POINT_SEGMENT: (vertex, edge),
         PairKind.POINT_POINT: (vertex, vertex),
+        PairKind.VERTEX_PLANE: (vertex, np.arange(len(part.mesh.planes))),  # which all ranks number alike
     }
     for of, columns in tables.items():
         chosen = kind == of
@@ -263,12 +263,14 @@ class DistributedCandidates:
         edge_edge: Edge indices, first < second, int64, shape [k, 2].
         point_segment: Indices of codimensional points and codimensional edges, int64, shape [n, 2].
         point_point: Indices of codimensional points, first < second, int64, shape [l, 2].
+        vertex_plane: Indices of vertices and of planes of ``mesh.planes``, int64, shape [h, 2].
     """
 
     vertex_face: NDArray[np.int64]
     edge_edge: NDArray[np.int64]
     point_segment: NDArray[np.int64]
     point_point: NDArray[np.int64]
+    vertex_plane: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_ranks", None)
@@ -292,9 +294,10 @@ class DistributedCandidates:
 def candidates_of(part: Part, topology: PartTopology, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
     """The candidates of a part that belong to this rank, in lexicographic order, as pairs of the whole mesh."""
     found = {}
-    for kind in PRIMITIVES:
+    for kind in PairKind:
         pairs: Any = getattr(candidates, kind.name.lower())
-        pairs = pairs[topology.own_pairs(kind, *pairs.T)]
+        if kind != PairKind.VERTEX_PLANE:  # those are asked for only where they belong
+            pairs = pairs[topology.own_pairs(kind, *pairs.T)]
         found[kind.name.lower()] = _in_order(whole_pairs(part, np.full(len(pairs), kind, dtype=np.int32), pairs))
     result = DistributedCandidates(**found)
     vars(result)["_ranks"] = ranks
