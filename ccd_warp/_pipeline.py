@@ -424,7 +424,7 @@ class CollisionPipeline:
         from ccd_warp._engine.device_at_one_time import DeviceDisplacementStep
 
         with naming("launch_displacement_bounds"):
-            search_radius = self._validated_radius(search_radius)
+            search_radius = validated_search_radius(search_radius, self._options)
         return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius).displacements
 
     def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
@@ -526,17 +526,8 @@ class CollisionPipeline:
         from ccd_warp._engine.proximity_step import DisplacementStep
 
         with naming("displacement_bounds"):
-            search_radius = self._validated_radius(search_radius)
+            search_radius = validated_search_radius(search_radius, self._options)
         return self._run(DisplacementStep, lambda: self._one_frame(positions), lambda step: step.bounds(search_radius))
-
-    def _validated_radius(self, search_radius: float) -> float:
-        """The argument ``search_radius``, validated, for which the options must have no other separation."""
-        if self._options.minimum_separation > 0:
-            raise ValueError(
-                f"minimum_separation is {self._options.minimum_separation}; expected 0, and minimum_distance in its "
-                f"place: bounds of displacements are Euclidean"
-            )
-        return check_real("search_radius", search_radius, "a finite length above 0", lambda x: x > 0)
 
     def _one_frame(self, positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions at one time, as both ends of a step."""
@@ -649,3 +640,13 @@ class CollisionPipeline:
 def validated_distance(distance: float) -> float:
     """The argument ``distance``, validated."""
     return check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
+
+
+def validated_search_radius(search_radius: float, options: Options) -> float:
+    """The argument ``search_radius``, validated, for which the options must have no other separation."""
+    if options.minimum_separation > 0:
+        raise ValueError(
+            f"minimum_separation is {options.minimum_separation}; expected 0, and minimum_distance in its place: "
+            f"bounds of displacements are Euclidean"
+        )
+    return check_real("search_radius", search_radius, "a finite length above 0", lambda x: x > 0)

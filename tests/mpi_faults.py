@@ -101,6 +101,10 @@ def together():
     everywhere(TypeError, ["rank 0", "no_option"], lambda: DistributedPipeline(cut.mesh, no_option=1))
     everywhere(ValueError, ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour"))
     everywhere(ValueError, ["inflation is"], lambda: pipeline.find_candidates(x, y, 0.1 * RANK))
+    everywhere(ValueError, ["search_radius is 1.0 on"], lambda: pipeline.displacement_bounds(x, 1.0 + RANK))
+    everywhere(
+        ValueError, ["rank 0: displacement_bounds: search_radius is 0"], lambda: pipeline.displacement_bounds(x, RANK)
+    )
 
     # ranks that would wait for each other
     for calls in (("mesh_ccd", "collision_free_step"), ("line_search", "find_candidates")):

@@ -139,6 +139,12 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
         every = pipeline.find_proximity(here[0], distance).to_root()
         if is_root:
             compare_pairs(every, one.find_proximity(start, distance), PROXIMITY_FIELDS)
+    elif call == "displacement_bounds":
+        distance = 0.1 * cut.mesh.length_scale
+        found = pipeline.displacement_bounds(here[0], distance)
+        expected = comm.bcast(one.displacement_bounds(start, distance) if is_root else None)
+        assert_same_bits("bounds", found, expected[cut.rows])
+        assert len(np.unique(expected)) > 3  # some tell of what is near
     elif call.startswith("line_search"):
         found = pipeline.line_search(*here, per=call.partition(" ")[2])
         expected = comm.bcast(one.line_search(start, end, per=call.partition(" ")[2]) if is_root else None)

@@ -64,7 +64,8 @@ def pile():
         exclude_pairs={"bodies": [[1, 2], [4, 4], [5, 14]]},
     )
     speed = 0.8 * rng.standard_normal((27, 3))
-    check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, [*ALL_CALLS, "line_search body"])
+    calls = [*ALL_CALLS, "line_search body", "displacement_bounds"]
+    check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
 
 
 def bodies_that_ignore_themselves():
@@ -200,7 +201,7 @@ def radii():
     end = start + 0.1 * rng.standard_normal(start.shape)
     bodies, radius = [(start, faces, edges)], 0.03 * rng.random(len(start))
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=radius)
-    check((mesh, start, end), interleaved, [*ALL_CALLS, "find_proximity"])
+    check((mesh, start, end), interleaved, [*ALL_CALLS, "find_proximity", "displacement_bounds"])
     box = trimesh.creation.box(extents=(1, 1, 1))
     bodies = [(box.vertices + [1.5 * k, 0, 0], box.faces) for k in range(5)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, radius=[0.2, 0.1, 0.2, 0.01, 0.0])
@@ -218,7 +219,7 @@ def half_spaces():
     pairs = np.ones((4, 4), dtype=bool)
     pairs[2, 3] = pairs[3, 2] = False
     radius = [0.0, 0.02, 0.0, 0.05]
-    calls = ["collision_free_step", "find_candidates", "mesh_ccd"]
+    calls = ["displacement_bounds", "collision_free_step", "find_candidates", "mesh_ccd"]
     for k, given in enumerate([{"self_collision": [True, True, True, False]}, {"radius": radius, "body_pairs": pairs}]):
         mesh = ccd.CollisionMesh.from_arrays(bodies, exclude_pairs={"bodies": [[3, 0], [1, 1]][: 2 * k]}, **given)
         end = mesh.vertices - [-0.2, 0, 0.9]
@@ -236,10 +237,11 @@ def planes_and_nothing_else():
     """Particles that meet a ground alone, in worlds; some of them are static."""
     points = np.random.default_rng(6).random((60, 3))
     bodies = [(points[:40], scenes.NO_FACES), (points[40:], scenes.NO_FACES), ccd.HalfSpace([0, 0, 0.1], [0, 0.1, 1])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], vertex_world=np.arange(60) % 3)
+    world = np.arange(60) % 3
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False, vertex_world=world)
     end = points - [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
-    start = points + [0, 0, 0.3]
-    check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world"])
+    start = points * [1, 1, 0.3] + [0, 0, 0.12]
+    check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world", "displacement_bounds"])
 
 
 def many_steps():

@@ -1,8 +1,12 @@
-"""What is near at one time, on one rank."""
+"""What is near at one time, and how far vertices may move, on one rank."""
 
-from ccd_warp._engine.proximity_step import ProximityStep
+from ccd_warp._engine.proximity_step import DisplacementStep, ProximityStep
 from ccd_warp.distributed._part_step import StepTogether
 
 
 class PartProximityStep(StepTogether, ProximityStep):
     """The pairs within a distance among the primitives of a part."""
+
+
+class PartDisplacementStep(StepTogether, DisplacementStep):
+    """How far the vertices of a part may move, as far as its own pairs tell."""

@@ -23,9 +23,10 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.arguments import check_count, check_instance, check_real
+from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
+from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -260,9 +261,44 @@ class DistributedPipeline:
 
         with self._together("find_proximity"):
             with naming("find_proximity"):
-                distance = check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
+                distance = validated_distance(distance)
             self._check_same_length("distance", distance)
             return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
+
+    def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
+        """Like :func:`ccd_warp.displacement_bounds`, collectively.
+
+        Args:
+            positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
+            search_radius: Distance beyond which nothing counts as near, a length, the same on all ranks.
+
+        Returns:
+            For each vertex on this rank, ghosts too, the length by which it may move, float64, shape [n].
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`, or if the pipeline has a ``minimum_separation``, which is none in the
+                Euclidean norm.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
+        """
+        from ccd_warp._engine.proximities import rounded_sum
+        from ccd_warp.distributed._part_proximity import PartDisplacementStep  # few programs need it
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+            plan = self._planned
+            found = self._run(plan.start, plan.start, lambda step: step.bounds(search_radius), PartDisplacementStep)
+            with self._timed("results"):
+                bounds = self._to_local(found)
+            self._finished()
+            return bounds
+
+        with self._together("displacement_bounds"):
+            with naming("displacement_bounds"):
+                search_radius = validated_search_radius(search_radius, self._options)
+            self._check_same_length("search_radius", search_radius)
+            inflation = half_up(rounded_sum(search_radius, self._options.minimum_distance))
+            return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
     def _check_same_length(self, name: str, length: float) -> None:
         least, negative = self._ranks.agree(length, -length)
