@@ -56,7 +56,7 @@ class VirtualMesh:
         self.faces = _ordered(scene.faces, count)
         self.edges = _edges_of(self.faces, count)
         ends = _vertex_ends(scene)
-        self.num_bodies, self.num_worlds = len(ends), 1
+        self.num_bodies, self.num_worlds, self.dimension = len(ends), 1, 3
         self.num_edges, self.num_faces = len(self.edges), len(self.faces)
         self.numbers = self.vertex_ids = np.arange(count)
         self.bodies = np.searchsorted(ends, self.numbers, side="right")

@@ -166,6 +166,17 @@ def together():
         ["bodies gives vertex id 0 body 1 and the next, 7, body 0"],
         lambda: DistributedMesh(COMM, triangle, scenes.NO_FACES, **descending),
     )
+    columns = 2 if RANK == LAST else 3
+    everywhere(
+        ValueError,
+        [f"vertices has 2 columns on rank {LAST} and 3 on rank 0"],
+        lambda: DistributedMesh(COMM, triangle[:, :columns], vertex_ids=ids),
+    )
+    flat = DistributedPipeline(DistributedMesh(COMM, triangle[:, :2], vertex_ids=ids, edges=[[0, 1]]))
+    everywhere(ValueError, ["vertices_t0 has shape (3, 3); expected (3, 2)"], lambda: flat.mesh_ccd(triangle, triangle))
+    everywhere(
+        ValueError, ["faces has shape (1, 3)"], lambda: DistributedMesh(COMM, triangle[:, :2], face, vertex_ids=ids)
+    )
     alone = {"vertex_ids": ids[:0], "half_spaces": {0: ground}}
     everywhere(
         ValueError, ["half_spaces holds all bodies"], lambda: DistributedMesh(COMM, triangle[:0], face[:0], **alone)

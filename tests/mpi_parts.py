@@ -106,7 +106,7 @@ def assert_same_bits(name, found, expected):
 
 def compare(comm, cut, mesh, start, end, calls, options):
     """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
-    start, end = (np.asarray(x).reshape(-1, 3) for x in (start, end))
+    start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
     pipeline = DistributedPipeline(cut.mesh, **options)
     one = ccd.CollisionPipeline(mesh, **options)
     for call in calls:

@@ -244,6 +244,30 @@ def planes_and_nothing_else():
     check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world", "displacement_bounds"])
 
 
+def in_the_plane():
+    """Cables, particles and a half-plane: positions, points and normals have two coordinates."""
+    rng = np.random.default_rng(8)
+    k = np.arange(24)
+    cable = np.stack([k / 24, 0.5 + 0.05 * np.sin(k)], axis=1), np.stack([k[:-1], k[1:]], axis=1)
+    particles = rng.random((16, 2)) * [1, 0.4], np.zeros((0, 2), dtype=int)
+    static = [1.0, 0.3] + rng.random((12, 2)), rng.permutation(12).reshape(-1, 2)
+    bodies = [cable, ccd.HalfSpace([0.0, -0.1], [0.1, 1.0]), particles, static]
+    for radius, num_worlds in ((None, 1), ([0.01, 0.0, 0.02, 0.0], 2)):
+        world = np.repeat([0, num_worlds - 1, 0], [24, 16, 12])
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], radius=radius, vertex_world=world)
+        end = mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape) * (mesh.vertex_body != 3)[:, None]
+        calls = [*ALL_CALLS, "line_search vertex", "displacement_bounds", "find_proximity"]
+        check((mesh, mesh.vertices, end), interleaved, calls[:: 1 if radius is None else 2])
+    # what a rank without vertices has may be an empty list
+    from ccd_warp.distributed import DistributedMesh, DistributedPipeline
+
+    x, y, edges = (cable[0], end[:24], cable[1]) if RANK == SIZE - 1 else ([], [], None)
+    whole = DistributedMesh(COMM, x, vertex_ids=np.arange(len(x)), edges=edges)
+    one = ccd.CollisionMesh.from_arrays([cable])
+    assert (whole.dimension, whole.num_edges) == (2, 23)
+    assert DistributedPipeline(whole).mesh_ccd(x, y).toi == ccd.mesh_ccd(one, cable[0], end[:24]).toi < 1.0
+
+
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
     mesh, start, _ = scenes.sheet_over_ball()
@@ -342,6 +366,7 @@ CASES = [
     radii,
     half_spaces,
     planes_and_nothing_else,
+    in_the_plane,
     random_scenes,
     many_steps,
     one_rank_more_work_than_the_others,

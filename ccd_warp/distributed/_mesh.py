@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._engine.topology import NUM_SAMPLES
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_array, check_finite
+from ccd_warp._input.arrays import as_any_array, as_array, check_finite
 from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
@@ -61,7 +61,12 @@ class DistributedMesh:
     face once. Where copies of a face give its vertices in different orders, the lexicographically first order counts,
     by id.
 
+    A mesh **in the plane** has positions with two coordinates on all ranks, edges and no faces, as one of
+    :class:`ccd_warp.CollisionMesh`; a body without edges on any rank consists of points. Wherever positions are taken
+    or given they have two columns, and so have points and normals of contacts.
+
     Attributes:
+        dimension: Number of coordinates of a position, 3, or 2 of a mesh in the plane.
         num_vertices: Vertices of the whole mesh.
         num_edges: Its edges.
         num_faces: Its faces.
@@ -78,7 +83,7 @@ class DistributedMesh:
         self,
         comm: Any,
         vertices: ArrayLike,
-        faces: ArrayLike,
+        faces: ArrayLike | None = None,
         *,
         vertex_ids: ArrayLike,
         edges: ArrayLike | None = None,
@@ -98,8 +103,10 @@ class DistributedMesh:
 
         Args:
             comm: The ranks, an intracommunicator of mpi4py, or None for all ranks of the program.
-            vertices: Rest positions of the vertices on this rank, float, shape [n, 3]. Those of the owners count.
-            faces: Rows of these vertices, integer, shape [f, 3].
+            vertices: Rest positions of the vertices on this rank, float, shape [n, 3], or [n, 2] in the plane. Those of
+                the owners count. All ranks have the same number of columns, those with shape [0, 3] or [0, 2] as well;
+                an empty list has none, and goes by the other ranks.
+            faces: Rows of these vertices, integer, shape [f, 3]; by default there are none.
             vertex_ids: Id of each vertex in the whole mesh, integers of at least 0, each once on a rank, shape [n].
                 They need not follow one another without gaps.
             edges: Rows of the vertices of codimensional edges, integer, shape [e, 2]. A given edge that belongs to a
@@ -128,6 +135,7 @@ class DistributedMesh:
         """
         self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
         with ranks.together("DistributedMesh"):
+            self.dimension = self._common_dimension(vertices)
             self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
             self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
             self._number_vertices()
@@ -145,10 +153,22 @@ class DistributedMesh:
             f"rank {self.ranks.rank} of {self.ranks.size} has {len(self.vertex_ids):,} vertices)"
         )
 
+    def _common_dimension(self, vertices: ArrayLike) -> int:
+        """2 if the ranks have vertices in the plane, and 3 otherwise."""
+        shape = as_any_array(on_host(vertices, "vertices"), "vertices", "positions").shape
+        columns = self.ranks.every(np.array([shape[1] if len(shape) == 2 else 0]))
+        planar, others = np.flatnonzero(columns == 2), np.flatnonzero((columns != 0) & (columns != 2))
+        if len(planar) and len(others):
+            raise ValueError(
+                f"vertices has 2 columns on rank {planar[0]} and {columns[others[0]]} on rank {others[0]}; "
+                f"expected all ranks in the plane, or none"
+            )
+        return 2 if len(planar) else 3
+
     def _take(
         self,
         vertices: ArrayLike,
-        faces: ArrayLike,
+        faces: ArrayLike | None,
         vertex_ids: ArrayLike,
         edges: ArrayLike | None,
         bodies: ArrayLike | None,
@@ -157,13 +177,17 @@ class DistributedMesh:
         owned: ArrayLike | None,
     ) -> None:
         """Check what belongs to this rank alone."""
-        self.vertices = validated_positions(vertices, "vertices", 3)
+        self.vertices = validated_positions(vertices, "vertices", self.dimension)
         count = len(self.vertices)
         self.vertex_ids = _per_vertex("vertex_ids", vertex_ids, count)
         if len(np.unique(self.vertex_ids)) < count:
             values, times = np.unique(self.vertex_ids, return_counts=True)
             raise ValueError(f"vertex_ids holds {values[times > 1][0]} more than once; expected each id once on a rank")
-        self._faces = validated_indices(faces, 3, count, "faces")
+        self._faces = validated_indices(() if faces is None else faces, 3, count, "faces")
+        if self.dimension == 2 and len(self._faces):
+            raise ValueError(
+                f"faces has shape {self._faces.shape}; expected none of a mesh in the plane, whose edges collide"
+            )
         none = np.zeros((0, 2), dtype=np.int64)
         self._given_edges = none if edges is None else validated_indices(edges, 2, count, "edges")
         zeros = np.zeros(count, dtype=np.int64)
@@ -281,7 +305,7 @@ class DistributedMesh:
         self.static = validated_static(static, names)
         if len(self._half_spaces) == self.num_bodies:
             raise ValueError("half_spaces holds all bodies; expected at least one body with vertices")
-        self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), 3)
+        self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), self.dimension)
         self.static[self.planes.bodies] = True
         self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
         self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
@@ -312,6 +336,10 @@ class DistributedMesh:
                 "static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs or "
                 "half_spaces differs between ranks; expected the same on all"
             )
+        if self.dimension == 2:
+            has_edges = np.zeros(self.num_bodies, dtype=np.int64)
+            has_edges[self.bodies[self._given_edges]] = 1
+            self._with_points |= self.ranks.most(has_edges) == 0  # such a body consists of points
         if exclude_pairs is not None and "vertices" in exclude_pairs:
             self._excluded = self._numbers_of(exclude_pairs["vertices"])
 
@@ -461,7 +489,7 @@ class DistributedMesh:
         """Check the positions on this rank: those that it owns must be finite, those of ghosts are ignored.
 
         Args:
-            vertices_t0: Start positions of the vertices on this rank, shape [n, 3].
+            vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] in the plane.
             vertices_t1: End positions; rows of static bodies are ignored.
             name_t0: Name of the first argument in errors.
 
@@ -474,11 +502,11 @@ class DistributedMesh:
         count = len(self.vertex_ids)
         if count == 0:  # an empty list has no columns
             vertices_t0, vertices_t1 = (
-                as_positions(vertices_t0, name_t0, 3),
-                as_positions(vertices_t1, "vertices_t1", 3),
+                as_positions(vertices_t0, name_t0, self.dimension),
+                as_positions(vertices_t1, "vertices_t1", self.dimension),
             )
-        start = as_positions(vertices_t0, name_t0, 3, count, "one row a vertex of this rank")
-        end = as_positions(vertices_t1, "vertices_t1", 3, count, "one row a vertex of this rank")
+        start = as_positions(vertices_t0, name_t0, self.dimension, count, "one row a vertex of this rank")
+        end = as_positions(vertices_t1, "vertices_t1", self.dimension, count, "one row a vertex of this rank")
         is_static = self.static[self.bodies] if self.static.any() else None
         if is_static is not None and is_static.any():
             end = np.where(is_static[:, None], start, end)

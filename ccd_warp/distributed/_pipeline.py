@@ -32,7 +32,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepTogether
 from ccd_warp.distributed._partition import imbalance
-from ccd_warp.distributed._plan import is_within
+from ccd_warp.distributed._plan import in_space, is_within
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,
     WORK_OF_PAIR,
@@ -124,8 +124,8 @@ class DistributedPipeline:
         """Like :func:`ccd_warp.mesh_ccd`, collectively.
 
         Args:
-            vertices_t0: Start positions of the vertices on this rank, shape [n, 3]. Rows of ghosts are ignored: the
-                positions of the owners count.
+            vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
+                Rows of ghosts are ignored: the positions of the owners count.
             vertices_t1: End positions, likewise. Rows of static bodies are ignored.
 
         Returns:
@@ -443,7 +443,8 @@ class DistributedPipeline:
     ) -> _T:
         """Run ``work`` on a step of the part."""
         assert self._workspace
-        self._step = step = kind(self._planned.together, self._workspace, (start, end), self._options)
+        ends = in_space(start), in_space(end)
+        self._step = step = kind(self._planned.together, self._workspace, ends, self._options)
         result = work(step)
         if "total" not in step.timings:
             step.finish_timings()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
-from ccd_warp.distributed._plan import Bounds, axes_below, destinations, scene_box, united, used_rows
+from ccd_warp.distributed._plan import Bounds, axes_below, destinations, in_space, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
 LEAST_SAMPLES = 1 << 14
@@ -30,12 +30,12 @@ class Plan:
 
     Attributes:
         bounds: The numbers from which the boxes follow.
-        limits: Between which the vertices on this rank have to stay, shapes [n, 3]; ghosts may be anywhere.
+        limits: Between which the vertices on this rank have to stay, shapes [n, 3] or [n, 2]; ghosts may be anywhere.
         regions: The regions of the ranks.
         part: The primitives of this rank's region.
         topology: Their data on the device.
         together: What the ranks reduce in a step.
-        start: Start positions of the vertices of the part in the present step, shape [n, 3].
+        start: Start positions of the vertices of the part in the present step, shape [n, 3] or [n, 2].
         end: End positions.
         static_rows: Rows of the static vertices that this rank owns.
         static_start: Their positions, as they were sent.
@@ -77,8 +77,9 @@ def make_plan(
     """
     ranks = whole.ranks
     whole.copies.forward([(start, start), (end, end)])
-    bounds = _bounds(whole, start, end, inflation)
-    lower, upper = bounds.boxes(start, end, whole.worlds, whole.box_radius)
+    ends = in_space(start), in_space(end)
+    bounds = _bounds(whole, *ends, inflation)
+    lower, upper = bounds.boxes(*ends, whole.worlds, whole.box_radius)
     regions = _regions(whole, lower, upper, work)
     corners = {kind: each.corners for kind, each in whole.primitives.items()}
     found = destinations(regions, lower, upper, corners)
@@ -86,10 +87,11 @@ def make_plan(
     received = ranks.swap(messages)
     part = _part_of(whole, received)
     count = len(part.vertex_numbers)
-    part_start, part_end = np.empty((count, 3)), np.empty((count, 3))
+    part_start, part_end = (np.empty((count, whole.dimension)) for _ in range(2))
     part.everything.forward([(start, part_start), (end, part_end)])
     vars(part.mesh)["vertices"] = part_start.copy()  # the order of the trees is made for them
-    part_lower, part_upper = bounds.boxes(part_start, part_end, part.mesh.vertex_world, part.box_radius)
+    part_ends = in_space(part_start), in_space(part_end)
+    part_lower, part_upper = bounds.boxes(*part_ends, part.mesh.vertex_world, part.box_radius)
     region = regions.lower[ranks.rank], regions.upper[ranks.rank]
     topology = PartTopology(
         part,
@@ -102,7 +104,8 @@ def make_plan(
     num_home = int(is_home[part.tested_vertices].sum())
     for c in (part.mesh.edges, part.mesh.faces):
         num_home += int(_is_in(united(part_lower, part_upper, c)[0], region).sum())
-    limits = bounds.limits(lower, upper, whole.box_radius)
+    least, most = bounds.limits(lower, upper, whole.box_radius)
+    limits = least[:, : whole.dimension], most[:, : whole.dimension]
     for values, farthest in zip(limits, (-np.inf, np.inf), strict=True):
         values[~whole.is_owned] = farthest
     static_rows = np.flatnonzero(whole.is_owned & whole.static[whole.bodies])
@@ -229,7 +232,7 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
     edge, face = edge[np.argsort(edge[:, 0])], face[np.argsort(face[:, 0])]
     mesh = part_mesh(
         whole,
-        np.empty((len(numbers), 3)),
+        np.empty((len(numbers), whole.dimension)),
         bodies,
         worlds,
         None if whole.radius is None else radius.view(np.float64),

@@ -35,8 +35,8 @@ class DistributedContacts:
         bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
         toi: Earliest time of impact, float64, shape [m].
         parameters: (u, v) at toi, float64, shape [m, 2].
-        normal: Unit normal at toi, float64, shape [m, 3].
-        points: Position at toi, a length, float64, shape [m, 3].
+        normal: Unit normal at toi, float64, shape [m, 3], of a mesh in the plane [m, 2].
+        points: Position at toi, a length, float64, likewise.
         status: :class:`ccd_warp.CCDStatus`, int32, shape [m].
         gap: Upper bound of the gap at toi, a length, float64, shape [m].
         width: Width of the time interval left open, float64, shape [m].
@@ -169,7 +169,7 @@ class DistributedLineSearch:
     """Result of :meth:`DistributedPipeline.line_search` on a rank.
 
     Attributes:
-        vertices: End positions of the vertices on this rank, ghosts too, shape [n, 3].
+        vertices: End positions of the vertices on this rank, ghosts too, shape [n, 3], or [n, 2] in the plane.
         vertex_fraction: Fraction of its displacement by which each of them moves, 1 for static vertices, shape [n].
         fraction: The least fraction of all moving vertices; the same on all ranks.
         touching: Pairs that keep their vertices from moving, as of :class:`ccd_warp.LineSearchResult`, each on one
@@ -201,7 +201,8 @@ class DistributedProximities:
         vertices: Ids of the vertices, as in ``ccd_warp.Proximities.vertices``, int64, shape [m, 4].
         parameters: (u, v) of the closest points, float64, shape [m, 2].
         distance: Euclidean distance of the closest points, a length, float64, shape [m].
-        direction: Unit vector from the closest point of the second primitive to that of the first, shape [m, 3].
+        direction: Unit vector from the closest point of the second primitive to that of the first, shape [m, 3], or
+            [m, 2] in the plane.
         features: Which of the vertices span the closest features, as there, int32, shape [m].
     """
 
@@ -261,7 +262,8 @@ class DistributedCandidates:
     Attributes:
         vertex_face: Vertex and face indices, int64, shape [m, 2].
         edge_edge: Edge indices, first < second, int64, shape [k, 2].
-        point_segment: Indices of codimensional points and codimensional edges, int64, shape [n, 2].
+        point_segment: Indices of codimensional points and codimensional edges, int64, shape [n, 2]; of a mesh in the
+            plane, of any vertices and edges.
         point_point: Indices of codimensional points, first < second, int64, shape [l, 2].
         vertex_plane: Indices of vertices and of planes of ``mesh.planes``, int64, shape [h, 2].
     """
