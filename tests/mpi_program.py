@@ -218,7 +218,7 @@ def half_spaces():
     bodies += [wall, (ball.vertices + [0.4, 0.5, 1.1], ball.faces)]
     pairs = np.ones((4, 4), dtype=bool)
     pairs[2, 3] = pairs[3, 2] = False
-    radius = [0.0, 0.02, 0.0, 0.05]
+    radius = 0.05 * np.random.default_rng(7).random(sum(len(body[0]) for body in bodies[1::2]))
     calls = ["displacement_bounds", "collision_free_step", "find_candidates", "mesh_ccd"]
     for k, given in enumerate([{"self_collision": [True, True, True, False]}, {"radius": radius, "body_pairs": pairs}]):
         mesh = ccd.CollisionMesh.from_arrays(bodies, exclude_pairs={"bodies": [[3, 0], [1, 1]][: 2 * k]}, **given)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._display import counted
 from ccd_warp._engine.topology import NUM_SAMPLES
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
@@ -148,6 +149,8 @@ class DistributedMesh:
 
     def __repr__(self) -> str:
         sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"
+        sizes += f", {counted(len(self.planes), 'half-space', 'half-spaces')}" if len(self.planes) else ""
+        sizes += ", in the plane" if self.dimension == 2 else ""
         return (
             f"DistributedMesh({self.num_bodies} bodies, {sizes}; "
             f"rank {self.ranks.rank} of {self.ranks.size} has {len(self.vertex_ids):,} vertices)"
