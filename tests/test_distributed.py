@@ -193,6 +193,15 @@ def test_a_plan_holds_the_motion_that_goes_on_and_no_other():
     assert not holds(start, far)
 
 
+def test_a_plan_of_points_alone_holds_them_while_they_move_a_little():
+    rng = np.random.default_rng(0)
+    start = rng.random((200, 3))
+    bounds = Bounds.of(0.0, 0.0, *scene_box(start, start), num_vertices=200)
+    limits = bounds.limits(*bounds.boxes(start, start, np.zeros(200, dtype=int)))
+    assert is_within(start, limits) and is_within(start + [0.04, 0, -0.04], limits)
+    assert not is_within(start + [0.12, 0, 0], limits)
+
+
 def test_primitives_go_to_every_region_that_they_meet_and_to_each_once():
     rng = np.random.default_rng(2)
     lower = np.concatenate([rng.random((3, 90)), np.zeros((1, 90))])

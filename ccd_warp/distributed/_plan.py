@@ -10,7 +10,8 @@ from ccd_warp.distributed._partition import WORLD_AXIS, Regions, regions_met
 
 # Steps for which a vertex may go on as it moves in the step for which a plan is made.
 _STEPS_AHEAD = 3.0
-# A plan's boxes are this much larger on every side than the boxes of its first step, in mean extents of a primitive.
+# A plan's boxes are this much larger on every side than the boxes of its first step, in mean extents of a primitive, or
+# where all are points in mean distances of those that fill the box of the scene.
 _MARGIN = 0.5
 # Two coordinates that are equal in quantized coordinates (float32 with a scale, shifted by a world) differ by less than
 # this, relative to their distance from the origin and to the size of the scene: eight times what rounding can do.
@@ -40,11 +41,14 @@ class Bounds:
         lower: NDArray[np.float64],
         upper: NDArray[np.float64],
         num_worlds: int = 1,
+        num_vertices: int = 1,
     ) -> "Bounds":
-        """The bounds of a plan for a scene in a box, `scene_box`, whose primitives have this mean extent."""
+        """The bounds of a plan for a scene in a box, `scene_box`, whose edges or faces have this mean extent."""
         with np.errstate(over="ignore", invalid="ignore"):
             centre = np.nan_to_num(0.5 * lower + 0.5 * upper)
             size = min(float(np.nan_to_num(upper - lower, nan=0.0).max(initial=0.0)), np.finfo(np.float64).max)
+            if mean_extent == 0.0:
+                mean_extent = size / max(num_vertices, 1) ** (1.0 / 3.0)
             size = min(size * 2.0 ** (num_worlds - 1).bit_length(), np.finfo(np.float64).max)
             # an inflation that grows a little, as that of a separation does with rounding, needs no new plan
             return Bounds(_MARGIN * mean_extent, 1.0001 * inflation, centre, size)

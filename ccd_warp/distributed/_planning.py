@@ -147,7 +147,8 @@ def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.
             count = len(corners)
         total = whole.ranks.total(np.array([extent, float(count)]))
     box = whole.ranks.least(np.concatenate([lower, -upper]))
-    return Bounds.of(float(total[0] / max(total[1], 1.0)), inflation, box[:3], -box[3:], whole.num_worlds)
+    mean_extent = float(total[0] / max(total[1], 1.0))
+    return Bounds.of(mean_extent, inflation, box[:3], -box[3:], whole.num_worlds, whole.num_vertices)
 
 
 def _regions(
