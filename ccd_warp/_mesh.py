@@ -432,6 +432,11 @@ class CollisionMesh:
         """Whether a vertex has a radius above 0."""
         return self.radius is not None and bool(self.radius.any())
 
+    @lazy_property
+    def _excludes_by_vertices(self) -> bool:
+        """Whether pairs that share no vertex are excluded by their vertices: by rings, or by pairs of vertices."""
+        return self.exclusion_rings > 1 or "vertices" in self.exclude_pairs
+
     @property
     def dimension(self) -> int:
         """Number of coordinates of a position, 3 in space and 2 of a mesh in the plane."""

@@ -51,7 +51,7 @@ class MeshWithEdgePoints:
 
     def __init__(self, original: "CollisionMesh") -> None:
         self.original = original
-        self.covers_less = original.exclusion_rings > 1 or "vertices" in original.exclude_pairs
+        self.covers_less = original._excludes_by_vertices
         self.dimension = 3
         self.radius, self.is_thick = None, False  # what intersects is found exactly, whatever the thickness
         self.num_vertices = original.num_vertices + original.num_edges

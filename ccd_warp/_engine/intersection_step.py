@@ -64,9 +64,11 @@ class IntersectionStep(Step):
         show: Callable[[Progress], None] | None = None,
     ) -> None:
         """Begin at the first of these positions."""
-        of_edges = workspace.intersections
+        of_edges = workspace.at_one_time("intersections", self.with_edge_points)
         topology = of_edges.topology
         assert isinstance(topology, EdgePointTopology)
+        of_edges.tested_kinds = topology.kinds
+        self.mesh_topology = workspace.topology
         self.points: MeshWithEdgePoints = topology.mesh
         self.original = self.points.original
         self.x = positions[0]
@@ -77,9 +79,13 @@ class IntersectionStep(Step):
         self._found: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
         self._open: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
 
+    def with_edge_points(self, topology: Topology) -> EdgePointTopology:
+        """The topology of a mesh with a point for each edge, given that of the mesh."""
+        return EdgePointTopology.of(topology.mesh, topology.device)
+
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may intersect, or None for all."""
-        topology = Topology.of(self.original, self.topology.device)
+        topology = self.mesh_topology
         if not topology.may_have_inactive_bodies:
             return None
         near = bodies_near(topology, (self.x, self.x), 0.0, self.execution)
@@ -171,9 +177,9 @@ class IntersectionStep(Step):
     def _of_kind(self, kind: IntersectionKind) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
         """The kind, the primitives and the parameters of all intersections of a kind, in lexicographic order."""
         if kind == IntersectionKind.VERTEX_PLANE and len(self.original.planes):
-            pairs = vertices_in_half_spaces(self.original, self.x)
+            pairs = _pairs_of(self.own_keys(kind, _keys_of(vertices_in_half_spaces(self.original, self.x))))
             return np.full(len(pairs), int(kind), dtype=np.int32), pairs, np.zeros((len(pairs), 3))
-        found, is_open = _distinct(self._found[kind]), _distinct(self._open[kind])
+        found, is_open = (self.own_keys(kind, _distinct(keys)) for keys in (self._found[kind], self._open[kind]))
         if len(found) + len(is_open) == 0:
             return np.zeros(0, dtype=np.int32), np.zeros((0, 2), dtype=np.int32), np.zeros((0, 3))
         listed = _keys_of(self.original.exclude_pairs.get(kind.name.lower(), np.zeros((0, 2), dtype=np.int32)))
@@ -189,8 +195,11 @@ class IntersectionStep(Step):
         parameters = np.concatenate([parameters[is_accurate], exactly[passes]])
         order = np.argsort(keys)
         keys = keys[order]
-        pairs = np.stack([keys >> 32, keys & _INDEX], axis=1).astype(np.int32)
-        return np.full(len(keys), int(kind), dtype=np.int32), pairs, parameters[order]
+        return np.full(len(keys), int(kind), dtype=np.int32), _pairs_of(keys), parameters[order]
+
+    def own_keys(self, kind: IntersectionKind, keys: Keys) -> Keys:
+        """The pairs, of some given by keys, that this process is to find; those that share the mesh find the others."""
+        return keys
 
     def _corners(self, kind: IntersectionKind, keys: Keys) -> NDArray[np.int32]:
         """The vertices of both primitives of each pair, side by side."""
@@ -205,6 +214,11 @@ def _keys_of(pairs: NDArray[np.int32]) -> Keys:
     """Pairs as numbers, in the order of the pairs."""
     first, second = pairs.T.astype(np.int64)
     return first << 32 | second
+
+
+def _pairs_of(keys: Keys) -> NDArray[np.int32]:
+    """The pairs that numbers stand for, shape [n, 2]."""
+    return np.stack([keys >> 32, keys & _INDEX], axis=1).astype(np.int32)
 
 
 def _distinct(keys: Keys | list[Keys]) -> Keys:

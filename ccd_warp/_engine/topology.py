@@ -240,7 +240,7 @@ class Topology:
         collision_filter.body_pairs = self.array(pairs, wp.uint8)
         collision_filter.by_world = int(mesh.num_worlds > 1)
         collision_filter.vertex_world = self.vertex_world
-        collision_filter.by_ring = int(mesh.exclusion_rings > 1 or "vertices" in mesh.exclude_pairs)
+        collision_filter.by_ring = int(mesh._excludes_by_vertices)
         collision_filter.ring_begin, collision_filter.ring = none, none
         if collision_filter.by_ring:
             collision_filter.ring_begin, collision_filter.ring = (

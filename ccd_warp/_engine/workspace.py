@@ -1,5 +1,6 @@
 """What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,21 +47,16 @@ class Workspace:
         self.kept_positions: Positions | None = None
         self.tested_kinds: tuple[PairKind, ...] = ()
 
-    @lazy_property
-    def intersections(self) -> "Workspace":
-        """The state of the search for intersections at one time."""
-        from ccd_warp._engine.edge_points import EdgePointTopology  # few programs need it
+    def at_one_time(self, goal: str, topology_of: Callable[[Topology], Topology] | None = None) -> "Workspace":
+        """The state of calls at one time with a goal, whose boxes have another size than those of a step.
 
-        mesh, device = self.topology.mesh, self.topology.device
-        topology = EdgePointTopology.of(mesh, device)
-        workspace = Workspace(mesh, device, topology)
-        workspace.tested_kinds = topology.kinds
-        return workspace
-
-    def at_one_time(self, goal: str) -> "Workspace":
-        """The state of calls at one time with a goal, whose boxes have another size than those of a step."""
+        Args:
+            goal: The goal.
+            topology_of: The topology in which they search, given that of the mesh, which is the default.
+        """
         if goal not in self._at_one_time:
-            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, self.topology)
+            topology = self.topology if topology_of is None else topology_of(self.topology)
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology)
         return self._at_one_time[goal]
 
     @lazy_property
