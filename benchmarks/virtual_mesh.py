@@ -77,6 +77,7 @@ class VirtualMesh:
             "edge": Primitives(np.arange(self.num_edges), self.edges, np.zeros(self.num_edges, dtype=bool)),
             "face": Primitives(np.arange(self.num_faces), self.faces, np.zeros(self.num_faces, dtype=bool)),
         }
+        self.rings = None
         self.copies = SimpleNamespace(forward=lambda pairs: None)  # nothing is on two ranks
         self.ranks = VirtualRanks(1)
 

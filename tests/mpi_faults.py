@@ -83,12 +83,16 @@ def together():
     everywhere(
         ValueError, [f"rank {LAST}: positions", "nan", f"vertex id {vertex}"], lambda: pipeline.find_proximity(bad, 0.1)
     )
+    everywhere(
+        ValueError, [f"rank {LAST}: positions", "nan", f"vertex id {vertex}"], lambda: pipeline.find_intersections(bad)
+    )
     short = y[:-1] if RANK == 0 else y
     everywhere(ValueError, ["rank 0: vertices_t1 has shape"], lambda: pipeline.collision_free_step(x, short))
     # a fault deep in the engine, on one rank only
     limits = {"memory_limit": 1000} if RANK == LAST else {}
     limited = DistributedPipeline(cut.mesh, **limits)
     everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.mesh_ccd(x, y))
+    everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.find_intersections(x))
     everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.collision_free_step(x, y))
 
     def unforeseen(*_):
@@ -113,6 +117,11 @@ def together():
             ["rank 0 calls", f"{calls[0]}", f"and rank 1 {calls[1]}"],
             lambda calls=calls: getattr(pipeline, calls[min(RANK, 1)])(x, y),
         )
+    everywhere(
+        ValueError,
+        ["rank 0 calls find_intersections and rank 1 find_proximity"],
+        lambda: pipeline.find_proximity(x, 0.1) if RANK else pipeline.find_intersections(x),
+    )
     for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
         given = {name: values[min(RANK, 1)]}
         everywhere(

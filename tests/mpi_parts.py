@@ -8,6 +8,17 @@ from ccd_warp.distributed import DistributedMesh, DistributedPipeline
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width", "points", "vertices", "bodies")
 
 PROXIMITY_FIELDS = ("kind", "primitives", "parameters", "distance", "direction", "features", "vertices")
+INTERSECTION_FIELDS = (
+    "kind",
+    "primitives",
+    "parameters",
+    "edge_parameter",
+    "points",
+    "vertices",
+    "bodies",
+    "world",
+    "is_crossing",
+)
 
 
 def whole_mesh(mesh):
@@ -145,6 +156,15 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
         expected = comm.bcast(one.displacement_bounds(start, distance) if is_root else None)
         assert_same_bits("bounds", found, expected[cut.rows])
         assert len(np.unique(expected)) > 3  # some tell of what is near
+    elif call == "find_intersections":
+        found = pipeline.find_intersections(here[0])
+        every = found.to_root()
+        num_crossing = comm.allreduce(found.num_crossing)
+        if is_root:
+            expected = one.find_intersections(start)
+            compare_pairs(every, expected, INTERSECTION_FIELDS)
+            assert found.num_intersections == every.num_intersections == len(expected)
+            assert (num_crossing, every.num_touching) == (expected.num_crossing, expected.num_touching)
     elif call.startswith("line_search"):
         found = pipeline.line_search(*here, per=call.partition(" ")[2])
         expected = comm.bcast(one.line_search(start, end, per=call.partition(" ")[2]) if is_root else None)

@@ -109,7 +109,7 @@ def one_triangle_falls_on_another():
 
 def nothing_at_all():
     mesh = ccd.CollisionMesh.from_arrays([(np.zeros((0, 3)), scenes.NO_FACES)])
-    calls = ["mesh_ccd", "collision_free_step", "find_candidates"]
+    calls = ["mesh_ccd", "collision_free_step", "find_candidates", "find_intersections"]
     pipeline = check((mesh, mesh.vertices, mesh.vertices), interleaved, calls)
     assert pipeline.mesh_ccd([], []).toi == np.inf  # an empty list has no columns
 
@@ -126,6 +126,93 @@ def cables_particles_and_rings():
     for rings in (3, 100):
         mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)], exclusion_rings=rings)
         check((mesh, vertices, end), interleaved, ["mesh_ccd"])
+
+
+def starts(rng):
+    """Meshes, and positions at which much of them touches or passes through each other."""
+    mesh, start, end = scenes.sheet_over_ball()
+    yield mesh, 0.5 * start + 0.5 * end
+    # coordinates in eighths: faces in common planes, edges on edges, vertices in one place
+    ball, box = trimesh.creation.icosphere(subdivisions=1), trimesh.creation.box().subdivide()
+    grid, faces = scenes.sheet(5)
+    parts = [np.round(8 * ball.vertices) / 8, box.vertices + rng.integers(-3, 4, 3) / 8, grid + [0, 0, 0.5]]
+    parts[2][:, 2] = rng.integers(0, 3, len(grid)) / 8
+    bodies = list(zip(parts, (ball.faces, box.faces, faces), strict=True))
+    pairs = np.array([[1, 1, 1], [1, 1, 0], [1, 0, 1]], dtype=bool)
+    for options in (
+        {"static": [1]},
+        {"self_collision": False, "body_pairs": pairs & pairs.T},
+        {"exclude_pairs": {"bodies": [[1, 2]]}},
+        {"vertex_world": np.repeat([1, 1, 0], list(map(len, parts))), "radius": 0.01},
+    ):
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+        yield mesh, mesh.vertices
+    # a strip that is folded flat
+    folded = np.column_stack([np.abs(grid[:, 0]), grid[:, 1], np.zeros(len(grid))])
+    mesh = ccd.CollisionMesh.from_arrays([(grid, faces)])
+    listed = ccd.find_intersections(mesh, folded).vertices[::9, [0, 4]]
+    for options in ({"exclusion_rings": 3}, {"exclude_pairs": {"vertices": listed}}):
+        yield ccd.CollisionMesh.from_arrays([(grid, faces)], **options), folded
+    # cables that touch the far sides of long faces: the pair of a cable and a side may belong to another rank than that
+    # of the cable and the face by way of which it is found
+    at = np.arange(24)[:, None, None] / 64
+    long_faces = [[0, 0.25, 0], [5, 0, 0], [5.5, 0.5, 0]] + at * [0, 1, 0]
+    cables = [[0, 0.25, 1], [10.5, 0.25, -1]] + at * [0, 1, 0]
+    triangles, segments = np.arange(72).reshape(-1, 3), np.arange(48).reshape(-1, 2)
+    bodies = [(long_faces.reshape(-1, 3), triangles), (cables.reshape(-1, 3), scenes.NO_FACES, segments)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    yield mesh, mesh.vertices
+    # a flat tetrahedron: of the edges that cross, each face of one shares a vertex with the other
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    yield scenes.single(square, [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]), square
+    # cables through sheets, points on cables, on each other and in faces; faces that repeat a vertex
+    for size, options in ((3, {}), (5, {"exclusion_rings": 2}), (4, {"codimensional_points": False})):
+        x, faces, edges = scenes.cables_and_particles(rng, 12, 0.5)
+        faces[0, 2] = faces[0, 1]
+        bodies = [(np.round(size * x) / size, faces, edges)]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **({"codimensional_points": True} | options))
+        yield mesh, mesh.vertices
+
+
+def starts_that_are_not_sound():
+    """What touches and what passes through, with the faces of every scene interleaved over ranks, and in blocks."""
+    rng = np.random.default_rng(9)
+    for k, (mesh, x) in enumerate(starts(rng)):
+        check((mesh, x, x), (interleaved, in_blocks)[k % 2], ["find_intersections"], with_owners=k % 3 == 0)
+    for seed in range(6 * (SIZE - 1), 6 * SIZE):
+        rng = np.random.default_rng(seed)
+        num_faces = int(rng.integers(1, 40))
+        x, faces = scenes.soup(rng, num_faces, 10.0 ** rng.uniform(-1, 0), int(rng.integers(3, 3 * num_faces + 1)))
+        x = np.round(x * (cells := int(rng.integers(2, 9)))) / cells if seed % 2 else x
+        mesh = ccd.CollisionMesh.from_arrays([(x, faces)], codimensional_points=seed % 3 == 0)
+        check((mesh, x, x), interleaved, ["find_intersections"])
+
+
+def starts_of_a_loop():
+    """One pipeline looks at starts, which move and come back, and at steps; a plan for work that lies in one place."""
+    rng = np.random.default_rng(2)
+    calm, faces = scenes.sheet(16)
+    crumpled = 0.1 * rng.random(calm.shape) + [2.0, 0, 0]
+    crumpled[40:] = calm[40:] + [4.0, 0, 0]
+    mesh = whole_mesh(ccd.CollisionMesh.from_arrays([(calm, faces), (crumpled, faces)]))
+    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
+    from ccd_warp.distributed import DistributedPipeline
+
+    pipeline, one = (
+        DistributedPipeline(cut.mesh, minimum_distance=0.01),
+        ccd.CollisionPipeline(mesh, minimum_distance=0.01),
+    )
+    x, plans, seen = mesh.vertices, [], []
+    for _ in range(3):
+        compare_call(COMM, cut, pipeline, one, x, x, "find_intersections")
+        seen.append((pipeline.work.imbalance, pipeline.work.is_planned))
+    end = x + 0.005 * rng.standard_normal(x.shape)
+    for call, at in (("mesh_ccd", x), ("find_intersections", x), ("find_intersections", end), ("mesh_ccd", x)):
+        compare_call(COMM, cut, pipeline, one, at, end, call)
+        plans.append(pipeline.work.is_planned)
+    # what the search found weighs the samples of the next plan, and a plan for a start serves a step
+    assert SIZE < 3 or (seen[1][1] and seen[1][0] < 0.95 * seen[0][0] and not seen[2][1]), seen
+    assert not plans[0], plans
 
 
 def options():
@@ -230,7 +317,9 @@ def half_spaces():
         assert numbers[0] == numbers[1] > 40, numbers
     # the solid holds a vertex of one rank, which is done with its step at once; the others must not wait for it
     deep = mesh.vertices - [0, 0, 0.56]
-    check((mesh, deep, deep - [0, 0, 0.1]), in_blocks, [*ALL_CALLS[1:3], "line_search vertex", "find_proximity"])
+    calls = [*ALL_CALLS[1:3], "line_search vertex", "find_proximity", "find_intersections"]
+    check((mesh, deep, deep - [0, 0, 0.1]), in_blocks, calls)
+    assert (ccd.find_intersections(mesh, deep).kind == ccd.IntersectionKind.VERTEX_PLANE).any()
 
 
 def planes_and_nothing_else():
@@ -361,6 +450,8 @@ CASES = [
     one_triangle_falls_on_another,
     nothing_at_all,
     cables_particles_and_rings,
+    starts_that_are_not_sound,
+    starts_of_a_loop,
     options,
     work_that_open_pairs_share,
     radii,

@@ -44,6 +44,13 @@ class Part:
     everything: Exchange
     moving: Exchange
 
+    @lazy_property
+    def is_tested(self) -> NDArray[np.bool_]:
+        """Which vertices are `tested_vertices`, bool, shape [n]."""
+        result = np.zeros(self.mesh.num_vertices, dtype=bool)
+        result[self.tested_vertices] = True
+        return result
+
 
 def part_mesh(
     whole: DistributedMesh,
@@ -90,6 +97,7 @@ def part_mesh(
     mesh.__setstate__(state)
     # lazy properties of the whole mesh, which a part cannot tell
     vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale, is_thick=whole.is_thick)
+    vars(mesh)["_excludes_by_vertices"] = whole.rings is not None
     return mesh
 
 
@@ -153,20 +161,19 @@ class PartTopology(Topology):
         assert self._rings
         return self._rings
 
-    def _make_filter(self) -> Any:
-        collision_filter = super()._make_filter()
-        if self._rings is not None and not collision_filter.by_ring:
-            collision_filter.by_ring, collision_filter.applies = 1, 1
-            collision_filter.ring_begin, collision_filter.ring = (self.array(array) for array in self._rings)
-        return collision_filter
-
     def own_pairs(self, kind: PairKind, first: NDArray[np.integer], second: NDArray[np.integer]) -> Any:
         """Which pairs of primitives belong to this rank: a slice of all, or flags.
 
         Both boxes meet the region, so the larger of their lower corners is below its upper corner. It is below its
         lower corner, and the pair another rank's, if both begin below along one axis.
         """
-        below = [self._below(name) for name in self.corner_arrays(kind)]
+        return self.own_pairs_of(self.corner_arrays(kind), first, second)
+
+    def own_pairs_of(
+        self, arrays: tuple[str, str], first: NDArray[np.integer], second: NDArray[np.integer]
+    ) -> NDArray[np.bool_] | slice:
+        """The same for primitives of these arrays, all of whose boxes meet the region."""
+        below = [self._below(name) for name in arrays]
         if not all(flags.any() for flags in below):
             return slice(None)
         may_differ = np.flatnonzero(below[0].take(first))
@@ -182,8 +189,10 @@ class PartTopology(Topology):
         if name not in self._axes_below:
             vertices = np.arange(self.mesh.num_vertices)[:, None]
             corners: dict[str, NDArray[Any]] = {"vertex": vertices, "edge": self.mesh.edges, "face": self.mesh.faces}
-            each = self._vertex_below[corners[name]]
-            self._axes_below[name] = np.bitwise_or.reduce(each, axis=1)
+            if name == "plane":  # the box of a half-space is all of space
+                self._axes_below[name] = np.full(len(self.mesh.planes), 0xFF, dtype=np.uint8)
+            else:
+                self._axes_below[name] = np.bitwise_or.reduce(self._vertex_below[corners[name]], axis=1)
         return self._axes_below[name]
 
 

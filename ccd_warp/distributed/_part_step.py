@@ -18,14 +18,39 @@ from ccd_warp.distributed._ranks import Ranks
 from ccd_warp.kernels.minima import FOUND
 
 
-class StepTogether(Step):
-    """What steps of all kinds share with those of the other ranks: the quantization, and which bodies are near."""
+class StepOnPart(Step):
+    """A step of any kind on the primitives of a part."""
 
     def __init__(self, together: TogetherIn, *arguments: Any, **options: Any) -> None:
         """Begin a step; the other arguments are those of its kind."""
-        super().__init__(*arguments, **options)
         self.together = together
         self.ranks: Ranks = together.ranks
+        super().__init__(*arguments, **options)
+
+    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
+        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
+
+        Which candidates there were is not known any more, and pairs neither if they came in parts.
+        """
+        count = self.together.topology.mesh.num_vertices
+        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
+        if self.plan.num_batches != 1:
+            return result
+        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
+            if found == 0:
+                continue
+            keys = self.plan.found_keys(PairKind(kind), found).numpy()
+            vertices = self.first_vertices(PairKind(kind), np.where(keys < 0, ~keys, keys) >> 32)
+            result += of_pair * np.bincount(vertices, minlength=count)
+        return result
+
+    def first_vertices(self, kind: PairKind, first: NDArray[np.int64]) -> NDArray[np.integer]:
+        """A vertex of each of these primitives, the first ones of pairs of a kind."""
+        return self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
+
+
+class StepTogether(StepOnPart):
+    """What steps share with those of the other ranks: the quantization, and which bodies are near."""
 
     def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
         """Compute the boxes, in the quantized coordinates of the whole mesh."""
@@ -68,24 +93,6 @@ class StepTogether(Step):
         kept = keys[own]
         self.plan.replace_keys(kind, kept)
         return len(kept)
-
-    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
-        """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
-
-        Which candidates there were is not known any more, and pairs neither if they came in parts.
-        """
-        count = self.mesh.num_vertices
-        result = np.full(count, of_candidate * sum(self.counts.num_candidates.values()) / max(count, 1))
-        if self.plan.num_batches != 1:
-            return result
-        for kind, found in enumerate(self.plan.counts()[:, FOUND].tolist()):
-            if found == 0:
-                continue
-            keys = self.plan.found_keys(PairKind(kind), found).numpy()
-            first = np.where(keys < 0, ~keys, keys) >> 32
-            vertices = self.mesh.edges[first, 0] if kind == PairKind.EDGE_EDGE else first
-            result += of_pair * np.bincount(vertices, minlength=count)
-        return result
 
 
 class PartStep(StepTogether):

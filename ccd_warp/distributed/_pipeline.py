@@ -29,8 +29,9 @@ from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
+from ccd_warp.distributed._intersections import DistributedIntersections, intersections_of
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepTogether
+from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._plan import in_space, is_within
 from ccd_warp.distributed._planning import (
@@ -300,6 +301,35 @@ class DistributedPipeline:
             inflation = half_up(rounded_sum(search_radius, self._options.minimum_distance))
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
+    def find_intersections(self, positions: ArrayLike) -> DistributedIntersections:
+        """Like :func:`ccd_warp.find_intersections`, collectively.
+
+        Args:
+            positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
+
+        Returns:
+            The pairs that this rank has found, and the number of those of all ranks.
+
+        Raises:
+            ValueError: As in :meth:`mesh_ccd`.
+            RuntimeError: As in :meth:`mesh_ccd`.
+
+        Guarantee: every pair that passes the filter and touches or passes through each other is found once, on one
+        rank, and no other pair is.
+        """
+        from ccd_warp.distributed._part_intersections import PartIntersectionStep  # few programs need it
+
+        def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedIntersections:
+            plan = self._planned
+            found = self._run(plan.start, plan.start, PartIntersectionStep.intersections, PartIntersectionStep)
+            intersections = intersections_of(plan.part, found, self._ranks)
+            self._finished()
+            return intersections
+
+        with self._together("find_intersections"):
+            # boxes need no enlargement here; with that of a step, a plan serves both
+            return self._collectively(positions, positions, self._inflation, work, name_t0="positions")
+
     def _check_same_length(self, name: str, length: float) -> None:
         least, negative = self._ranks.agree(length, -length)
         if least != -negative:
@@ -439,7 +469,7 @@ class DistributedPipeline:
         start: NDArray[np.float64],
         end: NDArray[np.float64],
         work: Callable[[Any], _T],
-        kind: type[StepTogether] = PartStep,
+        kind: type[StepOnPart] = PartStep,
     ) -> _T:
         """Run ``work`` on a step of the part."""
         assert self._workspace

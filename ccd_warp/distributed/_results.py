@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contacts
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
+from ccd_warp._engine.topology import CORNER_ARRAYS
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts
 from ccd_warp._status import PairKind
@@ -18,6 +20,9 @@ from ccd_warp._status import PairKind
 if TYPE_CHECKING:
     from ccd_warp.distributed._part import Part, PartTopology
     from ccd_warp.distributed._ranks import Ranks
+
+# The two primitives of a pair of each kind.
+_PRIMITIVES_OF = CORNER_ARRAYS | {PairKind.VERTEX_PLANE: ("vertex", "plane")}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -65,7 +70,7 @@ class DistributedContacts:
 
     def to_root(self) -> DistributedContacts | None:
         """All contacts in order on rank 0, and None on the others; collective."""
-        gathered = _at_root(self)
+        gathered = at_root(self)
         return None if gathered is None else DistributedContacts(**gathered)
 
 
@@ -88,22 +93,21 @@ def contacts_of(part: Part, contacts: Contacts, ranks: Ranks) -> DistributedCont
     return found
 
 
-def whole_pairs(part: Part, kind: NDArray[np.int32], pairs: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Pairs of primitives of a part as those of the whole mesh."""
+def whole_pairs(
+    part: Part,
+    kind: NDArray[np.int32],
+    pairs: NDArray[np.int32],
+    primitives_of: Mapping[Any, tuple[str, str]] = _PRIMITIVES_OF,
+) -> NDArray[np.int64]:
+    """Pairs of primitives of a part as those of the whole mesh, given what the kinds pair."""
     result = np.empty(pairs.shape, dtype=np.int64)
-    vertex, edge, face = part.vertex_numbers, part.edge_numbers, part.face_numbers
-    tables = {
-        PairKind.VERTEX_FACE: (vertex, face),
-        PairKind.EDGE_EDGE: (edge, edge),
-        PairKind.POINT_SEGMENT: (vertex, edge),
-        PairKind.POINT_POINT: (vertex, vertex),
-        PairKind.VERTEX_PLANE: (vertex, np.arange(len(part.mesh.planes))),  # which all ranks number alike
-    }
-    for of, columns in tables.items():
-        chosen = kind == of
+    numbers = {"vertex": part.vertex_numbers, "edge": part.edge_numbers, "face": part.face_numbers}
+    numbers["plane"] = np.arange(len(part.mesh.planes))  # all ranks have all of them
+    for of, names in primitives_of.items():
+        chosen = kind == int(of)
         if chosen.any():
-            for k in range(2):
-                result[chosen, k] = columns[k][pairs[chosen, k]]
+            for k, name in enumerate(names):
+                result[chosen, k] = numbers[name][pairs[chosen, k]]
     return result
 
 
@@ -225,7 +229,7 @@ class DistributedProximities:
 
     def to_root(self) -> DistributedProximities | None:
         """All pairs in order on rank 0, and None on the others; collective."""
-        gathered = _at_root(self)
+        gathered = at_root(self)
         return None if gathered is None else DistributedProximities(**gathered)
 
 
@@ -242,13 +246,14 @@ def proximities_of(part: Part, found: Proximities, ranks: Ranks) -> DistributedP
     return result
 
 
-def _at_root(found: DistributedContacts | DistributedProximities) -> dict[str, Any] | None:
+def at_root(found: Any) -> dict[str, Any] | None:
     """The arrays of all ranks on rank 0, in the order of kinds and primitives; None on the others."""
     ranks: Ranks | None = vars(found)["_ranks"]
     if ranks is None:
         raise ValueError("what to_root() has brought to rank 0 is there already; expected the result of a call")
     with ranks.together("to_root"):
-        gathered = ranks.at_root({f.name: getattr(found, f.name) for f in fields(found)})
+        arrays = {f.name: getattr(found, f.name) for f in fields(found)}
+        gathered = ranks.at_root({name: each for name, each in arrays.items() if isinstance(each, np.ndarray)})
     if gathered is None:
         return None
     order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))
