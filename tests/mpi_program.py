@@ -357,6 +357,18 @@ def in_the_plane():
     assert DistributedPipeline(whole).mesh_ccd(x, y).toi == ccd.mesh_ccd(one, cable[0], end[:24]).toi < 1.0
 
 
+def coordinates_at_the_ends_of_float64():
+    """Scenes that are small beside the least scale of quantized coordinates, far beyond their origin, and without end.
+
+    What is equal in quantized coordinates is then far apart beside the size of the scene.
+    """
+    start, faces = scenes.soup(np.random.default_rng(6), 20, 0.1)
+    for scale, shift in ((1e-318, 1e-305), (1e295, 1.5e308), (1.7e308, 0.0)):
+        x = np.clip(2.0 * start - 1.0, -1.0, 1.0) * scale + shift
+        options = {"length_scale": min(1e4 * scale, 1e308), "minimum_distance": 1e-3 * scale, "precision": "float32"}
+        check((scenes.single(x, faces), x, x), interleaved, ["mesh_ccd"], **options)
+
+
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
     mesh, start, _ = scenes.sheet_over_ball()
@@ -459,6 +471,7 @@ CASES = [
     planes_and_nothing_else,
     in_the_plane,
     random_scenes,
+    coordinates_at_the_ends_of_float64,
     many_steps,
     one_rank_more_work_than_the_others,
     simulation_of_ranks,

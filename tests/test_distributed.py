@@ -54,7 +54,7 @@ def run_ranks(count, *arguments, seconds=400, aborts=True):
 def test_every_cut_over_ranks_gives_the_bits_of_one_process(num_ranks):
     done = run_ranks(num_ranks, TESTS / "mpi_program.py")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("the bits of one process") == 24, done.stdout
+    assert done.stdout.count("the bits of one process") == 25, done.stdout
 
 
 @needs_ranks
@@ -203,6 +203,17 @@ def test_a_plan_of_points_alone_holds_them_while_they_move_a_little():
     limits = bounds.limits(*bounds.boxes(start, start, np.zeros(200, dtype=int)))
     assert is_within(start, limits) and is_within(start + [0.04, 0, -0.04], limits)
     assert not is_within(start + [0.12, 0, 0], limits)
+
+
+@pytest.mark.parametrize(("place", "size", "radius"), [(1e-305, 1e-318, 0.0), (1.5e308, 1e295, 0.0), (0.0, 1e-9, 1.0)])
+def test_boxes_of_what_is_equal_in_quantized_coordinates_overlap(place, size, radius):
+    """In a scene that is small beside the least scale, far beyond the largest origin, or thin beside its radii."""
+    x = place + size * np.array([[0.0], [1.0]]) * np.ones(3)
+    scale, origin = (2.0**1000, 0.0) if place < 1.0 else (2.0**-1000, 2.0**1022)
+    at = np.float32((x + radius - origin) * scale if radius == 0.0 else x + radius)
+    assert x[0, 0] < x[1, 0] and (at[0] == at[1]).all()
+    lower, upper = Bounds.of(0.0, 0.0, *scene_box(x, x)).boxes(x, x, np.zeros(2, dtype=int), radius)
+    assert (lower[:3, 1] <= upper[:3, 0] - 2.0 * radius).all()
 
 
 def test_primitives_go_to_every_region_that_they_meet_and_to_each_once():

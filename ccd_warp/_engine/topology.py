@@ -28,8 +28,8 @@ NUM_SAMPLES = 128
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 _CLASS_BITS = int(kernels.CLASS_BITS)
-_LARGEST_EXPONENT = 1000
-_LARGEST_ORIGIN = 2.0**1022
+LARGEST_EXPONENT = 1000
+LARGEST_ORIGIN = 2.0**1022
 
 # The kinds of the two primitives of a pair, and the arrays that hold their vertices.
 PRIMITIVES = {
@@ -357,10 +357,10 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         middle = NUM_SAMPLES // 2
         half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
         half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
-        exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
+        exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
         lattice = 2.0 ** (exponent - 2)
         origin = (np.round(centre[middle] / lattice) * lattice).tolist()
-        quantization.origin = wp.vec3d(*(min(max(x, -_LARGEST_ORIGIN), _LARGEST_ORIGIN) for x in origin))
+        quantization.origin = wp.vec3d(*(min(max(x, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in origin))
         exponent += lattice_bits(topology.mesh.num_worlds)
         quantization.scale = 2.0**-exponent
         half_extent += _typical_radius(topology.mesh, topology.samples[1])

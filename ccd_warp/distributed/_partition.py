@@ -123,7 +123,7 @@ def _best_cut(
     best = min(load for load, _ in cuts)
     if load <= _WORLD_SLACK * best:
         return WORLD_AXIS, coordinate
-    low, high = np.quantile(lower[:WORLD_AXIS], _EXTENT, axis=1)
+    low, high = np.quantile(0.5 * lower[:WORLD_AXIS], _EXTENT, axis=1)  # of halves, whose difference is a number
     good = [k for k in range(WORLD_AXIS) if cuts[k][0] <= _SLACK * best] or [0]
     axis = max(good, key=lambda k: float(high[k] - low[k]))
     return axis, cuts[axis][1]

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.topology import LARGEST_EXPONENT, LARGEST_ORIGIN
 from ccd_warp.distributed._partition import WORLD_AXIS, Regions, regions_met
 
 # Steps for which a vertex may go on as it moves in the step for which a plan is made.
@@ -49,6 +51,8 @@ class Bounds:
             size = min(float(np.nan_to_num(upper - lower, nan=0.0).max(initial=0.0)), np.finfo(np.float64).max)
             if mean_extent == 0.0:
                 mean_extent = size / max(num_vertices, 1) ** (1.0 / 3.0)
+            # the quantization has a least scale and a largest origin, which may be farther away than the scene is large
+            size += max(float((np.abs(centre) - LARGEST_ORIGIN).max()), 2.0**-LARGEST_EXPONENT)
             size = min(size * 2.0 ** (num_worlds - 1).bit_length(), np.finfo(np.float64).max)
             # an inflation that grows a little, as that of a separation does with rounding, needs no new plan
             return Bounds(_MARGIN * mean_extent, 1.0001 * inflation, centre, size)
@@ -68,7 +72,7 @@ class Bounds:
         """
         lower, upper = np.empty((4, len(start))), np.empty((4, len(start)))
         lower[WORLD_AXIS] = upper[WORLD_AXIS] = worlds
-        fixed = self.margin + self.inflation + _RESOLUTION * self.size
+        fixed = self.margin + _enlarged(self.inflation) + _RESOLUTION * self.size
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(3):
                 a, b = np.ascontiguousarray(start[:, k]), np.ascontiguousarray(end[:, k])
@@ -76,7 +80,7 @@ class Bounds:
                 slack = np.maximum(np.abs(a - self.centre[k]), np.abs(b - self.centre[k]))
                 slack *= _RESOLUTION
                 slack += fixed
-                slack += radius
+                slack += _enlarged(radius)
                 low, high = np.minimum(a, b), np.maximum(a, b)
                 lower[k] = np.nextafter(np.minimum(low, ahead) - slack, -np.inf)
                 upper[k] = np.nextafter(np.maximum(high, ahead) + slack, np.inf)
@@ -90,15 +94,20 @@ class Bounds:
         A vertex that stays within them has a box, with what it is enlarged by, within that of the plan: the slack by
         distance is that of the farthest corner.
         """
-        fixed = self.inflation + _RESOLUTION * self.size
+        fixed = _enlarged(self.inflation) + _RESOLUTION * self.size
         low, high = np.empty((lower.shape[1], 3)), np.empty((lower.shape[1], 3))
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(3):
                 slack = np.maximum(np.abs(lower[k] - self.centre[k]), np.abs(upper[k] - self.centre[k]))
-                slack = slack * _RESOLUTION + fixed + radius
+                slack = slack * _RESOLUTION + fixed + _enlarged(radius)
                 low[:, k] = np.nan_to_num(lower[k] + slack, nan=np.inf)
                 high[:, k] = np.nan_to_num(upper[k] - slack, nan=-np.inf)
         return low, high
+
+
+def _enlarged(length: Any) -> Any:
+    """By how much more than a length a box may be enlarged in quantized coordinates, where it is rounded, too."""
+    return (1.0 + _RESOLUTION) * length
 
 
 def is_within(positions: NDArray[np.float64], limits: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
