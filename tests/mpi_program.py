@@ -485,6 +485,8 @@ def main(names):
             case()
             if RANK == 0:
                 print(f"{case.__name__}: the bits of one process, {time.perf_counter() - begin:.1f} s", flush=True)
+    if RANK == 0 and not names:
+        print(f"all {len(CASES)} cases")
 
 
 if __name__ == "__main__":
