@@ -1,12 +1,17 @@
 """What intersects at one time, on one rank."""
 
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.intersection_step import IntersectionStep, Keys
 from ccd_warp._engine.topology import Topology
-from ccd_warp._intersections import PRIMITIVES_OF
+from ccd_warp._intersections import PRIMITIVES_OF, Intersections
 from ccd_warp._status import IntersectionKind, PairKind
 from ccd_warp.distributed._part import Part, PartTopology
 from ccd_warp.distributed._part_step import StepOnPart
@@ -57,9 +62,18 @@ class PartIntersectionStep(StepOnPart, IntersectionStep):
         own: Keys = keys[topology.own_pairs_of(arrays, keys >> 32, keys & _INDEX)]
         return own
 
-    def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
-        """Work of the last search, whose candidates are all known: nothing culls them."""
-        return super().work_by_vertex(0.0, of_candidate)
+    def intersections(self) -> Intersections:
+        """All pairs of this rank that touch or pass through each other, and how many the cull has left."""
+        self._survivors: Counter[PairKind] = Counter()
+        found = super().intersections()
+        self.counts = replace(self.counts, num_after_cull={kind: self._survivors[kind] for kind in self.plan.kinds})
+        return found
+
+    def timed_batches(self, batches: Iterator[Any]) -> Iterator[Any]:
+        """The batches of the search, whose pairs are counted: the plan of the ranks depends on their work."""
+        for batch in super().timed_batches(batches):
+            self._survivors.update(batch.found)
+            yield batch
 
     def first_vertices(self, kind: PairKind, first: NDArray[np.int64]) -> NDArray[np.integer]:
         """A vertex of each of these primitives; where they are searched for in faces, edges come before vertices."""
