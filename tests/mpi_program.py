@@ -347,6 +347,11 @@ def in_the_plane():
         end = mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape) * (mesh.vertex_body != 3)[:, None]
         calls = [*ALL_CALLS, "line_search vertex", "displacement_bounds", "find_proximity"]
         check((mesh, mesh.vertices, end), interleaved, calls[:: 1 if radius is None else 2])
+    lattice = np.round(4 * end) / 4  # edges that cross, vertices on edges, points in one place and in the half-plane
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], codimensional_points=True)
+    check((mesh, lattice, lattice), interleaved, ["find_intersections"])
+    kinds = np.unique(ccd.find_intersections(mesh, lattice).kind).tolist()
+    assert kinds == [1, 2, 3, 5], kinds
     # what a rank without vertices has may be an empty list
     from ccd_warp.distributed import DistributedMesh, DistributedPipeline
 
@@ -366,7 +371,7 @@ def coordinates_at_the_ends_of_float64():
     for scale, shift in ((1e-318, 1e-305), (1e295, 1.5e308), (1.7e308, 0.0)):
         x = np.clip(2.0 * start - 1.0, -1.0, 1.0) * scale + shift
         options = {"length_scale": min(1e4 * scale, 1e308), "minimum_distance": 1e-3 * scale, "precision": "float32"}
-        check((scenes.single(x, faces), x, x), interleaved, ["mesh_ccd"], **options)
+        check((scenes.single(x, faces), x, x), interleaved, ["mesh_ccd", "find_intersections"], **options)
 
 
 def many_steps():
