@@ -29,7 +29,7 @@ class DistributedIntersections:
         primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
         parameters: (u, v) of the common point, as in ``ccd_warp.Intersections.parameters``, float64, shape [m, 2].
         edge_parameter: Of an edge through a face the place on the edge, 0 for all other kinds, float64, shape [m].
-        points: The common points, a length, float64, shape [m, 3].
+        points: The common points, a length, float64, shape [m, 3], or [m, 2] in the plane.
         vertices: Ids of the vertices, as in ``ccd_warp.Intersections.vertices``, int64, shape [m, 5].
         bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
         world: World of each pair, int32, shape [m].
