@@ -345,7 +345,7 @@ def in_the_plane():
         world = np.repeat([0, num_worlds - 1, 0], [24, 16, 12])
         mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], radius=radius, vertex_world=world)
         end = mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape) * (mesh.vertex_body != 3)[:, None]
-        calls = [*ALL_CALLS, "line_search vertex", "displacement_bounds", "find_proximity"]
+        calls = [*ALL_CALLS, "line_search vertex", "displacement_bounds", "find_proximity", "find_intersections"]
         check((mesh, mesh.vertices, end), interleaved, calls[:: 1 if radius is None else 2])
     lattice = np.round(4 * end) / 4  # edges that cross, vertices on edges, points in one place and in the half-plane
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], codimensional_points=True)
