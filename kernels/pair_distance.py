@@ -43,6 +43,7 @@ _FIRST = wp.constant(1)
 _SECOND = wp.constant(2)
 _THIRD = wp.constant(4)
 _FOURTH = wp.constant(8)
+_ALL = wp.constant(15)
 
 
 @wp.struct
@@ -166,77 +167,42 @@ def span(side: OnSide, first: int, second: int) -> int:
 
 
 @wp.func
+def nearer(c: Closest, d: wp.vec3d, squared: wp.float64, u: wp.float64, v: wp.float64, features: int) -> Closest:
+    """The nearer of two points, of two that are as near the first."""
+    if squared < c.squared:
+        c = Closest(d, squared, u, v, features)
+    return c
+
+
+@wp.func
 def closest_of_face(w0: wp.vec3d, w1: wp.vec3d, w2: wp.vec3d, q: wp.vec3d, r: wp.vec3d, third: wp.vec3d) -> Closest:
     """Closest point of the triangle w0, w1 = w0 + q, w2 = w0 + r = w1 + third, whose corners are v less f0, f1, f2."""
-    c = Closest()
     s = on_side(w0, w1, q)
-    c.d = s.d
-    c.squared = s.squared
-    c.u = s.of_b
-    c.features = _FIRST + span(s, _SECOND, _THIRD)
+    c = Closest(s.d, s.squared, s.of_b, _ZERO, _FIRST + span(s, _SECOND, _THIRD))
     s = on_side(w0, w2, r)
-    if s.squared < c.squared:
-        c.d = s.d
-        c.squared = s.squared
-        c.u = _ZERO
-        c.v = s.of_b
-        c.features = _FIRST + span(s, _SECOND, _FOURTH)
+    c = nearer(c, s.d, s.squared, _ZERO, s.of_b, _FIRST + span(s, _SECOND, _FOURTH))
     s = on_side(w1, w2, third)
-    if s.squared < c.squared:
-        c.d = s.d
-        c.squared = s.squared
-        c.u = s.of_a
-        c.v = s.of_b
-        c.features = _FIRST + span(s, _THIRD, _FOURTH)
+    c = nearer(c, s.d, s.squared, s.of_a, s.of_b, _FIRST + span(s, _THIRD, _FOURTH))
     f = foot(w0, q, r)
     if f.exists and f.x > _ZERO and f.y > _ZERO and f.x + f.y < _ONE:
-        squared = wp.dot(f.d, f.d)
-        if squared < c.squared:
-            c.d = f.d
-            c.u = f.x
-            c.v = f.y
-            c.features = _FIRST + _SECOND + _THIRD + _FOURTH
+        c = nearer(c, f.d, wp.dot(f.d, f.d), f.x, f.y, _ALL)
     return c
 
 
 @wp.func
 def closest_of_edges(w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> Closest:
     """Closest point of the parallelogram w00 + u·r + v·q, whose corners are the ends of one edge less the other's."""
-    c = Closest()
     s = on_side(w00, w01, q)
-    c.d = s.d
-    c.squared = s.squared
-    c.v = s.of_b
-    c.features = _FIRST + span(s, _THIRD, _FOURTH)
+    c = Closest(s.d, s.squared, _ZERO, s.of_b, _FIRST + span(s, _THIRD, _FOURTH))
     s = on_side(w10, w11, q)
-    if s.squared < c.squared:
-        c.d = s.d
-        c.squared = s.squared
-        c.u = _ONE
-        c.v = s.of_b
-        c.features = _SECOND + span(s, _THIRD, _FOURTH)
+    c = nearer(c, s.d, s.squared, _ONE, s.of_b, _SECOND + span(s, _THIRD, _FOURTH))
     s = on_side(w00, w10, r)
-    if s.squared < c.squared:
-        c.d = s.d
-        c.squared = s.squared
-        c.u = s.of_b
-        c.v = _ZERO
-        c.features = _THIRD + span(s, _FIRST, _SECOND)
+    c = nearer(c, s.d, s.squared, s.of_b, _ZERO, _THIRD + span(s, _FIRST, _SECOND))
     s = on_side(w01, w11, r)
-    if s.squared < c.squared:
-        c.d = s.d
-        c.squared = s.squared
-        c.u = s.of_b
-        c.v = _ONE
-        c.features = _FOURTH + span(s, _FIRST, _SECOND)
+    c = nearer(c, s.d, s.squared, s.of_b, _ONE, _FOURTH + span(s, _FIRST, _SECOND))
     f = foot(w00, q, r)
     if f.exists and is_inside(f.x) and is_inside(f.y):
-        squared = wp.dot(f.d, f.d)
-        if squared < c.squared:
-            c.d = f.d
-            c.u = f.y
-            c.v = f.x
-            c.features = _FIRST + _SECOND + _THIRD + _FOURTH
+        c = nearer(c, f.d, wp.dot(f.d, f.d), f.y, f.x, _ALL)
     return c
 
 
