@@ -181,12 +181,12 @@ def make_advance(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespa
         t = wp.max(t, s)
         later = corners_at(patch.t0, patch.t1, t_start + h)
         turn = turn_along(c, d, later, ahead, patch.is_face)
-        s = clip_turn(patch.t0, patch.t1, separation, error, patch.is_face, turn, t_start, t_max, _TURN_STEPS)
+        s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
         t = wp.max(t, s)
         if thorough:
             for side in range(num_sides(patch.is_face)):
-                turn = turn_of_side(side, c, d)
-                s = clip_turn(patch.t0, patch.t1, separation, error, patch.is_face, turn, t_start, t_max, _TURN_STEPS)
+                turn = turn_of_side(side, c, d, patch.is_face)
+                s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
                 t = wp.max(t, s)
         return t
 

@@ -16,10 +16,11 @@ import warp as wp
 
 from .facets import make_facets
 from .lane_closest import make_lane_closest
+from .moving_clip import make_moving_clip
 from .norm import EUCLIDEAN_NORM, make_norm
 from .once import once
 from .patch import make_patch
-from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
+from .rounding import RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import make_simd
 
 
@@ -40,37 +41,25 @@ def make_ball(real, width: int) -> SimpleNamespace:
     is_less = simd.is_less
     is_at_most = simd.is_at_most
     both = simd.both
-    either = simd.either
-    opposite = simd.opposite
     select = simd.select
     dot = simd.dot
     cross = simd.cross
-    mask_of = simd.mask_of
-    bits_of = simd.bits_of
     Corners = make_patch(real, width).Corners
-    corners_at = make_patch(real, width).corners_at
     facets = make_facets(real, width)
     side_of = facets.side_of
-    corner_fall = facets.corner_fall
     beyond = facets.beyond
     closest = make_lane_closest(real, width).closest
     norm = make_norm(real, width, EUCLIDEAN_NORM)
     length = norm.length
     support = norm.support
 
-    unit = UNIT_ROUNDOFF[real]
     zero = wp.constant(real(0.0))
     one = wp.constant(real(1.0))
     two = wp.constant(real(2.0))
-    four = wp.constant(real(4.0))
-    moving = wp.constant(real(MOVING))
     huge = wp.constant(real(1.0e30))
     tiny = wp.constant(real(TINY[real]))
-    round_down = wp.constant(real(1.0 - RELATIVE * unit))
-    round_up = wp.constant(real(1.0 + RELATIVE * unit))
-    fraction_down = wp.constant(real(1.0 - CROSSING * unit))
+    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
-    underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
 
     @simd.func
     def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
@@ -114,14 +103,20 @@ def make_ball(real, width: int) -> SimpleNamespace:
         axis: Vec3
         share: Lanes  # squared cosine between side and direction, as a fraction share / size
         size: Lanes
+        is_face: bool  # whether there is a third side
 
     @simd.func
-    def chosen(number: Lanes, c: Corners, is_face: bool) -> Vec3:
+    def chosen(turn: Turn, c: Corners) -> Vec3:
         """The side of each lane."""
-        e = select(is_less(number, spread(one)), side_of(c, 0), side_of(c, 1))
-        if is_face:
-            e = select(is_at_most(spread(two), number), side_of(c, 2), e)
+        e = select(is_less(turn.number, spread(one)), side_of(c, 0), side_of(c, 1))
+        if turn.is_face:
+            e = select(is_at_most(spread(two), turn.number), side_of(c, 2), e)
         return e
+
+    @simd.func
+    def direction(turn: Turn, c: Corners) -> Vec3:
+        """The direction of each lane, linear in time."""
+        return cross(chosen(turn, c), turn.axis)
 
     @simd.func
     def consider(turn: Turn, number: int, e: Vec3, d: Vec3) -> Turn:
@@ -136,9 +131,10 @@ def make_ball(real, width: int) -> SimpleNamespace:
         return turn
 
     @simd.func
-    def turn_of_side(number: int, later: Corners, ahead: Vec3) -> Turn:
+    def turn_of_side(number: int, later: Corners, ahead: Vec3, is_face: bool) -> Turn:
         """The turn about a given side that comes to the part of ``ahead`` across it at the later corners."""
         turn = Turn()
+        turn.is_face = is_face
         turn.number = spread(real(number))
         turn.axis = cross(ahead, side_of(later, number))
         return turn
@@ -147,6 +143,7 @@ def make_ball(real, width: int) -> SimpleNamespace:
     def turn_along(c: Corners, d: Vec3, later: Corners, ahead: Vec3, is_face: bool) -> Turn:
         """The same about the side to which d is most nearly orthogonal."""
         turn = Turn()
+        turn.is_face = is_face
         turn.number = spread(zero)
         turn.share = spread(huge)
         turn.size = spread(one)
@@ -154,60 +151,8 @@ def make_ball(real, width: int) -> SimpleNamespace:
         turn = consider(turn, 1, side_of(c, 1), d)
         if is_face:
             turn = consider(turn, 2, side_of(c, 2), d)
-        turn.axis = cross(ahead, chosen(turn.number, later, is_face))
+        turn.axis = cross(ahead, chosen(turn, later))
         return turn
-
-    @simd.func
-    def clip_turn(
-        t0: Corners,
-        t1: Corners,
-        separation: Vec3,
-        error: Vec3,
-        is_face: bool,
-        turn: Turn,
-        t_start: Lanes,
-        end: Lanes,
-        steps: int,
-    ) -> Lanes:
-        """Time up to which the turning direction separates (rounding, steps 10 and 13); 2 if beyond ``end``.
-
-        t0 and t1 are the corners at both ends of the step. It is `clip_facet` of `facets` with another direction.
-        """
-        margin = spread(moving) * error
-        t = t_start
-        x = end
-        c_t = corners_at(t0, t1, t)
-        d_t = cross(chosen(turn.number, c_t, is_face), turn.axis)
-        sign = select(is_less(dot(d_t, c_t.w00), spread(zero)), minus(spread(one)), spread(one))
-        free = mask_of(wp.uint32(0))
-        running = opposite(free)
-        for _ in range(steps):
-            c_x = corners_at(t0, t1, x)
-            d_x = cross(chosen(turn.number, c_x, is_face), turn.axis)
-            o_t = offset(d_t, margin, separation) + spread(underflow)
-            o_x = offset(d_x, margin, separation) + spread(underflow)
-            fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
-            m_t = magnitude(d_t)
-            can_prove = is_at_most(spread(tiny_direction), greatest(m_t.x, greatest(m_t.y, m_t.z)))
-            running = both(running, both(can_prove, is_less(spread(zero), fraction)))
-            is_clear = is_less(spread(one), fraction)
-            free = either(free, both(running, both(is_clear, is_at_most(end, x))))
-            s = (t + (x - t) * (fraction * spread(fraction_down))) * spread(round_down)
-            s = select(is_clear, x, s)
-            running = both(running, is_less(t, s))
-            s = select(running, s, t)
-            step = s - t
-            x = select(running, least(end, s + select(is_clear, spread(four) * step, step + step)), x)
-            t = s
-            running = both(running, opposite(free))
-            if bits_of(running) == wp.uint32(0):
-                break
-            c_t = corners_at(t0, t1, t)
-            d_t = cross(chosen(turn.number, c_t, is_face), turn.axis)
-        return select(free, spread(two), t)
 
     @simd.func
     def share_along(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
@@ -238,6 +183,6 @@ def make_ball(real, width: int) -> SimpleNamespace:
         time_to_ball=time_to_ball,
         turn_of_side=turn_of_side,
         turn_along=turn_along,
-        clip_turn=clip_turn,
+        clip_turn=make_moving_clip(real, width, Turn, direction, offset).clip,
         start_gap_share=start_gap_share,
     )

@@ -15,9 +15,10 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .moving_clip import make_moving_clip
 from .once import once
 from .patch import make_patch
-from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
+from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import make_simd
 
 
@@ -37,33 +38,21 @@ def make_facets(real, width: int) -> SimpleNamespace:
     is_less = simd.is_less
     is_at_most = simd.is_at_most
     both = simd.both
-    either = simd.either
-    opposite = simd.opposite
     select = simd.select
     dot = simd.dot
     cross = simd.cross
-    mask_of = simd.mask_of
-    bits_of = simd.bits_of
     Corners = make_patch(real, width).Corners
-    corners_at = make_patch(real, width).corners_at
 
-    unit = UNIT_ROUNDOFF[real]
     zero = wp.constant(real(0.0))
-    half = wp.constant(real(0.5))
     one = wp.constant(real(1.0))
     two = wp.constant(real(2.0))
     three = wp.constant(real(3.0))
-    four = wp.constant(real(4.0))
     six = wp.constant(real(6.0))
     nine = wp.constant(real(9.0))
     one_percent = wp.constant(real(0.01))
-    moving = wp.constant(real(MOVING))
     floor_errors = wp.constant(real(8.0))
-    round_down = wp.constant(real(1.0 - RELATIVE * unit))
-    round_up = wp.constant(real(1.0 + RELATIVE * unit))
-    fraction_down = wp.constant(real(1.0 - CROSSING * unit))
+    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
     tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
-    underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
     far_behind = wp.constant(real(-1.0e30))
 
     @wp.struct
@@ -199,66 +188,11 @@ def make_facets(real, width: int) -> SimpleNamespace:
         return share
 
     @simd.func
-    def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
-        """Fraction of an interval at which the steepest line from the first of three control points to another is zero.
+    def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
+        """Upper bound of the rounding errors and the separation along d (rounding, step 6)."""
+        return dot(magnitude(d), separation + error) * spread(round_up)
 
-        2 if none of them falls to zero, -1 if the first is not above it.
-        """
-        is_clear = is_less(spread(zero), least(h1, h2))
-        fraction = h0 / greatest(spread(two) * (h0 - h1), h0 - h2)
-        return select(is_less(spread(zero), h0), select(is_clear, spread(two), fraction), minus(spread(one)))
-
-    @simd.func
-    def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
-        """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
-        h0 = sign * dot(d_t, w_t) - o_t
-        h1 = spread(half) * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - spread(half) * (o_t + o_x)
-        return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
-
-    @simd.func
-    def clip_facet(
-        t0: Corners, t1: Corners, separation: Vec3, error: Vec3, number: Lanes, t_start: Lanes, end: Lanes, steps: int
-    ) -> Lanes:
-        """Time up to which a moving facet separates (rounding, step 10): at least t_start; 2 if beyond ``end``.
-
-        t0 and t1 are the corners at both ends of the step.
-        """
-        margin = separation + spread(moving) * error
-        t = t_start
-        x = end
-        c_t = corners_at(t0, t1, t)
-        d_t = direction(number, c_t)
-        sign = select(is_less(dot(d_t, c_t.w00), spread(zero)), minus(spread(one)), spread(one))
-        free = mask_of(wp.uint32(0))
-        running = opposite(free)
-        for _ in range(steps):
-            c_x = corners_at(t0, t1, x)
-            d_x = direction(number, c_x)
-            m_t = magnitude(d_t)
-            o_t = dot(m_t, margin) * spread(round_up) + spread(underflow)
-            o_x = dot(magnitude(d_x), margin) * spread(round_up) + spread(underflow)
-            fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
-            can_prove = is_at_most(spread(tiny_direction), greatest(m_t.x, greatest(m_t.y, m_t.z)))
-            running = both(running, both(can_prove, is_less(spread(zero), fraction)))
-            is_clear = is_less(spread(one), fraction)
-            free = either(free, both(running, both(is_clear, is_at_most(end, x))))
-            s = (t + (x - t) * (fraction * spread(fraction_down))) * spread(round_down)
-            s = select(is_clear, x, s)
-            running = both(running, is_less(t, s))
-            s = select(running, s, t)
-            step = s - t
-            x = select(running, least(end, s + select(is_clear, spread(four) * step, step + step)), x)
-            t = s
-            running = both(running, opposite(free))
-            if bits_of(running) == wp.uint32(0):
-                break
-            c_t = corners_at(t0, t1, t)
-            d_t = direction(number, c_t)
-        return select(free, spread(two), t)
-
+    moving_clip = make_moving_clip(real, width, Lanes, direction, offset)
     return SimpleNamespace(
         Facet=Facet,
         side_of=side_of,
@@ -270,8 +204,7 @@ def make_facets(real, width: int) -> SimpleNamespace:
         direction=direction,
         start_gap_share=start_gap_share,
         widest_facet=widest_facet,
-        fall=fall,
-        corner_fall=corner_fall,
         beyond=beyond,
-        clip_facet=clip_facet,
+        fall=moving_clip.fall,
+        clip_facet=moving_clip.clip,
     )

@@ -162,7 +162,7 @@ def make_lane_advance(real, width: int, with_facets: bool, norm: str = MAXIMUM_N
         ahead = with_largest_one(d + h * velocity)
         s = clip_beyond(ahead, offset(ahead, n.error, n.separation), t, n.t0, n.t1, is_face)
         side = turn_along(c, with_largest_one(d), corners_at(n.t0, n.t1, t + h), ahead, is_face)
-        turned = clip_turn(n.t0, n.t1, n.separation, n.error, is_face, side, t, end, _TURN_STEPS)
+        turned = clip_turn(n.t0, n.t1, n.separation, n.error, side, t, end, _TURN_STEPS)
         return greatest(s, turned)
 
     @simd.func

@@ -79,9 +79,9 @@ def make_probe(real):
         clips[i, 0] = wp.float64(clip_beyond(a, off, zero, n.patch.t0, n.patch.t1, n.patch.is_triangle))
         clips[i, 1] = wp.float64(advance_volume(n.problem, zero, one))
         for side in range(3):
-            turn = turn_of_side(side, n.patch.t0, a)
+            turn = turn_of_side(side, n.patch.t0, a, n.patch.is_face)
             if side < 2 or n.patch.is_face:
-                s = clip_turn(n.patch.t0, n.patch.t1, separation, error, n.patch.is_face, turn, zero, one, 8)
+                s = clip_turn(n.patch.t0, n.patch.t1, separation, error, turn, zero, one, 8)
                 clips[i, 2 + side] = wp.float64(s)
 
     return Options, probe
