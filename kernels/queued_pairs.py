@@ -71,18 +71,36 @@ def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, 
     queue.used[n] = wp.int8(used)
 
 
+@wp.struct
+class Turns:
+    """Which items a thread takes."""
+
+    first: int  # the number of items if there is none
+    stride: int
+    are_shared: bool  # with all threads of its warp
+    writes: bool  # whether it writes the result
+
+
 @wp.func
-def in_use(num_solvers: int, count: int) -> int:
-    """Lanes of a warp that get a pair: as few as it takes, so that few pairs are spread over all multiprocessors."""
+def turns_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Turns:
+    """The items of a thread: those of its warp, or its own, by which as few lanes of a warp are used as it takes.
+
+    So few items are spread over all multiprocessors. The boxes of the bisection cannot be shared.
+    """
     num_warps = num_solvers / _LANES
-    return wp.min(_LANES, (count + num_warps - 1) / num_warps)
-
-
-@wp.func
-def first_of(solver: int, lanes: int, count: int) -> int:
-    """The first item of a solver, ``count`` if it gets none; the next is ``num_solvers / 32 * lanes`` further on."""
-    lane = solver % _LANES
-    return wp.where(lane < lanes, (solver / _LANES) * lanes + lane, count)
+    turns = Turns()
+    turns.are_shared = are_shared
+    if are_shared:
+        turns.first = item_of_warp(solver, count)
+        turns.stride = num_warps
+        turns.writes = is_first(solver)
+    else:
+        lanes = wp.min(_LANES, (count + num_warps - 1) / num_warps)
+        lane = solver % _LANES
+        turns.first = wp.where(lane < lanes, (solver / _LANES) * lanes + lane, count)
+        turns.stride = num_warps * lanes
+        turns.writes = True
+    return turns
 
 
 @once
@@ -144,20 +162,11 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
             last = count
             if wp.static(not is_initial):
                 last = wp.int32(counts[0, QUEUED])
-            solver = begin + wp.tid()
-            lanes = in_use(num_solvers, last)
-            following = first_of(solver, lanes, last)
-            is_shared = bool(False)
-            if wp.static(is_last):
-                # the boxes of the bisection cannot be shared
-                is_shared = options.method == CLIPPING
-                if is_shared:
-                    lanes = 1
-                    following = item_of_warp(solver, last)
-            writes = not is_shared or is_first(solver)
+            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+            following = turns.first
             while following < last:
                 n = following
-                following += num_solvers / _LANES * lanes
+                following += turns.stride
                 i = n
                 t = wp.float64(0.0)
                 used = int(0)
@@ -176,7 +185,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                             i = _SETTLED - 1 - i
                             a = row_points(points_t0, i)
                             b = row_points(points_t1, i)
-                            if writes:
+                            if turns.writes:
                                 parameters[i] = parameters_at(kind, toi[i], a, b, options)
                             continue
                 a = row_points(points_t0, i)
@@ -203,7 +212,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                         queue.rows[n] = _SETTLED
                         if outcome.status != STATUS_NO_COLLISION and skips_first:
                             queue.rows[n] = _SETTLED - 1 - i
-                if not writes:
+                if not turns.writes:
                     continue
                 toi[i] = outcome.toi
                 status[i] = outcome.status
@@ -246,20 +255,11 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
             last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
             if wp.static(not is_initial):
                 last = wp.int32(counts[kind, QUEUED + is_second])
-            solver = begin + wp.tid()
-            lanes = in_use(num_solvers, last)
-            following = first_of(solver, lanes, last)
-            is_shared = bool(False)
-            if wp.static(is_last):
-                # the boxes of the bisection cannot be shared
-                is_shared = options.method == CLIPPING
-                if is_shared:
-                    lanes = 1
-                    following = item_of_warp(solver, last)
-            writes = not is_shared or is_first(solver)
+            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+            following = turns.first
             while following < last:
                 n = following
-                following += num_solvers / _LANES * lanes
+                following += turns.stride
                 k = n
                 t = wp.float64(0.0)
                 used = int(0)
@@ -306,7 +306,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                         outcome = outcome_of(answer, 0, options)
                     if wp.static(not is_initial):
                         queue.rows[n] = _SETTLED
-                if outcome.status == STATUS_NO_COLLISION or not writes:
+                if outcome.status == STATUS_NO_COLLISION or not turns.writes:
                     continue
                 key = pairs[k]
                 if is_second != 0:
@@ -356,20 +356,11 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
             last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
             if wp.static(not is_initial):
                 last = wp.int32(counts[kind, QUEUED + is_second])
-            solver = begin + wp.tid()
-            lanes = in_use(num_solvers, last)
-            following = first_of(solver, lanes, last)
-            is_shared = bool(False)
-            if wp.static(is_last):
-                # the boxes of the bisection cannot be shared
-                is_shared = options.method == CLIPPING
-                if is_shared:
-                    lanes = 1
-                    following = item_of_warp(solver, last)
-            writes = not is_shared or is_first(solver)
+            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+            following = turns.first
             while following < last:
                 n = following
-                following += num_solvers / _LANES * lanes
+                following += turns.stride
                 k = n
                 t = wp.float64(0.0)
                 used = int(0)
@@ -385,7 +376,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                     used = wp.int32(queue.used[n])
                     # a pair that is free up to the least toi cannot lower it
                     is_done = k == _SETTLED or wp.cast(t, wp.int64) >= least_bits[0]
-                    if is_shared:
+                    if turns.are_shared:
                         is_done = agreed(is_done)
                     if is_done:
                         continue
@@ -397,7 +388,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                         outcome = finished(kind, t, used, False, a, b, own, cap)
                     else:
                         outcome = finished(kind, t, used, False, a, b, options, cap)
-                    if not writes:
+                    if not turns.writes:
                         continue
                     toi = outcome.toi
                     if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
