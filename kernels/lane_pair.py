@@ -11,11 +11,11 @@ import warp as wp
 
 from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
+from .pair_options import make_pair_options
 from .patch import make_patch
 from .points import make_points
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
 from .simd import header, make_simd
-from .thickness import make_lane_options
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
@@ -62,7 +62,7 @@ def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespac
     longest_side = points.longest_side
     vec64 = simd64.vec
     vec = simd.vec
-    Options = make_lane_options(real, width, norm)
+    Options = make_pair_options(real, width, norm).LaneOptions
     root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
     round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
     tiny = wp.constant(real(TINY[real]))

@@ -16,11 +16,11 @@ from .lane_pair import make_lane_pair
 from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, THICK_NORM, make_norm
 from .once import once
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_options import make_pair_options
 from .points import make_points
 from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
 from .simd import make_simd
-from .thickness import make_lane_options
 from .volume import make_volume
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
@@ -38,7 +38,7 @@ def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamesp
     simd64 = make_simd(wp.float64, width)
     Lanes64 = simd64.Lanes
     Lanes = simd.Lanes
-    Options = make_lane_options(real, width, norm)
+    Options = make_pair_options(real, width, norm).LaneOptions
     pairs = make_lane_pair(real, width, norm)
     Points = make_points(width).Points
     LanePair = pairs.LanePair

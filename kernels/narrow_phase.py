@@ -18,6 +18,7 @@ from .minima import ANY_OPEN, FOUND, OPEN, Minima
 from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .pair_key import pair_of
+from .pair_options import make_pair_options
 from .pair_outcome import make_pair_outcome
 from .points import is_stationary, points_of, row_points
 from .query import make_query
@@ -29,7 +30,6 @@ from .status import (
     STATUS_ITERATION_LIMIT,
     STATUS_NO_COLLISION,
 )
-from .thickness import make_thickness
 
 # Pairs of an item of `points_toi` where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
@@ -47,8 +47,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
     """
     is_thick = norm == THICK_NORM
     Options = make_query(real).Options
-    options_of_pair = make_thickness(real, width).options_of_pair
-    options_of_rows = make_thickness(real, width).options_of_rows
+    options_of_pair = make_pair_options(real, width, norm).options_of_pair
+    options_of_rows = make_pair_options(real, width, norm).options_of_rows
     Outcome = make_solver(real, False, norm).Outcome
     pair_outcome = make_pair_outcome(real, width, False, norm)
     is_set = pair_outcome.is_set
@@ -275,11 +275,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     t = numbers_of(pending.t, pending.count, block)
                     used = numbers_of(pending.used, pending.count, block)
                 open = first_lanes(block)
-                if wp.static(is_thick):
-                    own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-                    answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
-                else:
-                    answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
+                own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
             elif wp.static(not is_thick):
                 answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
             for lane in range(block):
@@ -311,11 +308,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     else:
                         so_far = wp.int32(lane_of(answer.iterations, lane))
                         t_reached = lane_of(answer.t, lane)
-                        if wp.static(is_thick):
-                            own_options = options_of_pair(options, first, second)
-                            outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-                        else:
-                            outcome = finished(kind, t_reached, so_far, False, a, b, options, cap)
+                        own_options = options_of_pair(options, first, second)
+                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     claim(counts, kind, OPEN, 1)
@@ -394,11 +388,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     t = numbers_of(pending.t, pending.count, block)
                     used = numbers_of(pending.used, pending.count, block)
                 open = first_lanes(block)
-                if wp.static(is_thick):
-                    own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-                    answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
-                else:
-                    answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, least)
+                own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
             elif wp.static(not is_thick):
                 answer = first_rounds(kind, points_a, points_b, options, cap, least)
             for lane in range(block):
@@ -424,11 +415,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                     a = points_of(kind, first, second, vertices_t0)
                     b = points_of(kind, first, second, vertices_t1)
                     so_far = wp.int32(lane_of(answer.iterations, lane))
-                    if wp.static(is_thick):
-                        own_options = options_of_pair(options, first, second)
-                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-                    else:
-                        outcome = finished(kind, t_reached, so_far, False, a, b, options, cap)
+                    own_options = options_of_pair(options, first, second)
+                    outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
                 if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                     pairs[k] = ~key
                     open_toi[k] = outcome.toi

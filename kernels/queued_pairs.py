@@ -26,13 +26,13 @@ from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
 from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
 from .pair_key import pair_of
+from .pair_options import make_pair_options
 from .pair_outcome import make_pair_outcome
 from .points import is_stationary, row_points
 from .query import CLIPPING, make_query
 from .simd import fingerprint
 from .solver import make_solver
 from .status import STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
-from .thickness import make_thickness
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
@@ -108,7 +108,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
     is_thick = norm == THICK_NORM
     Options = make_query(real).Options
-    options_of_rows = make_thickness(real, 1).options_of_rows
+    options_of_rows = make_pair_options(real, 1, norm).options_of_rows
     Outcome = make_solver(real, True, norm).Outcome
     pair_outcome = make_pair_outcome(real, 1, True, norm)
     outcome_of = pair_outcome.outcome_of
@@ -280,20 +280,15 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 outcome = Outcome()
                 if wp.static(is_last):
                     if is_needed:
-                        if wp.static(is_thick):
-                            own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                            outcome = finished(kind, t, used, False, a, b, own, cap)
-                        else:
-                            outcome = finished(kind, t, used, False, a, b, options, cap)
+                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                        outcome = finished(kind, t, used, False, a, b, own, cap)
                 else:
                     answer = LaneAnswer()
                     if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, unbounded)
-                    elif wp.static(is_thick):
+                    else:
                         own = options_of_rows(options, pairs, k, first_corners, second_corners)
                         answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, unbounded)
-                    else:
-                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
                     if is_needed and answer.free | answer.contact == _NONE:
                         used = wp.int32(answer.iterations)
                         if wp.static(is_initial):
@@ -383,11 +378,8 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
                 toi = unbounded
                 if wp.static(is_last):
-                    if wp.static(is_thick):
-                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                        outcome = finished(kind, t, used, False, a, b, own, cap)
-                    else:
-                        outcome = finished(kind, t, used, False, a, b, options, cap)
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    outcome = finished(kind, t, used, False, a, b, own, cap)
                     if not turns.writes:
                         continue
                     toi = outcome.toi
@@ -402,11 +394,9 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                     answer = LaneAnswer()
                     if wp.static(is_initial):
                         answer = first_rounds(kind, a, b, options, cap, least)
-                    elif wp.static(is_thick):
+                    else:
                         own = options_of_rows(options, pairs, k, first_corners, second_corners)
                         answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
-                    else:
-                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
                     if answer.free | answer.contact == _NONE and answer.t < least:
                         used = wp.int32(answer.iterations)
                         if wp.static(is_initial):

@@ -10,19 +10,11 @@ largest radius of the primitives around it: that of the vertex and of those that
 box holds all that is within its radius, and a thick body enlarges no other body's boxes.
 """
 
-from types import SimpleNamespace
-from typing import Any
-
 import warp as wp
 
 from .boxes import Box, inflated, next_below, point_box, united
 from .lanes import lowest_bit
 from .minima import INVALID_INPUT, Minima, flag_world
-from .norm import THICK_NORM
-from .once import once
-from .pair_key import pair_of
-from .query import make_query
-from .simd import make_simd
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -60,100 +52,6 @@ def sum_up(a: wp.float64, b: wp.float64) -> wp.float64:
 def distance_of(minimum: wp.float64, radius: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp.float64:
     """Distance at which a pair counts as touching, from the vertices of its primitives, rounded up."""
     return sum_up(minimum, sum_up(radius_of(radius, first), radius_of(radius, second)))
-
-
-@once
-def make_thickness(real, width: int) -> SimpleNamespace:
-    """Structs and functions for one floating-point type of the iteration and a number of lanes."""
-    Options = make_query(real).Options
-    Lanes = make_simd(wp.float64, width).Lanes
-    lanes = wp.constant(width)
-
-    @wp.func
-    def of_key(
-        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
-    ) -> wp.float64:
-        """Distance of a pair; the key of an open pair is its complement."""
-        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
-        return distance_of(options.minimum_separation, options.radius, first_corners[pair[0]], second_corners[pair[1]])
-
-    @wp.func
-    def with_distance(options: Options, distance: wp.float64) -> Options:
-        """The options of a query with a distance of its own."""
-        own = Options()
-        own.tolerance = options.tolerance
-        own.minimum_separation = distance
-        own.start_gap_fraction = options.start_gap_fraction
-        own.length_scale = options.length_scale
-        own.t_max = options.t_max
-        own.t_end = options.t_end
-        own.first_iterations = options.first_iterations
-        own.max_iterations = options.max_iterations
-        own.max_work = options.max_work
-        own.method = options.method
-        own.stop = options.stop
-        return own
-
-    @wp.func
-    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
-        """The options of a pair, given by the vertices of its primitives."""
-        return with_distance(options, distance_of(options.minimum_separation, options.radius, first, second))
-
-    if width == 1:
-        LaneOptions = Options
-
-        @wp.func
-        def options_of_rows(
-            options: Options,
-            pairs: wp.array[wp.int64],
-            row: int,
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-        ) -> LaneOptions:
-            """The options of a pair, given by its place in the list of keys."""
-            return with_distance(options, of_key(pairs[row], first_corners, second_corners, options))
-
-    else:
-        Index = wp.types.vector(length=width, dtype=wp.int32)
-
-        @wp.struct
-        class LaneOptions:
-            """What the lanes take of the options of a query, with a distance for the pair in each lane."""
-
-            tolerance: wp.float64
-            minimum_separation: Lanes
-            start_gap_fraction: wp.float64
-            length_scale: wp.float64
-            t_end: real
-            method: int
-
-        @wp.func
-        def options_of_rows(
-            options: Options,
-            pairs: wp.array[wp.int64],
-            rows: Index,
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-        ) -> LaneOptions:
-            """The options of the pair in each lane, given by its place in the list of keys."""
-            own = LaneOptions()
-            own.tolerance = options.tolerance
-            distances = Lanes()
-            for k in range(lanes):
-                distances[k] = of_key(pairs[rows[k]], first_corners, second_corners, options)
-            own.minimum_separation = distances
-            own.start_gap_fraction = options.start_gap_fraction
-            own.length_scale = options.length_scale
-            own.t_end = options.t_end
-            own.method = options.method
-            return own
-
-    return SimpleNamespace(LaneOptions=LaneOptions, options_of_pair=options_of_pair, options_of_rows=options_of_rows)
-
-
-def make_lane_options(real, width: int, norm: str) -> Any:
-    """The struct of the options that lanes take: those of a query, or in this norm with a distance in each lane."""
-    return make_thickness(real, width).LaneOptions if norm == THICK_NORM else make_query(real).Options
 
 
 @wp.func
