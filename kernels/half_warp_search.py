@@ -22,16 +22,15 @@ import warp as wp
 from .box_tree import WIDTH, BoxTree, box_corners
 from .candidate_cull import make_candidate_cull, write_pair
 from .collision_filter import CollisionFilter, is_excluded
+from .exact_boxes import boxes_apart, thick_boxes_apart
 from .half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
 from .interrupts import is_stopped
 from .lanes import lowest_bit
 from .minima import CANDIDATES, FOUND, Minima
 from .once import once
 from .pair_key import pair_key
-from .pair_lanes import separated_mask
 from .pair_search import is_pair_listed, lanes_after
 from .search_types import BOXES, LIST, SearchOptions, SearchRange, TreePair, is_turned
-from .thickness import thick_separated_mask
 
 _LANES = wp.constant(wp.uint64(0xFFFF))
 _NOTHING = wp.constant(wp.uint64(0))
@@ -142,6 +141,7 @@ def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) ->
     overlaps = overlapping if of_boxes else moving_overlapping
     column = CANDIDATES if is_listing else FOUND
     is_discarded = make_candidate_cull(is_thick).is_discarded
+    apart = thick_boxes_apart if is_thick else boxes_apart
 
     @wp.func
     def is_left_out(
@@ -208,35 +208,9 @@ def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) ->
         if wp.static(of_boxes):
             # where two sides are equal in quantized coordinates, the exact boxes decide
             tied = lanes & ~overlapping_inside(target.nodes, block, box, first, last)
-            if wp.static(is_thick):
-                if tied != _NONE:
-                    lanes = lanes & ~thick_separated_mask(
-                        vertices_t0,
-                        vertices_t1,
-                        options.inflation,
-                        options.box_radius,
-                        target.corners,
-                        block,
-                        tree_pair.num_target_corners,
-                        query.corners,
-                        q / WIDTH,
-                        q % WIDTH,
-                        tree_pair.num_query_corners,
-                        tied,
-                    )
-            elif tied != _NONE:
-                lanes = lanes & ~separated_mask(
-                    vertices_t0,
-                    vertices_t1,
-                    options.inflation,
-                    target.corners,
-                    block,
-                    tree_pair.num_target_corners,
-                    query.corners,
-                    q / WIDTH,
-                    q % WIDTH,
-                    tree_pair.num_query_corners,
-                    tied,
+            if tied != _NONE:
+                lanes = lanes & ~apart(
+                    query, target, tree_pair, options, vertices_t0, vertices_t1, q / WIDTH, q % WIDTH, block, tied
                 )
         every = united(lanes)
         if every == _NONE:

@@ -21,14 +21,14 @@ from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners, vec8i, vec8u
 from .collected import make_collected
 from .collision_filter import CollisionFilter, are_bodies_listed, is_excluded, is_listed
+from .exact_boxes import boxes_apart, thick_boxes_apart
 from .interrupts import is_stopped
 from .lanes import lowest_bit, moving_overlap_mask, number_of_bits, overlap_mask, shared_vertex_mask
 from .minima import CANDIDATES, FOUND, Minima
 from .once import once
-from .pair_lanes import append_keys, separated_mask
+from .pair_lanes import append_keys
 from .search_types import BOXES, CULL, SearchOptions, SearchRange, TreePair, is_turned
 from .simd import fingerprint
-from .thickness import thick_separated_mask
 
 _LANES = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
@@ -107,6 +107,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     # the trees of a search for contacts hold endpoint AABBs
     overlaps = moving_overlap_mask if end == CULL else overlap_mask
+    apart = thick_boxes_apart if is_thick else boxes_apart
     collected_candidates = make_collected(width, is_thick)
     collect = collected_candidates.collect
     cull_rest = collected_candidates.cull_rest
@@ -174,35 +175,9 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         """Keep the partners of a query in a block whose boxes overlap its own in float64; returns their number."""
         q = query_block * WIDTH + query_lane
         mask = wp.uint32(partners)
-        if wp.static(is_thick):
-            if (mask & tied) != _NONE:
-                mask = mask & ~thick_separated_mask(
-                    vertices_t0,
-                    vertices_t1,
-                    options.inflation,
-                    options.box_radius,
-                    target.corners,
-                    block,
-                    tree_pair.num_target_corners,
-                    query.corners,
-                    query_block,
-                    query_lane,
-                    tree_pair.num_query_corners,
-                    mask & tied,
-                )
-        elif (mask & tied) != _NONE:
-            mask = mask & ~separated_mask(
-                vertices_t0,
-                vertices_t1,
-                options.inflation,
-                target.corners,
-                block,
-                tree_pair.num_target_corners,
-                query.corners,
-                query_block,
-                query_lane,
-                tree_pair.num_query_corners,
-                mask & tied,
+        if (mask & tied) != _NONE:
+            mask = mask & ~apart(
+                query, target, tree_pair, options, vertices_t0, vertices_t1, query_block, query_lane, block, mask & tied
             )
         if mask == _NONE:
             return 0

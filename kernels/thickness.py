@@ -12,16 +12,13 @@ box holds all that is within its radius, and a thick body enlarges no other body
 
 import warp as wp
 
-from .boxes import Box, inflated, next_below, point_box, united
-from .lanes import lowest_bit
+from .boxes import next_below
 from .minima import INVALID_INPUT, Minima, flag_world
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 _ZERO = wp.constant(wp.float64(0.0))
-_NONE = wp.constant(wp.uint32(0))
-_ONE = wp.constant(wp.uint32(1))
 
 
 @wp.func
@@ -52,75 +49,6 @@ def sum_up(a: wp.float64, b: wp.float64) -> wp.float64:
 def distance_of(minimum: wp.float64, radius: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp.float64:
     """Distance at which a pair counts as touching, from the vertices of its primitives, rounded up."""
     return sum_up(minimum, sum_up(radius_of(radius, first), radius_of(radius, second)))
-
-
-@wp.func
-def thick_box(
-    corners: wp.vec3i,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    inflation: wp.float64,
-    box_radius: wp.array[wp.float64],
-) -> Box:
-    """The box of a primitive over the whole step: exactly that of which `vertex_aabb` quantizes the parts."""
-    box = Box()
-    for k in range(3):
-        v = corners[k]
-        part = inflated(united(point_box(vertices_t0[v]), point_box(vertices_t1[v])), inflation)
-        part = inflated(part, box_radius[v])
-        if k == 0:
-            box = part
-        else:
-            box = united(box, part)
-    return box
-
-
-@wp.func
-def are_apart(a: Box, b: Box) -> bool:
-    """Whether an axis separates two closed boxes."""
-    x = a.lower[0] > b.upper[0] or b.lower[0] > a.upper[0]
-    y = a.lower[1] > b.upper[1] or b.lower[1] > a.upper[1]
-    return x or y or a.lower[2] > b.upper[2] or b.lower[2] > a.upper[2]
-
-
-@wp.func
-def corners_at(corners: wp.array[wp.int32], block: int, lane: int, num_corners: int) -> wp.vec3i:
-    """Vertices of the primitive in a lane of a block of a tree, of which one repeats."""
-    first = block * 48 + lane
-    a = corners[first]
-    c = wp.vec3i(a, a, a)
-    for k in range(1, num_corners):
-        c[k] = corners[first + 16 * k]
-    return c
-
-
-@wp.func
-def thick_separated_mask(
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    inflation: wp.float64,
-    box_radius: wp.array[wp.float64],
-    corners: wp.array[wp.int32],
-    block: int,
-    num_corners: int,
-    query_corners: wp.array[wp.int32],
-    query_block: int,
-    query_lane: int,
-    num_query_corners: int,
-    tied: wp.uint32,
-) -> wp.uint32:
-    """`separated_mask` of `pair_lanes` for boxes that grow by radii."""
-    q = corners_at(query_corners, query_block, query_lane, num_query_corners)
-    query = thick_box(q, vertices_t0, vertices_t1, inflation, box_radius)
-    apart = wp.uint32(0)
-    left = wp.uint32(tied)
-    while left != _NONE:
-        lane = lowest_bit(left)
-        left = left & (left - _ONE)
-        c = corners_at(corners, block, lane, num_corners)
-        if are_apart(query, thick_box(c, vertices_t0, vertices_t1, inflation, box_radius)):
-            apart = apart | (_ONE << wp.uint32(lane))
-    return apart
 
 
 @wp.kernel

@@ -1,0 +1,96 @@
+"""Boxes in float64: where two sides are equal in quantized coordinates, these decide whether they overlap.
+
+The boxes are exactly those of which `fill_vertex_aabbs` quantizes the parts for ``t_end`` = 1: without radii by
+`pair_lanes`, and with radii, by which the box of each vertex grows, one box after another.
+"""
+
+import warp as wp
+
+from .box_tree import WIDTH, BoxTree, box_corners
+from .boxes import Box, inflated, point_box, united
+from .lanes import lowest_bit
+from .pair_lanes import separated_mask
+from .search_types import SearchOptions, TreePair
+
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
+
+
+@wp.func
+def thick_box(
+    corners: wp.vec3i, vertices_t0: wp.array[wp.vec3d], vertices_t1: wp.array[wp.vec3d], options: SearchOptions
+) -> Box:
+    """The box of a primitive over the whole step."""
+    box = Box()
+    for k in range(3):
+        v = corners[k]
+        part = inflated(united(point_box(vertices_t0[v]), point_box(vertices_t1[v])), options.inflation)
+        part = inflated(part, options.box_radius[v])
+        if k == 0:
+            box = part
+        else:
+            box = united(box, part)
+    return box
+
+
+@wp.func
+def are_apart(a: Box, b: Box) -> bool:
+    """Whether an axis separates two closed boxes."""
+    x = a.lower[0] > b.upper[0] or b.lower[0] > a.upper[0]
+    y = a.lower[1] > b.upper[1] or b.lower[1] > a.upper[1]
+    return x or y or a.lower[2] > b.upper[2] or b.lower[2] > a.upper[2]
+
+
+@wp.func
+def boxes_apart(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    query_block: int,
+    query_lane: int,
+    block: int,
+    tied: wp.uint32,
+) -> wp.uint32:
+    """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
+    return separated_mask(
+        vertices_t0,
+        vertices_t1,
+        options.inflation,
+        target.corners,
+        block,
+        tree_pair.num_target_corners,
+        query.corners,
+        query_block,
+        query_lane,
+        tree_pair.num_query_corners,
+        tied,
+    )
+
+
+@wp.func
+def thick_boxes_apart(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    query_block: int,
+    query_lane: int,
+    block: int,
+    tied: wp.uint32,
+) -> wp.uint32:
+    """The same for boxes that grow by radii."""
+    box = thick_box(box_corners(query, query_block * WIDTH + query_lane), vertices_t0, vertices_t1, options)
+    mask = wp.uint32(0)
+    left = wp.uint32(tied)
+    while left != _NONE:
+        lane = lowest_bit(left)
+        left = left & (left - _ONE)
+        other = thick_box(box_corners(target, block * WIDTH + lane), vertices_t0, vertices_t1, options)
+        if are_apart(box, other):
+            mask = mask | (_ONE << wp.uint32(lane))
+    return mask
