@@ -30,10 +30,10 @@ from .hash_grid import (
     level_of_cell,
 )
 from .interrupts import is_stopped
-from .lanes import chosen, lowest_bit, number_of_bits, shared_vertex_mask
+from .lanes import chosen, lowest_bit
 from .minima import CANDIDATES, Minima
 from .once import once
-from .pair_search import lanes_after, lanes_before, make_pair_search
+from .pair_search import lanes_before, make_pair_search
 from .search_types import BOXES, SearchOptions, SearchRange, TreePair
 from .simd import fingerprint
 
@@ -131,89 +131,8 @@ def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
     module = wp.get_module(f"ccd_warp.grid_search.{end}{lists}{thick}.{width}.{fingerprint()}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
     functions = make_pair_search(end, with_lists, width, is_thick)
-    overlaps, partners_of, keep = functions.overlaps, functions.partners_of, functions.keep
-    collect, cull_rest, num_collected = functions.collect, functions.cull_rest, functions.num_collected
-
-    @wp.func
-    def search_block(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        query_block: int,
-        queries: wp.uint32,  # lanes of the query block
-        block: int,
-        targets: wp.uint32,  # lanes of the block
-        is_own: bool,  # the block is the query block
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ) -> int:
-        """Search some boxes of a block for partners of several queries; returns the number of candidates."""
-        num_candidates = int(0)
-        left = wp.uint32(queries)
-        while left != _NONE:
-            query_lane = lowest_bit(left)
-            left = left & (left - wp.uint32(1))
-            both = overlaps(target.nodes, block, query.nodes, query_block, query_lane, 1)
-            mask = both & targets
-            if is_own:
-                mask = mask & lanes_after(query_lane)
-            if mask != _NONE:
-                mask = mask & ~shared_vertex_mask(
-                    target.corners,
-                    block,
-                    tree_pair.num_target_corners,
-                    query.corners,
-                    query_block,
-                    query_lane,
-                    tree_pair.num_query_corners,
-                )
-            if mask != _NONE:
-                q = query_block * WIDTH + query_lane
-                mask = partners_of(query, target, tree_pair, collision_filter, q, block, mask)
-                if wp.static(with_cull):
-                    if mask != _NONE:
-                        num_candidates += number_of_bits(mask)
-                        collect(
-                            query,
-                            target,
-                            tree_pair,
-                            options,
-                            vertices_t0,
-                            vertices_t1,
-                            q,
-                            block,
-                            mask,
-                            part,
-                            counts,
-                            keys,
-                            minima,
-                            collected,
-                        )
-                else:
-                    num_candidates += keep(
-                        query,
-                        target,
-                        tree_pair,
-                        options,
-                        vertices_t0,
-                        vertices_t1,
-                        query_block,
-                        query_lane,
-                        block,
-                        mask,
-                        ~(both >> wp.uint32(WIDTH)),
-                        part,
-                        counts,
-                        keys,
-                    )
-        return num_candidates
+    overlaps, search_block = functions.overlaps, functions.search_block
+    cull_rest, num_collected = functions.cull_rest, functions.num_collected
 
     @wp.func
     def search_run(
@@ -271,7 +190,7 @@ def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
                         near,
                         block,
                         targets,
-                        block == own_block,
+                        own_block,
                         part,
                         counts,
                         keys,

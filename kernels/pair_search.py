@@ -198,7 +198,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         )
 
     @wp.func
-    def search_leaf(
+    def search_block(
         query: BoxTree,
         target: BoxTree,
         tree_pair: TreePair,
@@ -209,21 +209,23 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         query_block: int,
         queries: wp.uint32,  # lanes of the query block
         block: int,
+        targets: wp.uint32,  # lanes of the block
+        own_block: int,  # the query block among blocks of the same boxes, otherwise -1
         part: SearchRange,
         counts: wp.array2d[wp.int64],
         keys: wp.array[wp.int64],
         minima: Minima,
         collected: wp.array[wp.int32],
     ) -> int:
-        """Search a leaf block of the targets for partners of several queries; returns the number of candidates."""
+        """Search some boxes of a block for partners of several queries; returns the number of candidates."""
         num_candidates = int(0)
         left = wp.uint32(queries)
         while left != _NONE:
             query_lane = lowest_bit(left)
             left = left & (left - wp.uint32(1))
             both = overlaps(target.nodes, block, query.nodes, query_block, query_lane, 1)
-            mask = both & _LANES
-            if tree_pair.within != 0 and block == query_block:
+            mask = both & targets
+            if block == own_block:
                 mask = mask & lanes_after(query_lane)
             if mask != _NONE:
                 mask = mask & ~shared_vertex_mask(
@@ -302,6 +304,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         query_block = item
         if item_level == 0:
             query_block = item / WIDTH
+        own_block = wp.where(tree_pair.within != 0, query_block, -1)
         num_candidates = int(0)
         collected = wp.zeros(shape=num_collected, dtype=wp.int32)
         pending = vec8u()
@@ -311,7 +314,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
         node[top] = 0
         mask = overlaps(target.nodes, target.block_begin[top], query.nodes, item_block, item_lane, 0)
         pending[top] = without_preceding(mask, tree_pair.within, query_block, top, 0)
-        # branches here and in `search_leaf`, not early `continue`s, with which a search of boxes takes 6 to 10 % longer
+        # branches here and in `search_block`, no early `continue`s, with which a search of boxes takes 6 to 10 % longer
         while level <= top:
             if pending[level] == _NONE:
                 level += 1
@@ -335,7 +338,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
                     if item_level == 1:
                         parent = target.block_begin[1] + node[1]
                         queries = overlaps(query.nodes, query_block, target.nodes, parent, lane, 0)
-                    num_candidates += search_leaf(
+                    num_candidates += search_block(
                         query,
                         target,
                         tree_pair,
@@ -346,6 +349,8 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
                         query_block,
                         queries,
                         child,
+                        _LANES,
+                        own_block,
                         part,
                         counts,
                         keys,
@@ -360,9 +365,7 @@ def make_pair_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
     return SimpleNamespace(
         search_pairs=search_pairs,
         overlaps=overlaps,
-        partners_of=partners_of,
-        keep=keep,
-        collect=collect,
+        search_block=search_block,
         cull_rest=cull_rest,
         num_collected=num_collected,
     )
