@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
+from ccd_warp._engine.lengths import half_up, sum_up
 from ccd_warp._engine.proximities import (
     PROXIMITY_DTYPES,
     new_proximity_list,
     reach_of,
-    rounded_sum,
 )
 from ccd_warp._engine.proximity_step import largest_bound
-from ccd_warp._engine.scene import half_up, moves_alone
+from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import Topology
 from ccd_warp._engine.trees import search_options
@@ -203,7 +203,7 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     def values(self, search_radius: float) -> _Values:
         """The values of a launch with a search radius."""
         kept = self._options.minimum_distance
-        return self._values_of(rounded_sum(search_radius, kept), kept, largest_bound(search_radius, self._is_alone))
+        return self._values_of(sum_up(search_radius, kept), kept, largest_bound(search_radius, self._is_alone))
 
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         super()._record_input(recording, form, stages, is_copied, is_first)

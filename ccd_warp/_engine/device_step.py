@@ -13,9 +13,10 @@ from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.grids import Grid, choose_cell
+from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.scene import half_up, length_scale_of, moves_alone, norm_of, possible_kinds
+from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses

@@ -20,8 +20,8 @@ from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_candidates
-from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.search import KEY_BYTES, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace

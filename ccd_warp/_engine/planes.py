@@ -1,7 +1,6 @@
 """The planes of half-spaces on a device, and which vertices are near them or in the solid, on the host."""
 
 import math
-import sys
 from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+
+from ccd_warp._engine.lengths import next_above
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -113,7 +114,7 @@ def plane_query(options: "Options", separation: float, *, is_euclidean: bool) ->
     query.is_euclidean = int(is_euclidean)
     query.distance = separation
     if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
-        query.distance = min(math.nextafter(separation, math.inf), sys.float_info.max)
+        query.distance = next_above(separation)
     query.start_gap_fraction = 0.0 if options.start_gap_fraction is None else options.start_gap_fraction
     query.t_max = options.t_max
     return query

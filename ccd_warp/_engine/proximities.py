@@ -1,10 +1,8 @@
 """Lists of pairs that are near at one time, and what kernels are told of how near that is."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -30,13 +28,6 @@ def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.
     reach = kernels.Reach()
     reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, radius, stop
     return reach
-
-
-def rounded_sum(a: float, b: float) -> float:
-    """The sum of two lengths, rounded up."""
-    if a == 0.0 or b == 0.0:
-        return a + b
-    return min(math.nextafter(a + b, math.inf), np.finfo(np.float64).max.item())
 
 
 def new_proximity_list(arrays: Mapping[str, wp.array]) -> Any:

@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.host_step import Step
-from ccd_warp._engine.proximities import (
-    BYTES_PER_PROXIMITY,
-    ProximityStore,
-    reach_of,
-    rounded_sum,
-)
-from ccd_warp._engine.scene import half_up, moves_alone
+from ccd_warp._engine.lengths import half_up, sum_up
+from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, reach_of
+from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -119,7 +115,7 @@ class DisplacementStep(_StepAtOneTime):
     def bounds(self, search_radius: float) -> NDArray[np.float64]:
         """For each vertex the length by which it may move."""
         kept = self.options.minimum_distance
-        distance = rounded_sum(search_radius, kept)
+        distance = sum_up(search_radius, kept)
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):

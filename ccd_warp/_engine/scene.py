@@ -1,7 +1,5 @@
-"""Which stages a scene needs: kinds of pairs, pairs of moving bodies, and the enlargement of boxes."""
+"""Which stages a scene needs: kinds of pairs, pairs of moving bodies, and the norm of separations."""
 
-import math
-import sys
 from typing import TYPE_CHECKING
 
 from ccd_warp._input.arguments import shown
@@ -45,11 +43,6 @@ def moves_alone(mesh: "CollisionMesh") -> bool:
     return len(moving) == 1 and not moving.any()
 
 
-def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
-    """The unit of tolerance and separation: that of the options, or the size of the mesh."""
-    return mesh.length_scale if options.length_scale is None else options.length_scale
-
-
 def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False) -> str:
     """The norm of separations (``kernels.norm``): with radii each pair has a distance of its own.
 
@@ -69,10 +62,3 @@ def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = Fal
             f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
         )
     return THICK_NORM
-
-
-def half_up(separation: float) -> float:
-    """Half a length, rounded up, for the boxes of both primitives of a pair."""
-    if separation <= 0.0:
-        return 0.0
-    return min(math.nextafter(0.5 * separation, math.inf), sys.float_info.max)

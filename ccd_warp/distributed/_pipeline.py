@@ -12,6 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.candidates import validated_inflation
+from ccd_warp._engine.lengths import half_up, length_scale_of, sum_up
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -21,7 +22,6 @@ from ccd_warp._engine.line_search import (
     search_step,
     validated_line_search,
 )
-from ccd_warp._engine.scene import half_up, length_scale_of
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
@@ -283,7 +283,6 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
         """
-        from ccd_warp._engine.proximities import rounded_sum
         from ccd_warp.distributed._part_proximity import PartDisplacementStep  # few programs need it
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -298,7 +297,7 @@ class DistributedPipeline:
             with naming("displacement_bounds"):
                 search_radius = validated_search_radius(search_radius, self._options)
             self._check_same_length("search_radius", search_radius)
-            inflation = half_up(rounded_sum(search_radius, self._options.minimum_distance))
+            inflation = half_up(sum_up(search_radius, self._options.minimum_distance))
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
     def find_intersections(self, positions: ArrayLike) -> DistributedIntersections:
