@@ -402,7 +402,7 @@ class CollisionPipeline:
 
         with naming("launch_proximity"):
             distance = validated_distance(distance)
-        return self._launch_at_one_time(DeviceProximityStep, positions, distance).proximities
+        return self._launch_at_one_time(DeviceProximityStep, positions, distance)
 
     def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
         """For each vertex a length by which it may move, on the device, without waiting for the result.
@@ -425,10 +425,10 @@ class CollisionPipeline:
 
         with naming("launch_displacement_bounds"):
             search_radius = validated_search_radius(search_radius, self._options)
-        return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius).displacements
+        return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius)
 
     def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
-        """Launch on a step of a kind, which is made now if there is none; returns the step."""
+        """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
         with self._lock:
             step = self._at_one_time.get(kind)
             if step is None:
@@ -439,7 +439,7 @@ class CollisionPipeline:
             self._at_one_time.pop(kind, None)
             step.launch_within(prepared, step.values(length))
             self._at_one_time[kind] = step
-            return step
+            return step.arrays
 
     @property
     def num_allocations(self) -> int:

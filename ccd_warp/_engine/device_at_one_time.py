@@ -5,6 +5,7 @@ kernels for distances in place of the narrow phase. How near is near may change 
 static bodies are made again where they had another size.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,11 +17,7 @@ from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
 from ccd_warp._engine.lengths import half_up, sum_up
-from ccd_warp._engine.proximities import (
-    PROXIMITY_DTYPES,
-    new_proximity_list,
-    reach_of,
-)
+from ccd_warp._engine.proximities import PROXIMITY_DTYPES, new_proximity_list, reach_of
 from ccd_warp._engine.proximity_step import largest_bound
 from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.stages import Stages
@@ -44,8 +41,12 @@ class _Values(NamedTuple):
     largest: float
 
 
-class DeviceAtOneTime(DeviceStep):
-    """A step on the device at one time."""
+class DeviceAtOneTime(DeviceStep, ABC):
+    """A step on the device at one time.
+
+    Attributes:
+        arrays: The arrays to which launches write.
+    """
 
     _has_narrow_phase = False
 
@@ -69,6 +70,15 @@ class DeviceAtOneTime(DeviceStep):
         self._stages = replace(
             self._stages, inflation=Slot("inflation"), search_options=Slot("search options"), reach=Slot("reach")
         )
+        self.arrays = self._new_arrays(capacities.max_contacts)
+
+    @abstractmethod
+    def _new_arrays(self, capacity: int) -> Any:
+        """Allocate the arrays to which launches write, with capacity for so many pairs."""
+
+    @abstractmethod
+    def values(self, length: float) -> _Values:
+        """The values of a launch with a distance, or with a search radius."""
 
     def prepare_positions(self, positions: Any) -> PreparedLaunch:
         """Check the positions of a launch, one row for every vertex."""
@@ -115,35 +125,22 @@ class DeviceAtOneTime(DeviceStep):
             self._record_distances(recording, self._record_pairs(recording, form))
         return recording
 
+    @abstractmethod
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         """Record what takes the place of the narrow phase."""
-        raise NotImplementedError
 
 
 class DeviceProximityStep(DeviceAtOneTime):
-    """The pairs within a distance.
+    """The pairs within a distance."""
 
-    Attributes:
-        proximities: The arrays to which launches write.
-    """
-
-    def __init__(
-        self,
-        topology: Topology,
-        options: Options,
-        capacities: Capacities,
-        vertices: NDArray[np.float64],
-        radius: wp.array | None,
-    ) -> None:
-        """Allocate everything."""
-        super().__init__(topology, options, capacities, vertices, radius)
-        arrays = {name: self._empty(capacities.max_contacts, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
+    def _new_arrays(self, capacity: int) -> DeviceProximities:
+        arrays = {name: self._empty(capacity, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
         listed = {"count": self._count, "kind": arrays["kind"], "primitives": arrays["primitives"]}
-        self.contact_arrays = ContactArrays(topology, self._execution, listed, "proximities")
+        self.contact_arrays = ContactArrays(self.topology, self._execution, listed, "proximities")
         result = self.result
-        self.proximities = DeviceProximities(
+        return DeviceProximities(
             count=self._count,
             **arrays,
             flags=result.flags,
@@ -152,9 +149,8 @@ class DeviceProximityStep(DeviceAtOneTime):
             _step=self,
         )
 
-    def values(self, distance: float) -> _Values:
-        """The values of a launch with a distance."""
-        return self._values_of(distance, 0.0, 0.0)
+    def values(self, length: float) -> _Values:
+        return self._values_of(length, 0.0, 0.0)
 
     def positions(self) -> NDArray[np.float64]:
         """What the positions of the last launch are now; this waits for the device."""
@@ -173,26 +169,13 @@ class DeviceProximityStep(DeviceAtOneTime):
 
 
 class DeviceDisplacementStep(DeviceAtOneTime):
-    """How far vertices may move.
+    """How far vertices may move."""
 
-    Attributes:
-        displacements: The arrays to which launches write.
-    """
-
-    def __init__(
-        self,
-        topology: Topology,
-        options: Options,
-        capacities: Capacities,
-        vertices: NDArray[np.float64],
-        radius: wp.array | None,
-    ) -> None:
-        """Allocate everything."""
-        super().__init__(topology, options, capacities, vertices, radius)
+    def _new_arrays(self, capacity: int) -> DeviceDisplacements:
         self._is_alone = moves_alone(self._mesh)
-        _ = topology.body_static  # computed now, not during a capture
+        _ = self.topology.body_static  # computed now, not during a capture
         result = self.result
-        self.displacements = DeviceDisplacements(
+        return DeviceDisplacements(
             bounds=result.vertex_toi,
             flags=result.flags,
             world_flags=result.world_flags,
@@ -200,10 +183,9 @@ class DeviceDisplacementStep(DeviceAtOneTime):
             _step=self,
         )
 
-    def values(self, search_radius: float) -> _Values:
-        """The values of a launch with a search radius."""
+    def values(self, length: float) -> _Values:
         kept = self._options.minimum_distance
-        return self._values_of(sum_up(search_radius, kept), kept, largest_bound(search_radius, self._is_alone))
+        return self._values_of(sum_up(length, kept), kept, largest_bound(length, self._is_alone))
 
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         super()._record_input(recording, form, stages, is_copied, is_first)
