@@ -1,8 +1,8 @@
 """What is near at one time: a step whose two ends are the same positions, with distances in place of times."""
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,9 +15,7 @@ from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, re
 from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.options import Options
 from ccd_warp._proximities import Proximities
-from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import proximity as kernels
 
@@ -35,18 +33,9 @@ class _StepAtOneTime(Step):
 
     goal: Goal
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        positions: Positions,
-        options: Options,
-        checking_seconds: float = 0.0,
-        show: Callable[[Progress], None] | None = None,
-    ) -> None:
-        """Begin at the first of these positions."""
-        super().__init__(
-            workspace.at_one_time(self.goal), (positions[0], positions[0]), options, checking_seconds, show
-        )
+    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
+        """Begin at the first of these positions; the other arguments are those of every step."""
+        super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
         self.survivors: Counter[PairKind] = Counter()
 
     def search(self, distance: float) -> HostPlan:

@@ -366,36 +366,14 @@ class Stages:
 
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel for the pairs of each kind that the search has found."""
-        counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
         chunk = 1 if launcher.is_cuda else _CHUNK
         with launcher.at_once():
-            for kind in self.kinds:
-                keys = self.keys[kind]
-                solvers = _SOLVERS_PER_THREAD * launcher.num_threads
+            for kind, keys in self.keys.items():
+                solvers = None
                 if launcher.is_cuda:
                     solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
-                found = None if counts is None else counts[kind]
-                launcher.launch(
-                    kernel,
-                    solvers,
-                    inputs=[
-                        solvers,
-                        chunk,
-                        int(kind),
-                        self.counts,
-                        keys,
-                        *corners,
-                        self.vertices_t0,
-                        self.reach,
-                        *inputs,
-                    ],
-                    outputs=outputs,
-                    grain=1,
-                    parts_per_thread=_SOLVERS_PER_THREAD,
-                    num_needed=lambda f=found: -(-int(f[FOUND]) // chunk),  # type: ignore[misc]
-                    is_long=lambda f=found, n=solvers: bool(f[FOUND] > _LONG_PART * n),  # type: ignore[misc]
-                )
+                pairs = [*self._pairs(kind), self.vertices_t0, self.reach, *inputs]
+                self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs, num_solvers=solvers)
 
     def _narrow_phase(
         self,
@@ -405,29 +383,46 @@ class Stages:
         inputs: list[Any],
         outputs_of: Callable[[PairKind], list[Any]],
     ) -> None:
-        """Launch kernels for the pairs of each kind that the search has found; only the device knows their number."""
+        """Launch kernels for the pairs of each kind that the search has found."""
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
-        counts = self.counts.numpy() if not launcher.is_cuda else None  # a view of what the search has found
         with launcher.at_once():
-            for kind in self.kinds:
-                keys = self.keys[kind]
-                corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
-                pairs = [int(kind), self.counts, keys, *corners, self.vertices_t0, self.vertices_t1]
-                pairs += [self.options, int(is_second)]
+            for kind, keys in self.keys.items():
+                pairs = [*self._pairs(kind), self.vertices_t0, self.vertices_t1, self.options, int(is_second)]
                 if launcher.is_cuda:
                     kernels = getattr(queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm), name)
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
                     launch_queued(launcher, kernels, most_pairs, [*pairs, self.queue, *inputs], outputs_of(kind))
                     continue
-                found = None if counts is None else counts[kind]
-                solvers = _SOLVERS_PER_THREAD * launcher.num_threads
-                launcher.launch(
-                    getattr(self.narrow_phase, name),
-                    solvers,
-                    inputs=[solvers, chunk, *pairs, *inputs],
-                    outputs=outputs_of(kind),
-                    grain=1,
-                    parts_per_thread=_SOLVERS_PER_THREAD,
-                    num_needed=lambda f=found: 0 if is_second and not f[OPEN] else -(-int(f[FOUND]) // chunk),  # type: ignore[misc]
-                    is_long=lambda f=found, n=solvers: bool(f[OPEN] or f[FOUND] > _LONG_PART * n),  # type: ignore[misc]
-                )
+                kernel, pairs = getattr(self.narrow_phase, name), [*pairs, *inputs]
+                self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs_of(kind), only_open=is_second)
+
+    def _pairs(self, kind: PairKind) -> list[Any]:
+        """The pairs of a kind as kernels take them."""
+        corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
+        return [int(kind), self.counts, self.keys[kind], *corners]
+
+    def _launch_solvers(
+        self,
+        launcher: Launcher,
+        kernel: Any,
+        kind: PairKind,
+        chunk: int,
+        inputs: list[Any],
+        outputs: list[Any],
+        *,
+        num_solvers: int | None = None,
+        only_open: bool = False,
+    ) -> None:
+        """Launch solvers that share the pairs of a kind, chunk by chunk; only the device knows how many these are."""
+        solvers = num_solvers or _SOLVERS_PER_THREAD * launcher.num_threads
+        found: Any = None if launcher.is_cuda else self.counts.numpy()[kind]  # a view of what the search has found
+        launcher.launch(
+            kernel,
+            solvers,
+            inputs=[solvers, chunk, *inputs],
+            outputs=outputs,
+            grain=1,
+            parts_per_thread=_SOLVERS_PER_THREAD,
+            num_needed=lambda: 0 if only_open and not found[OPEN] else -(-int(found[FOUND]) // chunk),
+            is_long=lambda: bool(found[OPEN] or found[FOUND] > _LONG_PART * solvers),
+        )
