@@ -69,7 +69,7 @@ def make_advance(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespa
     Facet = make_facets(real, 1).Facet
     widest_facet = make_facets(real, 1).widest_facet
     clip_facet = make_facets(real, 1).clip_facet
-    num_sides = make_facets(real, 1).num_sides
+    num_sides = make_patch(real, 1).num_sides
 
     @wp.func
     def advance_volume(problem: Problem, t_start: real, t_max: real) -> real:

@@ -14,7 +14,6 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .facets import make_facets
 from .lane_closest import make_lane_closest
 from .moving_clip import make_moving_clip
 from .norm import EUCLIDEAN_NORM, make_norm
@@ -44,10 +43,11 @@ def make_ball(real, width: int) -> SimpleNamespace:
     select = simd.select
     dot = simd.dot
     cross = simd.cross
-    Corners = make_patch(real, width).Corners
-    facets = make_facets(real, width)
-    side_of = facets.side_of
-    beyond = facets.beyond
+    patch = make_patch(real, width)
+    Corners = patch.Corners
+    side_of = patch.side_of
+    num_sides = patch.num_sides
+    beyond = patch.beyond
     closest = make_lane_closest(real, width).closest
     norm = make_norm(real, width, EUCLIDEAN_NORM)
     length = norm.length
@@ -170,7 +170,7 @@ def make_ball(real, width: int) -> SimpleNamespace:
         near = closest(c, is_face)
         share = greatest(share, share_along(c, near.d, separation, error))
         share = greatest(share, share_along(c, near.point, separation, error))
-        for side in range(facets.num_sides(is_face)):
+        for side in range(num_sides(is_face)):
             e = side_of(c, side)
             share = greatest(share, share_along(c, cross(e, cross(near.point, e)), separation, error))
         return share

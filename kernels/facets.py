@@ -33,7 +33,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
     spread = simd.spread
     minus = simd.minus
     magnitude = simd.magnitude
-    least = simd.least
     greatest = simd.greatest
     is_less = simd.is_less
     is_at_most = simd.is_at_most
@@ -41,7 +40,11 @@ def make_facets(real, width: int) -> SimpleNamespace:
     select = simd.select
     dot = simd.dot
     cross = simd.cross
-    Corners = make_patch(real, width).Corners
+    patch = make_patch(real, width)
+    Corners = patch.Corners
+    side_of = patch.side_of
+    num_sides = patch.num_sides
+    beyond = patch.beyond
 
     zero = wp.constant(real(0.0))
     one = wp.constant(real(1.0))
@@ -69,16 +72,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
         x = spread(wp.where(axis == 0, one, zero))
         y = spread(wp.where(axis == 1, one, zero))
         return vec(x, y, spread(wp.where(axis == 2, one, zero)))
-
-    @simd.func
-    def side_of(c: Corners, side: int) -> Vec3:
-        """Sides of distinct directions: along v, along u at v = 0, along u at v = 1."""
-        s = c.w01 - c.w00
-        if side == 1:
-            s = c.w10 - c.w00
-        if side == 2:
-            s = c.w11 - c.w01
-        return s
 
     @simd.func
     def is_first_side(number: Lanes) -> Mask:
@@ -118,16 +111,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
         e_z = select(is_z, spread(one), nothing)
         return select(is_axis(number), vec(e_x, spread(one) - e_x - e_z, e_z), vec(x, y, z))
 
-    @wp.func
-    def beyond(d: Vec3, c: Corners) -> Lanes:
-        """Distance along d by which the patch is beyond the origin, on either side."""
-        p = dot(d, c.w00)
-        q = dot(d, c.w01)
-        r = dot(d, c.w10)
-        s = dot(d, c.w11)
-        low = least(least(p, q), least(r, s))
-        return greatest(low, minus(greatest(greatest(p, q), greatest(r, s))))
-
     @simd.func
     def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3) -> Facet:
         """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
@@ -144,11 +127,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
             facet.slack = select(is_wider, slack, facet.slack)
             facet.number = select(is_wider, spread(real(number)), facet.number)
         return facet
-
-    @wp.func
-    def num_sides(is_face: bool) -> int:
-        """Sides of distinct directions: opposite sides of a parallelogram are parallel."""
-        return wp.where(is_face, 3, 2)
 
     @wp.func
     def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool) -> Facet:
@@ -195,8 +173,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
     moving_clip = make_moving_clip(real, width, Lanes, direction, offset)
     return SimpleNamespace(
         Facet=Facet,
-        side_of=side_of,
-        num_sides=num_sides,
         is_first_side=is_first_side,
         is_third_side=is_third_side,
         is_axis=is_axis,
@@ -204,7 +180,6 @@ def make_facets(real, width: int) -> SimpleNamespace:
         direction=direction,
         start_gap_share=start_gap_share,
         widest_facet=widest_facet,
-        beyond=beyond,
         fall=moving_clip.fall,
         clip_facet=moving_clip.clip,
     )

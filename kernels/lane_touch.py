@@ -42,7 +42,7 @@ def make_lane_touch(real, width: int) -> SimpleNamespace:
     closest = make_lane_closest(real, width).closest
     unit_interval = make_lane_closest(real, width).unit_interval
     facets = make_facets(real, width)
-    side_of = facets.side_of
+    side_of = make_patch(real, width).side_of
     direction = facets.direction
     chosen_side = facets.chosen_side
     is_axis = facets.is_axis

@@ -30,6 +30,10 @@ def make_patch(real, width: int) -> SimpleNamespace:
     Mask = simd.Mask
     Vec3 = simd.Vec3
     spread = simd.spread
+    minus = simd.minus
+    least = simd.least
+    greatest = simd.greatest
+    dot = simd.dot
     one = wp.constant(real(1.0))
 
     @wp.struct
@@ -68,4 +72,36 @@ def make_patch(real, width: int) -> SimpleNamespace:
         c.w11 = s * t0.w11 + t * t1.w11
         return c
 
-    return SimpleNamespace(Corners=Corners, Volume=Volume, corners_at=corners_at)
+    @simd.func
+    def side_of(c: Corners, side: int) -> Vec3:
+        """Sides of distinct directions: along v, along u at v = 0, along u at v = 1."""
+        s = c.w01 - c.w00
+        if side == 1:
+            s = c.w10 - c.w00
+        if side == 2:
+            s = c.w11 - c.w01
+        return s
+
+    @wp.func
+    def num_sides(is_face: bool) -> int:
+        """Sides of distinct directions: opposite sides of a parallelogram are parallel."""
+        return wp.where(is_face, 3, 2)
+
+    @wp.func
+    def beyond(d: Vec3, c: Corners) -> Lanes:
+        """Distance along d by which the patch is beyond the origin, on either side."""
+        p = dot(d, c.w00)
+        q = dot(d, c.w01)
+        r = dot(d, c.w10)
+        s = dot(d, c.w11)
+        low = least(least(p, q), least(r, s))
+        return greatest(low, minus(greatest(greatest(p, q), greatest(r, s))))
+
+    return SimpleNamespace(
+        Corners=Corners,
+        Volume=Volume,
+        corners_at=corners_at,
+        side_of=side_of,
+        num_sides=num_sides,
+        beyond=beyond,
+    )
