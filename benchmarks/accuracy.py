@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ccd_warp.benchmarks.oracle import ExactToi, exact_tois
+from ccd_warp.benchmarks.exact_toi import ExactToi
+from ccd_warp.benchmarks.oracle import exact_tois
 
 
 @dataclass(frozen=True)

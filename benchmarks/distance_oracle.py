@@ -1,7 +1,8 @@
 """Exact oracle of Euclidean distances: when two primitives first come within a distance, by signs of polynomials.
 
-The corners V_i(t) of `oracle` are linear in t, and K(t) is their hull. The distance from the origin to K(t) is attained
-at a corner, inside a side or inside a triangle, and each of these comes within D where a polynomial is not positive:
+The corners V_i(t) of `oracle_corners` are linear in t, and K(t) is their hull. The distance from the origin to K(t) is
+attained at a corner, inside a side or inside a triangle, and each of these comes within D where a polynomial is not
+positive:
 
     corner    |V|² - D²                          degree 2
     side      |V_i × V_j|² - D²·|V_j - V_i|²     degree 4, if the foot of the perpendicular lies on the side
@@ -24,8 +25,22 @@ from functools import cmp_to_key
 from typing import NamedTuple
 
 import numpy as np
-from ccd_warp.benchmarks import oracle
-from ccd_warp.benchmarks.oracle import ZERO, ExactToi, Line, Poly, Root
+from ccd_warp.benchmarks.algebraic import ZERO, Poly, Root, unit_roots
+from ccd_warp.benchmarks.exact_toi import ExactToi
+from ccd_warp.benchmarks.oracle import certainly_apart
+from ccd_warp.benchmarks.oracle_corners import (
+    PAIRS,
+    TRIANGLES,
+    Line,
+    component,
+    difference,
+    dot,
+    integer_rows,
+    moving_corners,
+    times_line,
+    total,
+    validated,
+)
 
 
 class _Feature(NamedTuple):
@@ -56,34 +71,34 @@ def _times(k: int, a: Poly) -> Poly:
 
 
 def _cross(a: Line, b: Line) -> list[Poly]:
-    return [oracle._component(a, b, k) for k in range(3)]
+    return [component(a, b, k) for k in range(3)]
 
 
 def _square(vector: list[Poly]) -> Poly:
-    return oracle._sum(_product(x, x) for x in vector)
+    return total(_product(x, x) for x in vector)
 
 
 def _dots(a: list[Poly], b: list[Poly]) -> Poly:
-    return oracle._sum(_product(x, y) for x, y in zip(a, b, strict=True))
+    return total(_product(x, y) for x, y in zip(a, b, strict=True))
 
 
 def _features(kind: str, corners: list[Line], d: int) -> list[_Feature]:
     """The corners, sides and triangles of K, for a distance d."""
     squared = d * d
-    features = [_Feature(_minus(oracle._dot(v, v), (squared,)), (1,), ()) for v in corners]
-    for i, j in oracle._PAIRS[kind]:
+    features = [_Feature(_minus(dot(v, v), (squared,)), (1,), ()) for v in corners]
+    for i, j in PAIRS[kind]:
         if i == j:
             continue
         a, b = corners[i], corners[j]
-        side = oracle._difference(b, a)
-        length = oracle._dot(side, side)
+        side = difference(b, a)
+        length = dot(side, side)
         within = _minus(_square(_cross(a, b)), _times(squared, length))
-        features.append(_Feature(within, length, (_times(-1, oracle._dot(a, side)), oracle._dot(b, side))))
-    for i, j, m in oracle._TRIANGLES[kind]:
+        features.append(_Feature(within, length, (_times(-1, dot(a, side)), dot(b, side))))
+    for i, j, m in TRIANGLES[kind]:
         a, b, c = corners[i], corners[j], corners[m]
-        normal = _cross(oracle._difference(b, a), oracle._difference(c, a))
+        normal = _cross(difference(b, a), difference(c, a))
         area = _square(normal)
-        volume = oracle._sum(oracle._times_line(normal[k], a, k) for k in range(3))
+        volume = total(times_line(normal[k], a, k) for k in range(3))
         within = _minus(_product(volume, volume), _times(squared, area))
         # the foot is on the inner side of the side from x to y where (x × y)·n >= 0
         inside = tuple(_dots(_cross(x, y), normal) for x, y in ((a, b), (b, c), (c, a)))
@@ -103,7 +118,7 @@ def _is_within(features: list[_Feature], t: Root) -> bool:
 def _first_within(features: list[_Feature]) -> Root | None:
     if _is_within(features, ZERO):
         return ZERO
-    roots = [root for feature in features if any(feature.within) for root in oracle._roots(feature.within)]
+    roots = [root for feature in features if any(feature.within) for root in unit_roots(feature.within)]
     roots.sort(key=cmp_to_key(Root.compare))
     return next((root for root in roots if _is_within(features, root)), None)
 
@@ -111,9 +126,9 @@ def _first_within(features: list[_Feature]) -> Root | None:
 def _lines(kind: str, p0: np.ndarray, p1: np.ndarray, distance: float, t_max: float) -> tuple[list[Line], int]:
     """Corners and the distance as integers, from the points of one query."""
     dimension = p0.shape[1]
-    row = oracle._integer_rows(np.concatenate([p0.ravel(), p1.ravel(), [distance]])[None])[0]
+    row = integer_rows(np.concatenate([p0.ravel(), p1.ravel(), [distance]])[None])[0]
     ratio = t_max.as_integer_ratio()
-    return oracle._moving_corners(kind, row, dimension, ratio), row[-1] * ratio[1]
+    return moving_corners(kind, row, dimension, ratio), row[-1] * ratio[1]
 
 
 def exact_distance_tois(
@@ -131,14 +146,14 @@ def exact_distance_tois(
     Returns:
         One result for each query.
     """
-    p0, p1 = oracle._validated(kind, points_t0, points_t1)
+    p0, p1 = validated(kind, points_t0, points_t1)
     distances = np.broadcast_to(np.asarray(distance, dtype=np.float64), len(p0))
     if not ((distances > 0.0) & np.isfinite(distances)).all():
         raise ValueError(f"distance is {distance}; expected a finite number above 0")
     if not 0.0 <= t_max <= 1.0:
         raise ValueError(f"t_max is {t_max}; expected a number in [0, 1]")
     # the cull of the maximum norm checks the box around the ball, over the whole of [0, 1]
-    apart = oracle._certainly_apart(kind, p0, p1, float(distances.max(initial=0.0)))
+    apart = certainly_apart(kind, p0, p1, float(distances.max(initial=0.0)))
     results = []
     for start, end, own, is_apart in zip(p0, p1, distances.tolist(), apart.tolist(), strict=True):
         root = None
@@ -150,14 +165,14 @@ def exact_distance_tois(
 
 def is_within(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, distance: float, t: float) -> bool:
     """Whether one query is within a Euclidean distance above 0 at the time t, exactly."""
-    p0, p1 = oracle._validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
+    p0, p1 = validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
     corners, d = _lines(kind, p0[0], p1[0], distance, 1.0)
     return _is_within(_features(kind, corners, d), Root(*float(t).as_integer_ratio()))
 
 
 def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> float:
     """Euclidean distance of one query at the time t: rational until the root, which is rounded."""
-    p0, p1 = oracle._validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
+    p0, p1 = validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
     p, q = float(t).as_integer_ratio()
     corners, scale = _lines(kind, p0[0], p1[0], 1.0, 1.0)
     least = None
@@ -179,17 +194,17 @@ def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: f
 
 def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> list[Fraction]:
     """The vector from the closest point of the second primitive to that of the first at the time t, rational."""
-    p0, p1 = oracle._validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
+    p0, p1 = validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
     corners, scale = _lines(kind, p0[0], p1[0], 1.0, 1.0)
     time = Fraction(*float(t).as_integer_ratio())
     at = [[Fraction(a) + time * b for a, b in zip(*line, strict=True)] for line in corners]
     gaps = list(at)  # the nearest points of the features, as far as these hold them
-    for i, j in oracle._PAIRS[kind]:
+    for i, j in PAIRS[kind]:
         side = _apart(at[j], at[i])
         along = _inner(side, side)
         if along and 0 <= -_inner(at[i], side) <= along:
             gaps.append([a - _inner(at[i], side) / along * s for a, s in zip(at[i], side, strict=True)])
-    for i, j, m in oracle._TRIANGLES[kind]:
+    for i, j, m in TRIANGLES[kind]:
         a, b, c = at[i], at[j], at[m]
         normal = _crossed(_apart(b, a), _apart(c, a))
         if any(normal) and all(_inner(_crossed(x, y), normal) >= 0 for x, y in ((a, b), (b, c), (c, a))):

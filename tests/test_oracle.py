@@ -11,8 +11,11 @@ import numpy as np
 import published
 import pytest
 from ccd_warp.benchmarks import oracle
+from ccd_warp.benchmarks.algebraic import Root, unit_roots, value_dyadic
+from ccd_warp.benchmarks.exact_toi import ExactToi
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import POINTS, ExactToi, Root, exact_gap, exact_toi, exact_tois
+from ccd_warp.benchmarks.oracle import exact_gap, exact_toi, exact_tois
+from ccd_warp.benchmarks.oracle_corners import POINTS
 from flint import fmpq
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -307,7 +310,7 @@ rationals = st.fractions(min_value=-1, max_value=2, max_denominator=10**6) | st.
 
 @given(st.lists(rationals, min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
 def test_all_rational_roots_are_found_in_order(values: list[Fraction], scale: int) -> None:
-    roots = oracle._roots(_product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
+    roots = unit_roots(_product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
     assert all(root.denominator > 0 for root in roots)
     assert [Fraction(r.numerator, r.denominator) for r in roots] == sorted({x for x in values if 0 <= x <= 1})
 
@@ -318,7 +321,7 @@ def test_roots_of_a_quadratic_times_a_linear_factor(center: Fraction, square: Fr
     a = ((center**2 - square).limit_denominator(10**12), -2 * center, Fraction(1))
     common = math.lcm(*(x.denominator for x in a))
     poly = _product([tuple(int(x * common) for x in a), (-other.numerator, other.denominator)])
-    roots = oracle._roots(poly)
+    roots = unit_roots(poly)
     expected = {other} | {center + s * math.sqrt(square) for s in (-1, 1)}
     inside = [x for x in expected if 1e-9 < x < 1 - 1e-9]
     assert len(roots) >= len({round(float(x), 6) for x in inside})
@@ -328,9 +331,9 @@ def test_roots_of_a_quadratic_times_a_linear_factor(center: Fraction, square: Fr
 
 def test_one_number_as_the_root_of_two_polynomials() -> None:
     # t^2 = 1/2 in both; a third one has a root 2**-200 beside it.
-    first = oracle._roots((-1, 0, 2))[0]
-    second = oracle._roots(_product([(-1, 0, 2), (-3, 1000)]))[1]
-    near = oracle._roots((-(2**200) - 1, 0, 2**201))[0]
+    first = unit_roots((-1, 0, 2))[0]
+    second = unit_roots(_product([(-1, 0, 2), (-3, 1000)]))[1]
+    near = unit_roots((-(2**200) - 1, 0, 2**201))[0]
     assert not first.denominator and first.compare(second) == second.compare(first) == 0
     assert first.compare(near) == -1 and near.compare(first) == 1
     assert first.sign_of((-3, 2, 2)) == -1 and first.sign_of((-(2**200) - 1, 0, 2**201)) == -1
@@ -338,7 +341,7 @@ def test_one_number_as_the_root_of_two_polynomials() -> None:
 
 
 def test_roots_two_to_the_minus_three_hundred_apart() -> None:
-    roots = oracle._roots(_product([(-(2**300), 3 * 2**300), (-(2**300) - 1, 3 * 2**300)]))
+    roots = unit_roots(_product([(-(2**300), 3 * 2**300), (-(2**300) - 1, 3 * 2**300)]))
     assert [Fraction(r.numerator, r.denominator) for r in roots] == [Fraction(1, 3), Fraction(2**300 + 1, 3 * 2**300)]
 
 
@@ -347,11 +350,11 @@ def test_roots_two_to_the_minus_three_hundred_apart() -> None:
 def test_refinement_keeps_the_root(poly: list[int], bits: int) -> None:
     if not any(poly):
         return
-    for root in oracle._roots(tuple(poly)):
+    for root in unit_roots(tuple(poly)):
         if not root.denominator:
             root.refine(bits)
             assert root.k >= bits
-            ends = [oracle._value_dyadic(root.poly, root.a + i, root.k) for i in (0, 1)]
+            ends = [value_dyadic(root.poly, root.a + i, root.k) for i in (0, 1)]
             assert ends[0] * ends[1] < 0
             assert Root.isolated(root.poly, root.a, root.k).compare(root) == 0
 
@@ -460,7 +463,7 @@ def test_cull_changes_no_answer(
 ) -> None:
     points_t0, points_t1 = _generate(family, kind, 40, dimension, seed=4)
     culled = exact_tois(kind, points_t0, points_t1, separation)
-    monkeypatch.setattr(oracle, "_certainly_apart", lambda kind, p0, *_: np.zeros(len(p0), dtype=bool))
+    monkeypatch.setattr(oracle, "certainly_apart", lambda kind, p0, *_: np.zeros(len(p0), dtype=bool))
     full = exact_tois(kind, points_t0, points_t1, separation)
     assert [(r.hit, r.approx) for r in culled] == [(r.hit, r.approx) for r in full]
 
