@@ -95,7 +95,7 @@ def measure(folder: Path, arch: int, words: Iterable[str] | None = None) -> dict
     """The figures of every kernel, by module and name, of the modules whose name contains one of the words."""
     ptxas, nvdisasm = require_ptxas(), find_tool("nvdisasm")
     wp.config.log_level = wp.LOG_ERROR
-    modules = cuda_modules()
+    modules = cuda_modules(with_distances=True)
     chosen = [name for name in modules if not words or any(word in name for word in words)]
     if not chosen:
         raise ValueError(f"--modules: no module has one of {list(words or [])} in its name; there are {list(modules)}")
