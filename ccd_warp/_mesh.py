@@ -14,17 +14,14 @@ from ccd_warp._display import counted, html_table, listed, shown_range
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
+from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.half_spaces import planes_of
 from ccd_warp._input.mesh_checks import (
-    as_positions,
-    common_dimension,
     find_codimensional_points,
     validated_body_pairs,
     validated_flags,
-    validated_indices,
-    validated_positions,
     validated_radius,
     validated_rings,
     validated_static,
@@ -304,65 +301,32 @@ class CollisionMesh:
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
         names = validated_names(names, len(bodies))
-        all_vertices, all_faces, all_edges, offsets = [], [], [], [0]
         with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         half_spaces = [(b, body_label(b, names), body) for b, body in enumerate(bodies) if isinstance(body, HalfSpace)]
         if len(half_spaces) == len(bodies):
             raise ValueError("bodies holds half-spaces alone; expected at least one body with vertices")
-        for b, body in enumerate(bodies):
-            if isinstance(body, HalfSpace):
-                continue
-            if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
-                raise ValueError(
-                    f"{body_label(b, names)} is a {type(body).__name__}; "
-                    f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
-                )
-        vertices_of = {b: body[0] for b, body in enumerate(bodies) if not isinstance(body, HalfSpace)}
-        dimension = common_dimension(vertices_of, names)
-        for b, body in enumerate(bodies):
-            if isinstance(body, HalfSpace):
-                offsets.append(offsets[-1])
-                continue
-            label = body_label(b, names)
-            vertices = validated_positions(body[0], f"vertices of {label}", dimension)
-            faces, edges = (body[1], body[2:]) if dimension == 3 else ((), body[1:])
-            if len(edges) == 2:
-                raise ValueError(f"{label} is in the plane and has 3 arrays; expected a pair (vertices, edges)")
-            all_vertices.append(vertices)
-            all_faces.append(validated_indices(faces, 3, len(vertices), f"faces of {label}") + offsets[-1])
-            for given in edges:
-                all_edges.append(validated_indices(given, 2, len(vertices), f"edges of {label}") + offsets[-1])
-            if dimension == 2 and len(all_edges[-1]) == 0:
-                with_points[b] = True  # without edges the body consists of points
-            offsets.append(offsets[-1] + len(vertices))
-        num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
-        if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
-            raise ValueError(
-                f"bodies hold {offsets[-1]} vertices, {num_faces} faces and {num_edges} codimensional edges; "
-                f"expected counts whose edges int32 can index"
-            )
+        joined = joined_bodies(bodies, names)
+        offsets = joined.offsets
         if half_spaces and offsets[-1] > MOST_WITH_PLANES:
             raise ValueError(
                 f"bodies hold {offsets[-1]} vertices; expected at most {MOST_WITH_PLANES} with half-spaces"
             )
-        faces = np.concatenate(all_faces).astype(np.int32)
-        edges = np.concatenate([np.zeros((0, 2), dtype=np.int32), *all_edges]).astype(np.int32)
         static_bodies = validated_static(static, names)
         static_bodies[[b for b, _, _ in half_spaces]] = True
         mesh = cls(
-            vertices=np.concatenate(all_vertices),
-            faces=faces,
+            vertices=joined.vertices,
+            faces=joined.faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
             static=static_bodies,
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
-            given_edges=edges,
-            with_codimensional_points=with_points,
+            given_edges=joined.edges,
+            with_codimensional_points=with_points | joined.consists_of_points,
             body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
             vertex_world=validated_worlds(
                 vertex_world,
                 offsets[-1],
-                {"face": faces, "codimensional edge": edges},
+                {"face": joined.faces, "codimensional edge": joined.edges},
                 lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
             ),
             names=names,
@@ -373,7 +337,7 @@ class CollisionMesh:
                 lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
                 {b: label for b, label, _ in half_spaces},
             ),
-            planes=planes_of(half_spaces, dimension),
+            planes=planes_of(half_spaces, joined.dimension),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
 

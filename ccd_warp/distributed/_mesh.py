@@ -15,15 +15,13 @@ from ccd_warp._engine.topology import NUM_SAMPLES
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, check_finite
+from ccd_warp._input.body_arrays import as_positions, validated_indices, validated_positions
 from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._input.mesh_checks import (
-    as_positions,
     validated_body_pairs,
     validated_flags,
-    validated_indices,
-    validated_positions,
     validated_radius,
     validated_rings,
     validated_static,
