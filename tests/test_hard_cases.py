@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ccd_warp.benchmarks.cubic_roots import ROOTS
 from ccd_warp.benchmarks.exact_toi import ExactToi
 from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS, HardCase
 from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
-from ccd_warp.benchmarks.univariate import ROOTS, univariate_ccd
+from ccd_warp.benchmarks.univariate import univariate_ccd
 
 import ccd_warp as ccd
 
