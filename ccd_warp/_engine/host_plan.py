@@ -109,7 +109,7 @@ class HostPlan:
         topology = self._topology = workspace.topology
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        self.kinds = possible_kinds(mesh, options) if goal != "intersections" else workspace.tested_kinds
+        self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
         sought = topology, self.kinds, moves_alone(mesh)
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         if self._has_grids:

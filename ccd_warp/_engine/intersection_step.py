@@ -17,9 +17,7 @@ from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.planes import vertices_in_half_spaces
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.options import Options
 from ccd_warp._intersections import PRIMITIVES_OF, Intersections, located
-from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import IntersectionKind, PairKind
 from ccd_warp.kernels import intersections as kernels
 
@@ -55,27 +53,16 @@ class IntersectionStep(Step):
 
     topology: EdgePointTopology
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        positions: Positions,
-        options: Options,
-        checking_seconds: float = 0.0,
-        show: Callable[[Progress], None] | None = None,
-    ) -> None:
-        """Begin at the first of these positions."""
+    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
+        """Begin at the first of these positions; the other arguments are those of every step."""
         of_edges = workspace.at_one_time("intersections", self.with_edge_points)
         topology = of_edges.topology
         assert isinstance(topology, EdgePointTopology)
-        of_edges.tested_kinds = topology.kinds
         self.mesh_topology = workspace.topology
         self.points: MeshWithEdgePoints = topology.mesh
         self.original = self.points.original
         self.x = positions[0]
-        if of_edges.kept_positions is None:
-            start, end = np.empty((2, self.points.num_vertices, 3))
-            of_edges.kept_positions = start, end
-        super().__init__(of_edges, of_edges.kept_positions, options, checking_seconds, show)
+        super().__init__(of_edges, of_edges.own_positions, *arguments)
         self._found: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
         self._open: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
 

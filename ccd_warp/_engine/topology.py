@@ -191,6 +191,11 @@ class Topology:
             return np.repeat(np.arange(mesh.num_vertices, dtype=np.int32)[:, None], 3, axis=1)
         return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
 
+    @property
+    def kinds(self) -> tuple[PairKind, ...] | None:
+        """Kinds of pairs to search for; None for those that the mesh can form and the options select."""
+        return None
+
     def primitives_of(self, kind: PairKind) -> tuple[str, str]:
         """The kinds of the two primitives of a pair."""
         return (PRIMITIVES if self.mesh.dimension == 3 else _PRIMITIVES_IN_PLANE)[kind]

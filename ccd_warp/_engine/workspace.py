@@ -18,7 +18,6 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._status import PairKind
 from ccd_warp.kernels.norm import MAXIMUM_NORM
 
 _MOST_OPTIONS = 8
@@ -43,9 +42,6 @@ class Workspace:
         self._active: wp.array | None = None
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
-        # of a search for intersections: the positions that it fills, and the kinds of pairs
-        self.kept_positions: Positions | None = None
-        self.tested_kinds: tuple[PairKind, ...] = ()
 
     def at_one_time(self, goal: str, topology_of: Callable[[Topology], Topology] | None = None) -> "Workspace":
         """The state of calls at one time with a goal, whose boxes have another size than those of a step.
@@ -58,6 +54,12 @@ class Workspace:
             topology = self.topology if topology_of is None else topology_of(self.topology)
             self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology)
         return self._at_one_time[goal]
+
+    @lazy_property
+    def own_positions(self) -> Positions:
+        """Positions at both ends of a step, for a search that fills them itself."""
+        start, end = np.empty((2, self.topology.mesh.num_vertices, 3))
+        return start, end
 
     @lazy_property
     def contacts(self) -> ContactStore:
