@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.queued_pairs import STAGES
 
 from emulated import calls
 from emulated.device import Emulation, emulation
@@ -58,6 +59,9 @@ PAIRS = [
     for k, options in enumerate(PAIR_OPTIONS)
     for precision in (PRECISIONS if k == 0 else (PRECISIONS[(k + dimension) % 2],))
 ]
+# A distance has kernels of its own, which no mesh with radii runs, as points have none; in one precision.
+PAIR_OPTIONS["distance"] = {"minimum_distance": 0.02, "t_max": 0.6}
+PAIRS += [(kind, 3, "distance", "float64") for kind in ("vertex_face", "edge_edge")]
 # Kernels of modules for CUDA that the CPU alone launches.
 CPU_ALONE = {
     "sort_range": "a counting sort by threads of the CPU; CUDA takes Warp's radix sort",
@@ -69,7 +73,12 @@ CPU_ALONE = {
 }
 # Of modules for distances, ends of the names of those that are not run, and the ones that run what is theirs.
 RUN_ELSEWHERE = {
-    " euclidean": "those for radii, which take their distance from the pair in place of the options",
+    "float32 euclidean": "those of float64",
+    **{
+        f"{name} {stage} float64 euclidean": "those for radii, which take their distance from the pair, not the options"
+        for name in ("solve_pairs", "pairs_bound")
+        for stage in STAGES
+    },
     "half_warp_search boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
     "half_warp_search cull True thick": "likewise",
     "half_warp_grid_search boxes False thick": "likewise, the other way round",
