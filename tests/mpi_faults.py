@@ -6,7 +6,9 @@
 while the others wait for it; that they end is up to MPI, and is what the test looks at.
 """
 
+import copy
 import os
+import pickle
 import signal
 import sys
 
@@ -63,6 +65,61 @@ def interrupted(pipeline, x, y):
         setattr(holder, name, original)
         pipeline.mesh_ccd(x, y)
 
+    # impatience: the second comes while the others are told of the first
+    def twice(*given):
+        try:
+            strike()
+            return original(*given)
+        finally:
+            strike()
+
+    original = pipeline.mesh.frames
+    pipeline.mesh.frames = twice
+    everywhere(KeyboardInterrupt, [f"rank {LAST}"], lambda: pipeline.mesh_ccd(x, y))
+    del pipeline.mesh.frames
+
+    # an error that all know of is on its way when one rank is struck
+    class Struck(DistributedPipeline):
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "_plan" and value is None and hasattr(self, "_workspace"):
+                strike()
+
+    struck = Struck(pipeline.mesh)
+    struck._run = lambda *_: 1 / (RANK != 0)
+    try:
+        struck.mesh_ccd(x, y)
+        raise AssertionError("no error")
+    except KeyboardInterrupt:
+        assert RANK == LAST
+    except RuntimeError as error:
+        assert "rank 0: ZeroDivisionError" in str(error)
+
+    # a program that only notes what it is asked, to end after the step
+    asked = []
+    signal.signal(signal.SIGINT, lambda *_: asked.append("to end"))
+    waits = pipeline._planned.part.everything._of(False, 1)
+    for of, name in ((pipeline, "_bring"), (waits, "start")):
+        original = getattr(of, name)
+        setattr(of, name, after(original))
+        pipeline.mesh_ccd(x, y)
+        setattr(of, name, original)
+    assert asked == ["to end"] * (2 * (RANK == LAST)), asked
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    # what one rank has not noted any more
+    pipeline._work = None if RANK == LAST else np.ones(len(pipeline.mesh.owned_rows))
+    pipeline._wants_plan, pipeline._last_imbalance = True, float(RANK)
+    pipeline.mesh.ranks._duplicate.num_pipelines += RANK == LAST
+    assert DistributedPipeline(pipeline.mesh).mesh_ccd(x, y).toi == pipeline.mesh_ccd(x, y).toi
+
+
+def copies(found):
+    """A result is saved on each rank; what belongs to all of them stays behind."""
+    for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
+        assert again.toi == found.toi and np.array_equal(again.contacts.points, found.contacts.points)
+        everywhere(ValueError, ["to_root() is called on a copy"], again.contacts.to_root)
+
 
 def together():
     mesh, start, end = scenes.sheet_over_ball()
@@ -102,6 +159,8 @@ def together():
     everywhere(RuntimeError, ["rank 0: KeyError", "unforeseen"], lambda: pipeline.mesh_ccd(x, y))
     del pipeline._run
     everywhere(ValueError, ["options differ"], lambda: DistributedPipeline(cut.mesh, tolerance=1e-6 * (1 + RANK)))
+    thick = DistributedMesh(COMM, scenes.TRIANGLE, scenes.FACE, vertex_ids=np.arange(3), radius=0.1)
+    everywhere(ValueError, ["minimum_separation is 0.1"], lambda: DistributedPipeline(thick, minimum_separation=0.1))
     everywhere(TypeError, ["rank 0", "no_option"], lambda: DistributedPipeline(cut.mesh, no_option=1))
     everywhere(ValueError, ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour"))
     everywhere(ValueError, ["inflation is"], lambda: pipeline.find_candidates(x, y, 0.1 * RANK))
@@ -132,6 +191,7 @@ def together():
     several = [pipeline, limited]
     everywhere(ValueError, ["of pipeline 2"], lambda: several[min(RANK, 1)].mesh_ccd(x, y))
     interrupted(pipeline, x, y)
+    copies(pipeline.mesh_ccd(x, y))
 
     triangle, face = scenes.TRIANGLE, scenes.FACE
     ids, ground = np.arange(3), ccd.HalfSpace([0, 0, -1], [0, 0, 1])

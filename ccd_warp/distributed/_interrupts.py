@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 
 class Interrupts:
@@ -18,31 +19,55 @@ class Interrupts:
 
     def __init__(self) -> None:
         self._depth = self._holds = 0
-        self._is_noted = False
+        self._is_noted = self._is_raised = False
+        self._before: Any = None
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """A call, in which interrupts wait where they are held; only the main thread gets any."""
+        """A call, in which interrupts wait until `allow`, and where they are held; only the main thread gets any.
+
+        At most one is raised in a call, so that an error on its way to the other ranks is not lost; what comes after it
+        is noted, too.
+        """
         before = signal.getsignal(signal.SIGINT)
         if self._depth or not callable(before) or threading.current_thread() is not threading.main_thread():
-            yield
+            holds, self._holds = self._holds, 1
+            try:
+                yield
+            finally:
+                self._holds = holds
             return
 
         def handle(number: int, frame: FrameType | None) -> None:
-            if self._holds:
+            if self._holds or self._is_raised:
                 self._is_noted = True
             else:
-                before(number, frame)
+                self._raise(number, frame)
 
-        self._depth, self._holds, self._is_noted = 1, 0, False
+        self._depth, self._holds, self._is_noted, self._is_raised, self._before = 1, 1, False, False, before
         signal.signal(signal.SIGINT, handle)
         try:
             yield
+        except KeyboardInterrupt:
+            self._is_noted = False  # one stands for all
+            raise
         finally:
             self._depth = 0
             signal.signal(signal.SIGINT, before)
             if self._is_noted:
                 before(signal.SIGINT, None)
+
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        """Do what the program does at an interrupt, which need not be an exception."""
+        self._is_noted, self._is_raised = False, True
+        self._before(number, frame)
+        self._is_raised = False
+
+    def allow(self) -> None:
+        """From now on interrupts are raised, with one that has come since the call began."""
+        self.release()
+        if self._is_noted and self._holds == 0:
+            self._raise(signal.SIGINT, None)
 
     def hold(self) -> None:
         """From now on interrupts wait."""
@@ -61,5 +86,4 @@ class Interrupts:
         finally:
             self.release()
         if self._is_noted and self._holds == 0:
-            self._is_noted = False
-            raise KeyboardInterrupt
+            self._raise(signal.SIGINT, None)

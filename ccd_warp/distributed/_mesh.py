@@ -28,6 +28,7 @@ from ccd_warp._input.mesh_checks import (
 )
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed._exchange import Exchange
+from ccd_warp.distributed._interrupts import Interrupts
 from ccd_warp.distributed._ranks import Ranks, mpi
 from ccd_warp.distributed._rings import Rings
 
@@ -132,18 +133,24 @@ class DistributedMesh:
             TypeError: If ``comm`` is none.
             ImportError: If mpi4py is not installed.
         """
-        self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm)
-        with ranks.together("DistributedMesh"):
-            self.dimension = self._common_dimension(vertices)
-            self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
-            self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
-            self._number_vertices()
-            self._take_tables(static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs)
-            self._number_primitives()
-            self._measure()
-            self._choose_samples()
-            edges = self.numbers[self.primitives["edge"].corners]
-            self.rings = Rings.of(ranks, self._first_numbers, edges, self.numbers, self.exclusion_rings, self._excluded)
+        interrupts = Interrupts()
+        with interrupts.taken():  # from here on, as ranks wait for each other before they can agree
+            self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm, interrupts)
+            with ranks.together("DistributedMesh"):
+                self.dimension = self._common_dimension(vertices)
+                self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
+                self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
+                self._number_vertices()
+                self._take_tables(
+                    static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs
+                )
+                self._number_primitives()
+                self._measure()
+                self._choose_samples()
+                edges = self.numbers[self.primitives["edge"].corners]
+                self.rings = Rings.of(
+                    ranks, self._first_numbers, edges, self.numbers, self.exclusion_rings, self._excluded
+                )
 
     def __repr__(self) -> str:
         sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"

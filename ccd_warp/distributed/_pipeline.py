@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, TypeVar, Unpack
+from typing import Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
 import warp as wp
@@ -22,6 +22,7 @@ from ccd_warp._engine.line_search import (
     search_step,
     validated_line_search,
 )
+from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
@@ -100,7 +101,8 @@ class DistributedPipeline:
             self._options = options_of("DistributedPipeline", MeshOptions, given)  # type: ignore[arg-type]
             self._device = resolve_device(self._options.device)
             self._check_same_options()
-        self._number = ranks.next_pipeline()
+            norm_of(_Thickness(mesh.body_radius, mesh.is_thick), self._options)  # type: ignore[arg-type]
+            self._number = ranks.next_pipeline()
         self._plan: Plan | None = None
         self._workspace: Workspace | None = None
         self._work: NDArray[np.float64] | None = None  # by the vertices that this rank owns, when it last mattered
@@ -429,9 +431,16 @@ class DistributedPipeline:
         start, end = self.mesh.frames(vertices_t0, vertices_t1, name_t0)
         if plan is not None and not self._wants_plan:
             is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in (start, end))
-            is_same = np.array_equal(start[plan.static_rows], plan.static_start)
+            # by their bits, as the sign of a 0 shows in where contacts are
+            is_same = np.array_equal(start[plan.static_rows].view(np.int64), plan.static_start.view(np.int64))
         self._seconds["input"] = time.perf_counter() - self._begin
-        kept, same = self._ranks.agree(float(is_kept), float(is_same))
+        # what an interrupt on one rank may have kept it from noting is agreed, too
+        has_work = float(self._work is not None)
+        kept, same, has_work, self._last_imbalance = self._ranks.agree(
+            float(is_kept), float(is_same), has_work, self._last_imbalance
+        )
+        if has_work == 0.0:
+            self._work = None
         try:
             self._bring(start, end, inflation, is_kept=kept > 0.0, is_same=same > 0.0)
             return work(start, end)
@@ -525,6 +534,13 @@ class DistributedPipeline:
         begin = time.perf_counter()
         yield
         self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - begin
+
+
+class _Thickness(NamedTuple):
+    """What `norm_of` reads of a mesh."""
+
+    radius: NDArray[np.float64] | None
+    is_thick: bool
 
 
 def _device_of(local_rank: int) -> str | None:

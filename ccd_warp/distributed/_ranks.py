@@ -70,7 +70,7 @@ class Ranks:
         bytes_sent: Bytes that this rank has sent to others since the last reset, reductions left out.
     """
 
-    def __init__(self, comm: Any) -> None:
+    def __init__(self, comm: Any, interrupts: Interrupts | None = None) -> None:
         MPI = mpi()
         if not isinstance(comm, MPI.Intracomm):
             raise TypeError(f"comm is {type(comm).__name__}; expected an intracommunicator of mpi4py")
@@ -82,7 +82,7 @@ class Ranks:
         self.local_rank, self.local_size = local.Get_rank(), local.Get_size()
         local.Free()
         self.bytes_sent = 0
-        self._interrupts = Interrupts()
+        self._interrupts = interrupts or Interrupts()
         self.name_call("DistributedMesh")
 
     @property
@@ -91,8 +91,8 @@ class Ranks:
         return max(1, len(os.sched_getaffinity(0)) // self.local_size)
 
     def next_pipeline(self) -> int:
-        """The number of a new pipeline among all of the caller's communicator."""
-        self._duplicate.num_pipelines += 1
+        """The number of a new pipeline among all of the caller's communicator, also where one rank has missed some."""
+        self._duplicate.num_pipelines = int(self.most(np.array(self._duplicate.num_pipelines))) + 1
         return self._duplicate.num_pipelines
 
     def name_call(self, call: str) -> None:
@@ -109,6 +109,8 @@ class Ranks:
         least = np.empty(_NUM_SLOTS)
         with self._interrupts.held():
             self.comm.Allreduce(mine, least, op=self.mpi.MIN)
+            if least[0] < self.size or least[1] != -least[2]:
+                self._interrupts.hold()  # until the end of the call, as no other rank hears of it any more
             if least[0] < self.size:
                 self._raise(int(least[0]), error)
             if least[1] != -least[2]:
@@ -127,9 +129,11 @@ class Ranks:
             text = pickle.dumps((kind.__name__, f"rank {rank}: {name}{str(error) or type(error).__name__}"))
         name, message = pickle.loads(self.comm.bcast(text, root=rank))
         agreed = _agreed({kind.__name__: kind for kind in _KEPT}[name](message))
-        if rank == self.rank:
-            raise agreed from error
-        raise agreed
+        if rank != self.rank:
+            raise agreed
+        if error is not None and not isinstance(error, (Exception, KeyboardInterrupt)):
+            raise _agreed(error)  # the end of the program, which is that of this rank
+        raise agreed from error
 
     @contextmanager
     def together(self, call: str | None = None) -> Iterator[None]:
@@ -141,17 +145,20 @@ class Ranks:
             if call is not None:
                 self.name_call(call)
             try:
-                yield
-                self._interrupts.hold()
-            except (Exception, KeyboardInterrupt) as error:
-                if getattr(error, "_is_agreed", False):
-                    raise
-                self.agree(error=error)
-            else:
                 try:
-                    self.agree()
-                finally:
-                    self._interrupts.release()
+                    self._interrupts.allow()
+                    yield
+                    self._interrupts.hold()
+                except BaseException:
+                    self._interrupts.hold()
+                    raise
+            except (
+                BaseException
+            ) as error:  # of the block, or an interrupt before either hold, after which none is raised
+                if not getattr(error, "_is_agreed", False):
+                    self.agree(error=error)
+                raise
+            self.agree()
 
     @contextmanager
     def after_agreement(self) -> Iterator[None]:

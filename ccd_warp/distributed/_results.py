@@ -25,8 +25,21 @@ if TYPE_CHECKING:
 _PRIMITIVES_OF = CORNER_ARRAYS | {PairKind.VERTEX_PLANE: ("vertex", "plane")}
 
 
+_NOT_OF_A_CALL = "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
+
+
+class _OnRanks:
+    """What is spread over the ranks that have found it; a copy, or what was pickled, belongs to its rank alone."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_ranks", None)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_ranks": None}
+
+
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedContacts:
+class DistributedContacts(_OnRanks):
     """Contacts that this rank has found; each contact of the whole mesh is on one rank.
 
     They are ordered by kind and then by primitives, as :class:`ccd_warp.Contacts` are; primitives are indices in the
@@ -58,9 +71,6 @@ class DistributedContacts:
     status: NDArray[np.int32]
     gap: NDArray[np.float64]
     width: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_ranks", None)
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -194,7 +204,7 @@ class DistributedLineSearch:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedProximities:
+class DistributedProximities(_OnRanks):
     """Pairs that are near at one time and that this rank has found; each pair is on one rank.
 
     They are ordered as those of :class:`ccd_warp.Proximities`.
@@ -217,9 +227,6 @@ class DistributedProximities:
     distance: NDArray[np.float64]
     direction: NDArray[np.float64]
     features: NDArray[np.int32]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_ranks", None)
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -250,7 +257,9 @@ def at_root(found: Any) -> dict[str, Any] | None:
     """The arrays of all ranks on rank 0, in the order of kinds and primitives; None on the others."""
     ranks: Ranks | None = vars(found)["_ranks"]
     if ranks is None:
-        raise ValueError("what to_root() has brought to rank 0 is there already; expected the result of a call")
+        raise ValueError(
+            "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
+        )
     with ranks.together("to_root"):
         arrays = {f.name: getattr(found, f.name) for f in fields(found)}
         gathered = ranks.at_root({name: each for name, each in arrays.items() if isinstance(each, np.ndarray)})
@@ -261,7 +270,7 @@ def at_root(found: Any) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedCandidates:
+class DistributedCandidates(_OnRanks):
     """Candidate pairs that this rank has found, as indices in the whole mesh; each pair is on one rank.
 
     Attributes:
@@ -279,9 +288,6 @@ class DistributedCandidates:
     point_point: NDArray[np.int64]
     vertex_plane: NDArray[np.int64]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_ranks", None)
-
     def __repr__(self) -> str:
         total = sum(len(getattr(self, f.name)) for f in fields(self))
         return f"DistributedCandidates({total:,} on this rank)"
@@ -290,7 +296,9 @@ class DistributedCandidates:
         """All candidates in lexicographic order on rank 0, and None on the others; collective."""
         ranks: Ranks | None = vars(self)["_ranks"]
         if ranks is None:
-            raise ValueError("candidates were brought to rank 0 already; expected those of a call")
+            raise ValueError(
+                "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
+            )
         with ranks.together("to_root"):
             gathered = ranks.at_root({f.name: getattr(self, f.name) for f in fields(self)})
         if gathered is None:
