@@ -9,6 +9,7 @@ line for each case, on rank 0; run by ``-m mpi4py``, a failure on one rank ends 
 import sys
 import time
 import warnings
+from unittest import mock
 
 import numpy as np
 import scenes
@@ -17,6 +18,8 @@ from mpi4py import MPI
 from mpi_parts import Cut, compare, compare_call, whole_mesh
 
 import ccd_warp as ccd
+from ccd_warp._engine import host_step
+from ccd_warp.distributed import _ranks
 
 COMM = MPI.COMM_WORLD
 RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
@@ -97,7 +100,8 @@ def giant_face():
 
 
 def all_faces_on_the_last_rank():
-    check(scenes.sheet_over_ball(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), ALL_CALLS)
+    with mock.patch.object(_ranks, "MOST_BYTES", 5_000):  # what does not fit into a message comes in several
+        check(scenes.sheet_over_ball(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), ALL_CALLS)
 
 
 def one_triangle_falls_on_another():
@@ -374,6 +378,19 @@ def coordinates_at_the_ends_of_float64():
         check((scenes.single(x, faces), x, x), interleaved, ["mesh_ccd", "find_intersections"], **options)
 
 
+def bound_from_a_sample():
+    """Large meshes are sampled first, by every rank among its own: here small ones are, whose contacts are all alike."""
+    rng = np.random.default_rng(7)
+    vertices, faces = scenes.sheet(20)
+    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    low, up = vertices @ turn.T, turn[:, 2]
+    mesh = ccd.CollisionMesh.from_arrays([(low, faces), (low + 0.3 * up + 0.003 * rng.random(3), faces)])
+    for gap in (-0.7, 0.0, 1e-15):
+        end = mesh.vertices - (0.3 - gap) * up * (mesh.vertex_body == 1)[:, None]
+        with mock.patch.object(host_step, "_WORTH_SAMPLING", 1):
+            check((mesh, mesh.vertices, end), interleaved, ["collision_free_step"])
+
+
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
     mesh, start, _ = scenes.sheet_over_ball()
@@ -477,6 +494,7 @@ CASES = [
     in_the_plane,
     random_scenes,
     coordinates_at_the_ends_of_float64,
+    bound_from_a_sample,
     many_steps,
     one_rank_more_work_than_the_others,
     simulation_of_ranks,

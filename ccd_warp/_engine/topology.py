@@ -384,7 +384,9 @@ def large_half_side(topology: Topology, positions: Positions, quantile: float) -
         points *= 0.5
     sides = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
     if topology.mesh.radius is not None:
-        sides += topology.mesh.radius[primitives].max(axis=0)
+        with np.errstate(over="ignore"):
+            sides += topology.mesh.radius[primitives].max(axis=0)
+        sides = np.minimum(sides, np.finfo(np.float64).max)
     return float(np.quantile(sides, quantile))
 
 

@@ -188,9 +188,12 @@ class DistributedMesh:
         self.vertices = validated_positions(vertices, "vertices", self.dimension)
         count = len(self.vertices)
         self.vertex_ids = _per_vertex("vertex_ids", vertex_ids, count)
-        if len(np.unique(self.vertex_ids)) < count:
-            values, times = np.unique(self.vertex_ids, return_counts=True)
-            raise ValueError(f"vertex_ids holds {values[times > 1][0]} more than once; expected each id once on a rank")
+        # the rows by id, and so by number
+        self._order = np.argsort(self.vertex_ids, kind="stable")
+        ordered = self.vertex_ids[self._order]
+        if (ordered[1:] == ordered[:-1]).any():
+            again = ordered[1:][ordered[1:] == ordered[:-1]][0]
+            raise ValueError(f"vertex_ids holds {again} more than once; expected each id once on a rank")
         self._faces = validated_indices(() if faces is None else faces, 3, count, "faces")
         if self.dimension == 2 and len(self._faces):
             raise ValueError(
@@ -217,8 +220,10 @@ class DistributedMesh:
             self._owned = flags.astype(np.int64)
         for name, corners in (("face", self._faces), ("edge", self._given_edges)):
             for what, of in (("bodies", self.bodies), ("vertex_world", self.worlds)):
+                if count == 0 or of.min() == of.max():
+                    continue
                 values = of[corners]
-                is_torn = (values != values[:, :1]).any(axis=1)
+                is_torn = np.logical_or.reduce([values[:, k] != values[:, 0] for k in range(1, corners.shape[1])])
                 if is_torn.any():
                     at = int(np.argmax(is_torn))
                     raise ValueError(f"{what} gives {name} {at} the values {values[at].tolist()}; expected one")
@@ -247,6 +252,7 @@ class DistributedMesh:
         self.owner = np.empty(len(self.vertex_ids), dtype=np.int64)
         for items, answer in zip(sent, back, strict=True):
             self.numbers[items], self.owner[items] = answer.T
+        self._ordered = self.numbers[self._order]
         self.is_owned = self.owner == ranks.rank
         self.owned_rows = np.flatnonzero(self.is_owned)
         counts = ranks.every(np.array([len(home.ids)]))
@@ -293,9 +299,7 @@ class DistributedMesh:
         asked = self.ranks.swap([numbers[items] for items in targets])
         if rows is not None:
             targets = [rows[items] for items in targets]
-        order = np.argsort(self.numbers)
-        ordered = self.numbers[order]
-        sources = [order[np.searchsorted(ordered, each)].astype(np.intp) for each in asked]
+        sources = [self._order[np.searchsorted(self._ordered, each)].astype(np.intp) for each in asked]
         return Exchange(self.ranks, sources, targets)
 
     def _take_tables(
@@ -358,7 +362,7 @@ class DistributedMesh:
             raise ValueError(
                 f"exclude_pairs['vertices'] has dtype {ids.dtype} and shape {ids.shape}; expected integers and (k, 2)"
             )
-        order = np.argsort(self.vertex_ids)
+        order = self._order
         place = np.searchsorted(self.vertex_ids[order], ids)
         clipped = np.minimum(place, max(len(order) - 1, 0))
         found = np.full(ids.shape, -1, dtype=np.int64)
@@ -373,10 +377,16 @@ class DistributedMesh:
     def _number_primitives(self) -> None:
         """Number edges and faces of the whole mesh, and choose for each the rank that speaks for it."""
         ranks, numbers = self.ranks, self.numbers
-        edges = numbering.edges_of_faces(numbers[self._faces])
-        given = np.sort(numbers[self._given_edges], axis=1)
+        # places among the vertices of this rank are ordered as their numbers are
+        place = np.empty(len(numbers), dtype=np.int64)
+        place[self._order] = np.arange(len(numbers))
+        edges = numbering.edges_of_faces(place[self._faces])
+        given = np.sort(place[self._given_edges], axis=1)
         given = given[given[:, 0] != given[:, 1]]
-        both = np.concatenate([np.pad(edges, ((0, 0), (0, 1)), constant_values=1), np.pad(given, ((0, 0), (0, 1)))])
+        rows = self._order[np.concatenate([edges, given])]
+        both = np.empty((len(rows), 3), dtype=np.int64)
+        both[:, :2] = numbers[rows]
+        both[:, 2] = np.arange(len(rows)) < len(edges)
         sent, received = self._to_homes(both, both[:, 1])
         of_all = np.concatenate(received)
         home, is_codimensional = numbering.edges_at_home(of_all[:, :2], of_all[:, 2] == 1)
@@ -386,7 +396,8 @@ class DistributedMesh:
         codimensional = np.zeros(len(number), dtype=np.int64)
         codimensional[home.chosen] = is_codimensional
         found, flags = self._answers(np.stack([number, codimensional], axis=1), sent, received, len(both)).T
-        self.primitives = {"edge": self._primitives(found, both[:, :2], flags == 1)}
+        self.primitives = {"edge": self._primitives(found, rows, flags == 1)}
+        del both, of_all, received, rows, edges
 
         faces = numbers[self._faces]
         sent, received = self._to_homes(faces, faces.min(axis=1))
@@ -395,7 +406,7 @@ class DistributedMesh:
         self.num_faces = int(ranks.total(np.array(home.count)))
         number = np.where(home.number >= 0, home.number + before, -1)
         found = self._answers(number[:, None], sent, received, len(faces))[:, 0]
-        self.primitives["face"] = self._primitives(found, faces, np.zeros(len(faces), dtype=bool))
+        self.primitives["face"] = self._primitives(found, self._faces, np.zeros(len(faces), dtype=bool))
 
         self.primitives["vertex"] = Primitives(
             numbers[self.owned_rows],
@@ -434,14 +445,12 @@ class DistributedMesh:
         return result
 
     def _primitives(
-        self, found: NDArray[np.int64], corners: NDArray[np.int64], codimensional: NDArray[np.bool_]
+        self, found: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]
     ) -> Primitives:
-        """The primitives for which a home has chosen this rank."""
+        """The primitives for which a home has chosen this rank, given the rows of their vertices."""
         items = np.flatnonzero(found >= 0)
-        items = items[np.argsort(found[items])]
-        order = np.argsort(self.numbers)
-        rows = order[np.searchsorted(self.numbers[order], corners[items])]
-        return Primitives(found[items], rows.astype(np.int64), codimensional[items])
+        items = items[np.argsort(found[items], kind="stable")]
+        return Primitives(found[items], rows[items].astype(np.int64), codimensional[items])
 
     def _measure(self) -> None:
         """The longest side of the whole mesh; rest positions of ghosts become those of their owners."""

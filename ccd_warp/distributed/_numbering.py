@@ -131,8 +131,9 @@ def edges_at_home(edges: NDArray[np.int64], is_of_face: NDArray[np.bool_]) -> tu
     Returns:
         The edges by (max, min), and for each whether it belongs to no face of any rank.
     """
-    order = np.lexsort((edges[:, 0], edges[:, 1]))
-    group, chosen = _groups(edges[order], order)
+    keys = _keys(edges)
+    order = np.argsort(keys, kind="stable")  # quick, as those of a rank come in order
+    group, chosen = _groups(keys[order][:, None], order)
     of_face = np.zeros(len(chosen), dtype=bool)
     of_face[group[is_of_face[order]]] = True
     return _home(chosen, len(edges)), ~of_face
@@ -165,14 +166,15 @@ def _home(chosen: NDArray[np.intp], num_copies: int) -> PrimitiveHome:
 
 def edges_of_faces(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """The distinct edges (min, max) of faces, without pairs (a, a)."""
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    return unique_rows(pairs)
+    pairs = np.concatenate([faces[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    keys = _keys(pairs[pairs[:, 0] != pairs[:, 1]])
+    keys.sort()
+    is_first = np.ones(len(keys), dtype=bool)
+    is_first[1:] = keys[1:] != keys[:-1]
+    keys = keys[is_first]
+    return np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1)
 
 
-def unique_rows(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Distinct rows by their last column and then by the one before."""
-    pairs = pairs[np.lexsort(pairs.T)]
-    is_first = np.ones(len(pairs), dtype=bool)
-    is_first[1:] = (pairs[1:] != pairs[:-1]).any(axis=1)
-    return pairs[is_first]
+def _keys(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number for each pair of numbers below 2**31, by the larger and then by the smaller."""
+    return np.maximum(pairs[:, 0], pairs[:, 1]) << 32 | np.minimum(pairs[:, 0], pairs[:, 1])

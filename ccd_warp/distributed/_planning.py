@@ -141,9 +141,12 @@ def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.
     corners = whole.primitives[kind].corners
     with np.errstate(over="ignore"):
         if len(corners):
-            points = start[corners]
+            sides = np.zeros(len(corners))
+            for values in start.T:
+                of = [values.take(rows) for rows in corners.T]
+                np.maximum(sides, np.maximum.reduce(of) - np.minimum.reduce(of), out=sides)
             largest = np.finfo(np.float64).max / max(whole.num_edges + whole.num_faces, 1)
-            extent = float(np.minimum((points.max(axis=1) - points.min(axis=1)).max(axis=1), largest).sum())
+            extent = float(np.minimum(sides, largest).sum())
             count = len(corners)
         total = whole.ranks.total(np.array([extent, float(count)]))
     box = whole.ranks.least(np.concatenate([lower, -upper]))
@@ -230,7 +233,8 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
     flags = np.zeros(len(numbers), dtype=np.int64)
     is_flagged = table[:, -1] > 0
     flags[place[is_flagged]] = table[is_flagged, -1]  # only the rank that speaks for a vertex sets any
-    edge, face = edge[np.argsort(edge[:, 0])], face[np.argsort(face[:, 0])]
+    # quick, as those of a rank come in order
+    edge, face = edge[np.argsort(edge[:, 0], kind="stable")], face[np.argsort(face[:, 0], kind="stable")]
     mesh = part_mesh(
         whole,
         np.empty((len(numbers), whole.dimension)),

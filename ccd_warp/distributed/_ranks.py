@@ -18,6 +18,8 @@ from ccd_warp.distributed._interrupts import Interrupts
 _KEPT = (ValueError, TypeError, MemoryError, RuntimeError, KeyboardInterrupt)
 # What an agreement reduces: whether a rank has failed, the call twice, and the values.
 _NUM_SLOTS, _FIRST_VALUE = 8, 3
+# MPI counts the bytes of a message by a number of 31 bits.
+MOST_BYTES = 1 << 30
 
 
 def mpi() -> Any:
@@ -206,9 +208,12 @@ class Ranks:
 
     def at_root(self, values: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
         """Arrays by name, those of all ranks one after the other, on rank 0; None on the others."""
-        with self.after_agreement():
-            parts = self.comm.gather(values, root=0)
-        return None if parts is None else {name: np.concatenate([part[name] for part in parts]) for name in values}
+        sent = np.frombuffer(pickle.dumps(values, protocol=5), dtype=np.uint8)
+        received = self.swap([sent, *[sent[:0]] * (self.size - 1)])
+        if self.rank != 0:
+            return None
+        parts = [pickle.loads(part.data) for part in received]
+        return {name: np.concatenate([part[name] for part in parts]) for name in values}
 
     def swap(self, arrays: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """Send an array to every rank and get one from each; empty ones are not sent.
@@ -225,15 +230,21 @@ class Ranks:
         byte, requests = self.mpi.BYTE, []
         with self.after_agreement():
             for r in range(self.size):
-                if r != self.rank and len(found[r]):
-                    requests.append(self.comm.Irecv([found[r], byte], source=r))
+                if r != self.rank:
+                    requests += [self.comm.Irecv([part, byte], source=r) for part in _messages(found[r])]
             for r in range(self.size):
-                if r != self.rank and len(arrays[r]):
-                    requests.append(self.comm.Isend([arrays[r], byte], dest=r))
+                if r != self.rank:
+                    requests += [self.comm.Isend([part, byte], dest=r) for part in _messages(arrays[r])]
                     self.bytes_sent += arrays[r].nbytes
             self.mpi.Request.Waitall(requests)
         found[self.rank] = arrays[self.rank]
         return found
+
+
+def _messages(array: NDArray[Any]) -> list[NDArray[np.uint8]]:
+    """The bytes of an array in parts that a message can hold; none of an empty one."""
+    each = array.reshape(-1).view(np.uint8)
+    return [each[k : k + MOST_BYTES] for k in range(0, len(each), MOST_BYTES)]
 
 
 def _agreed(error: BaseException) -> BaseException:
