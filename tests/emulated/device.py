@@ -169,6 +169,7 @@ def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -
 
     from ccd_warp._engine import stages  # with what only CUDA launches
 
+    wp.init()  # which describes the devices as they are
     emulated = emulated or Emulation()
     load, resolve = context.Module.load, context._resolve_launch_block_dim
     numpy, allocate = wp.array.numpy, context.CpuDefaultAllocator.allocate
