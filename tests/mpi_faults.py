@@ -219,8 +219,16 @@ def together():
         (["rank 0: half_spaces has the key 'ground'"], made(half_spaces={"ground": ground})),
         ([f"rank {LAST}: half_spaces holds"], made(half_spaces={1: 2.0 if RANK == LAST else ground})),
         (["half_spaces holds 9; expected numbers below 4"], made(half_spaces={9: ground})),
+        (["holds id 7; expected ids of the whole"], made(exclude_pairs={"vertices": np.array([[7, 1]], np.uint64)})),
+        (
+            ["exclude_pairs['vertices'] is a masked array"],
+            made(exclude_pairs={"vertices": np.ma.array([[0, 1]], mask=True)}),
+        ),
     ):
         everywhere(ValueError, parts, call)
+    # the same pairs, in the integers that each rank has; and none at all
+    made(exclude_pairs={"vertices": np.array([[0, 1]], dtype=np.int32 if RANK == 0 else np.int64)})()
+    made(exclude_pairs={"vertices": []})()
     # MPI has few communicators to give, some thousands; a program may make a mesh in every step
     assert DistributedMesh(COMM, triangle, face, vertex_ids=ids).ranks.comm == cut.mesh.ranks.comm
     # keys of contacts leave vertices that meet planes a bit less; here there is no memory for so many

@@ -339,8 +339,8 @@ class DistributedMesh:
         self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
         same = [self.static, self.self_collision, self._with_points, self.exclude_pairs.get("bodies", np.zeros(0))]
         same += [np.zeros(0) if self.body_pairs is None else self.body_pairs, *vars(self.planes).values()]
-        pairs = () if exclude_pairs is None else exclude_pairs.get("vertices", ())
-        same += [np.asarray(self.exclusion_rings), np.asarray(pairs)]
+        excluded = _pairs_of_ids((exclude_pairs or {}).get("vertices", ()))
+        same += [np.asarray(self.exclusion_rings), np.asarray(excluded)]
         text = b"".join(bytes(str(array.shape), "ascii") + array.tobytes() for array in same)
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
@@ -352,16 +352,11 @@ class DistributedMesh:
             has_edges = np.zeros(self.num_bodies, dtype=np.int64)
             has_edges[self.bodies[self._given_edges]] = 1
             self._with_points |= self.ranks.most(has_edges) == 0  # such a body consists of points
-        if exclude_pairs is not None and "vertices" in exclude_pairs:
-            self._excluded = self._numbers_of(exclude_pairs["vertices"])
+        if len(excluded):
+            self._excluded = self._numbers_of(excluded)
 
-    def _numbers_of(self, pairs: Any) -> NDArray[np.int64]:
+    def _numbers_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Pairs of ids as pairs of numbers; a rank gives those of its own vertices."""
-        ids = np.asarray(pairs)
-        if ids.ndim != 2 or ids.shape[1] != 2 or ids.dtype.kind not in "iu":
-            raise ValueError(
-                f"exclude_pairs['vertices'] has dtype {ids.dtype} and shape {ids.shape}; expected integers and (k, 2)"
-            )
         order = self._order
         place = np.searchsorted(self.vertex_ids[order], ids)
         clipped = np.minimum(place, max(len(order) - 1, 0))
@@ -536,6 +531,19 @@ class DistributedMesh:
 
     def _where(self, row: int) -> str:
         return f" (vertex id {self.vertex_ids[self.owned_rows[row]]})"
+
+
+def _pairs_of_ids(values: Any) -> NDArray[np.int64]:
+    """Pairs of ids of vertices, shape [k, 2], or a ValueError."""
+    name = "exclude_pairs['vertices']"
+    ids = as_array(on_host(values, name), name, "integers and shape (k, 2)")
+    if ids.size == 0 and ids.ndim <= 2 and ids.shape[-1:] in ((0,), (2,)):
+        return np.zeros((0, 2), dtype=np.int64)
+    if ids.ndim != 2 or ids.shape[1] != 2 or ids.dtype.kind not in "iu":
+        raise ValueError(f"{name} has dtype {ids.dtype} and shape {ids.shape}; expected integers and (k, 2)")
+    if ids.max() > np.iinfo(np.int64).max:
+        raise ValueError(f"{name} holds {ids.max()}; expected ids of the whole mesh")
+    return ids.astype(np.int64)
 
 
 def _per_vertex(name: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
