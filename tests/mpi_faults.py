@@ -192,6 +192,7 @@ def together():
     everywhere(ValueError, ["of pipeline 2"], lambda: several[min(RANK, 1)].mesh_ccd(x, y))
     interrupted(pipeline, x, y)
     copies(pipeline.mesh_ccd(x, y))
+    assert len(pickle.loads(pickle.dumps(pipeline.find_intersections(x)))) == 0
 
     triangle, face = scenes.TRIANGLE, scenes.FACE
     ids, ground = np.arange(3), ccd.HalfSpace([0, 0, -1], [0, 0, 1])

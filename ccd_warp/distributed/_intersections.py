@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._display import counted
 from ccd_warp._intersections import PRIMITIVES_OF, Intersections
 from ccd_warp._status import IntersectionKind
-from ccd_warp.distributed._results import at_root, whole_pairs
+from ccd_warp.distributed._results import OnRanks, at_root, whole_pairs
 
 if TYPE_CHECKING:
     from ccd_warp.distributed._part import Part
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedIntersections:
+class DistributedIntersections(OnRanks):
     """Pairs that touch or pass through each other at one time and that this rank has found; each is on one rank.
 
     They are ordered as those of :class:`ccd_warp.Intersections`.
@@ -45,9 +45,6 @@ class DistributedIntersections:
     bodies: NDArray[np.int32]
     world: NDArray[np.int32]
     num_intersections: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_ranks", None)
 
     def __len__(self) -> int:
         return len(self.kind)

@@ -337,10 +337,11 @@ class DistributedMesh:
         is_self = excluded_bodies[:, 0] == excluded_bodies[:, 1]
         self.self_collision[excluded_bodies[is_self, 0]] = False
         self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
-        same = [self.static, self.self_collision, self._with_points, self.exclude_pairs.get("bodies", np.zeros(0))]
+        same: list[NDArray[Any]] = [self.static, self.self_collision, self._with_points]
+        same += [self.exclude_pairs.get("bodies", np.zeros(0))]
         same += [np.zeros(0) if self.body_pairs is None else self.body_pairs, *vars(self.planes).values()]
         excluded = _pairs_of_ids((exclude_pairs or {}).get("vertices", ()))
-        same += [np.asarray(self.exclusion_rings), np.asarray(excluded)]
+        same += [np.asarray(self.exclusion_rings), excluded]
         text = b"".join(bytes(str(array.shape), "ascii") + array.tobytes() for array in same)
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):

@@ -28,7 +28,7 @@ _PRIMITIVES_OF = CORNER_ARRAYS | {PairKind.VERTEX_PLANE: ("vertex", "plane")}
 _NOT_OF_A_CALL = "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
 
 
-class _OnRanks:
+class OnRanks:
     """What is spread over the ranks that have found it; a copy, or what was pickled, belongs to its rank alone."""
 
     def __post_init__(self) -> None:
@@ -39,7 +39,7 @@ class _OnRanks:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedContacts(_OnRanks):
+class DistributedContacts(OnRanks):
     """Contacts that this rank has found; each contact of the whole mesh is on one rank.
 
     They are ordered by kind and then by primitives, as :class:`ccd_warp.Contacts` are; primitives are indices in the
@@ -204,7 +204,7 @@ class DistributedLineSearch:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedProximities(_OnRanks):
+class DistributedProximities(OnRanks):
     """Pairs that are near at one time and that this rank has found; each pair is on one rank.
 
     They are ordered as those of :class:`ccd_warp.Proximities`.
@@ -270,7 +270,7 @@ def at_root(found: Any) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedCandidates(_OnRanks):
+class DistributedCandidates(OnRanks):
     """Candidate pairs that this rank has found, as indices in the whole mesh; each pair is on one rank.
 
     Attributes:
