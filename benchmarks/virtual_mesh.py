@@ -16,8 +16,8 @@ from ccd_warp.benchmarks.scenes import Scene
 from ccd_warp._input.half_spaces import planes_of
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed import _planning as planning
-from ccd_warp.distributed._mesh import Primitives
 from ccd_warp.distributed._plan import Bounds, destinations, united
+from ccd_warp.distributed._primitives import Primitives
 
 # Primitives at a time, so that their boxes take some hundred megabytes.
 _CHUNK = 1 << 21

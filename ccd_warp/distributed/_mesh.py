@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,39 +14,26 @@ from ccd_warp._engine.topology import NUM_SAMPLES
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, check_finite
-from ccd_warp._input.body_arrays import as_positions, validated_indices, validated_positions
+from ccd_warp._input.body_arrays import as_positions, validated_indices
 from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._input.mesh_checks import (
     validated_body_pairs,
     validated_flags,
-    validated_radius,
     validated_rings,
     validated_static,
 )
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed._exchange import Exchange
+from ccd_warp.distributed._handed_in import HandedIn, handed_in
+from ccd_warp.distributed._homes import Homes
 from ccd_warp.distributed._interrupts import Interrupts
+from ccd_warp.distributed._primitives import Primitives, numbered_edges, numbered_faces
 from ccd_warp.distributed._ranks import Ranks, mpi
 from ccd_warp.distributed._rings import Rings
 
 _MOST_VERTICES = np.iinfo(np.int32).max
-
-
-@dataclass(frozen=True)
-class Primitives:
-    """Primitives for which this rank speaks: each of the whole mesh belongs to one rank.
-
-    Attributes:
-        numbers: Their indices in the whole mesh, int64, shape [n].
-        corners: Rows of their vertices on this rank, shape [n, 1 to 3], in the order that counts.
-        is_codimensional: Which of them collide as codimensional ones, bool, shape [n].
-    """
-
-    numbers: NDArray[np.int64]
-    corners: NDArray[np.int64]
-    is_codimensional: NDArray[np.bool_]
 
 
 class DistributedMesh:
@@ -137,20 +123,19 @@ class DistributedMesh:
         with interrupts.taken():  # from here on, as ranks wait for each other before they can agree
             self.ranks = ranks = Ranks(mpi().COMM_WORLD if comm is None else comm, interrupts)
             with ranks.together("DistributedMesh"):
-                self.dimension = self._common_dimension(vertices)
+                self.dimension = dimension = self._common_dimension(vertices)
                 self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
-                self._take(vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
-                self._number_vertices()
+                of_all = dimension, self._half_spaces
+                given = handed_in(*of_all, vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
+                self._number_vertices(given)
                 self._take_tables(
-                    static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs
+                    given, static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs
                 )
-                self._number_primitives()
+                self._number_primitives(given)
                 self._measure()
                 self._choose_samples()
-                edges = self.numbers[self.primitives["edge"].corners]
-                self.rings = Rings.of(
-                    ranks, self._first_numbers, edges, self.numbers, self.exclusion_rings, self._excluded
-                )
+                between = self.numbers[self.primitives["edge"].corners]
+                self.rings = Rings.of(self._homes, between, self.numbers, self.exclusion_rings, self._excluded)
 
     def __repr__(self) -> str:
         sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"
@@ -173,85 +158,24 @@ class DistributedMesh:
             )
         return 2 if len(planar) else 3
 
-    def _take(
-        self,
-        vertices: ArrayLike,
-        faces: ArrayLike | None,
-        vertex_ids: ArrayLike,
-        edges: ArrayLike | None,
-        bodies: ArrayLike | None,
-        vertex_world: ArrayLike | None,
-        radius: ArrayLike | None,
-        owned: ArrayLike | None,
-    ) -> None:
-        """Check what belongs to this rank alone."""
-        self.vertices = validated_positions(vertices, "vertices", self.dimension)
-        count = len(self.vertices)
-        self.vertex_ids = _per_vertex("vertex_ids", vertex_ids, count)
-        # the rows by id, and so by number
-        self._order = np.argsort(self.vertex_ids, kind="stable")
-        ordered = self.vertex_ids[self._order]
-        if (ordered[1:] == ordered[:-1]).any():
-            again = ordered[1:][ordered[1:] == ordered[:-1]][0]
-            raise ValueError(f"vertex_ids holds {again} more than once; expected each id once on a rank")
-        self._faces = validated_indices(() if faces is None else faces, 3, count, "faces")
-        if self.dimension == 2 and len(self._faces):
-            raise ValueError(
-                f"faces has shape {self._faces.shape}; expected none of a mesh in the plane, whose edges collide"
-            )
-        none = np.zeros((0, 2), dtype=np.int64)
-        self._given_edges = none if edges is None else validated_indices(edges, 2, count, "edges")
-        zeros = np.zeros(count, dtype=np.int64)
-        self.bodies = zeros if bodies is None else _per_vertex("bodies", bodies, count)
-        is_solid = np.isin(self.bodies, list(self._half_spaces))
-        if is_solid.any():
-            at = int(np.argmax(is_solid))
-            raise ValueError(
-                f"bodies gives vertex id {self.vertex_ids[at]} body {self.bodies[at]}, which is a half-space; "
-                f"expected the number of another body"
-            )
-        self.worlds = zeros if vertex_world is None else _per_vertex("vertex_world", vertex_world, count)
-        self.radius = validated_radius(radius, [0, count], lambda row: f" (vertex id {self.vertex_ids[row]})", {})
-        self._owned = np.full(count, -1, dtype=np.int64)
-        if owned is not None:
-            flags = as_array(on_host(owned, "owned"), "owned", f"bool and shape {(count,)}")
-            if (flags.dtype != bool and flags.size) or flags.shape != (count,):
-                raise ValueError(f"owned has dtype {flags.dtype} and shape {flags.shape}; expected bool and {(count,)}")
-            self._owned = flags.astype(np.int64)
-        for name, corners in (("face", self._faces), ("edge", self._given_edges)):
-            for what, of in (("bodies", self.bodies), ("vertex_world", self.worlds)):
-                if count == 0 or of.min() == of.max():
-                    continue
-                values = of[corners]
-                is_torn = np.logical_or.reduce([values[:, k] != values[:, 0] for k in range(1, corners.shape[1])])
-                if is_torn.any():
-                    at = int(np.argmax(is_torn))
-                    raise ValueError(f"{what} gives {name} {at} the values {values[at].tolist()}; expected one")
-
-    def _number_vertices(self) -> None:
+    def _number_vertices(self, given: HandedIn) -> None:
         """Number the vertices of the whole mesh by their ids, and find their owners."""
         ranks = self.ranks
-        given = [(self._owned >= 0).any(), (self._owned < 0).any(), self.radius is not None, self.radius is None]
-        some = ranks.most(np.array(given, dtype=np.int64))
+        self.vertices, self.vertex_ids, self._order = given.vertices, given.vertex_ids, given.order
+        self.bodies, self.worlds, self.radius = given.bodies, given.worlds, given.radius
+        has = [(given.owned >= 0).any(), (given.owned < 0).any(), self.radius is not None, self.radius is None]
+        some = ranks.most(np.array(has, dtype=np.int64))
         for name, flags in (("owned", some[:2]), ("radius", some[2:])):
             if flags.all():
                 raise ValueError(f"{name} is given on some ranks and not on others; expected it on all or on none")
-        first_ids = numbering.splitters(ranks.every(numbering.id_samples(self.vertex_ids)), ranks.size)
-        sent = numbering.by_destination(numbering.home_of(first_ids, self.vertex_ids), ranks.size)
-        rows = np.stack([self.vertex_ids, self._owned, self.bodies, self.worlds], axis=1)
-        received = ranks.swap([rows[items] for items in sent])
-        ids, owned, bodies, worlds = np.concatenate(received).T
-        holder = np.repeat(np.arange(ranks.size), [len(part) for part in received])
-        home = numbering.vertices_at_home(ids, holder, owned, {"bodies": bodies, "vertex_world": worlds})
+        of_ids = Homes(ranks, numbering.splitters(ranks.every(numbering.id_samples(self.vertex_ids)), ranks.size))
+        asked = of_ids.ask(np.stack([self.vertex_ids, given.owned, self.bodies, self.worlds], axis=1), self.vertex_ids)
+        ids, owned, bodies, worlds = asked.rows.T
+        home = numbering.vertices_at_home(ids, asked.holder, owned, {"bodies": bodies, "vertex_world": worlds})
         before = ranks.sum_before(len(home.ids))
         self._check_bodies(home.ids, bodies[home.first])
-        numbers = before + home.place
-        replies = np.stack([numbers, home.owner[home.place]], axis=1)
-        back = ranks.swap(np.split(replies, np.cumsum([len(part) for part in received])[:-1]))
-        self.numbers = np.empty(len(self.vertex_ids), dtype=np.int64)
-        self.owner = np.empty(len(self.vertex_ids), dtype=np.int64)
-        for items, answer in zip(sent, back, strict=True):
-            self.numbers[items], self.owner[items] = answer.T
+        answers = asked.answers(np.stack([before + home.place, home.owner[home.place]], axis=1))
+        self.numbers, self.owner = np.ascontiguousarray(answers.T)
         self._ordered = self.numbers[self._order]
         self.is_owned = self.owner == ranks.rank
         self.owned_rows = np.flatnonzero(self.is_owned)
@@ -259,8 +183,7 @@ class DistributedMesh:
         self.num_vertices = int(counts.sum())
         if self.num_vertices > _MOST_VERTICES:
             raise ValueError(f"the ranks hold {self.num_vertices} vertices; expected at most {_MOST_VERTICES}")
-        # of each home but the first, as `numbering.home_of` takes them
-        self._first_numbers = np.cumsum(counts)[:-1]
+        self._homes = Homes(ranks, np.cumsum(counts)[:-1])  # of numbers, in place of ids
         largest = {
             "bodies": self.bodies.max(initial=0),
             "half_spaces": max(self._half_spaces, default=0),
@@ -304,6 +227,7 @@ class DistributedMesh:
 
     def _take_tables(
         self,
+        given: HandedIn,
         static: Iterable[int],
         self_collision: bool | Sequence[bool],
         codimensional_points: bool | Sequence[bool],
@@ -351,7 +275,7 @@ class DistributedMesh:
             )
         if self.dimension == 2:
             has_edges = np.zeros(self.num_bodies, dtype=np.int64)
-            has_edges[self.bodies[self._given_edges]] = 1
+            has_edges[self.bodies[given.edges]] = 1
             self._with_points |= self.ranks.most(has_edges) == 0  # such a body consists of points
         if len(excluded):
             self._excluded = self._numbers_of(excluded)
@@ -370,83 +294,19 @@ class DistributedMesh:
             raise ValueError(f"exclude_pairs['vertices'] holds id {ids[found < 0][0]}; expected ids of the whole mesh")
         return found
 
-    def _number_primitives(self) -> None:
+    def _number_primitives(self, given: HandedIn) -> None:
         """Number edges and faces of the whole mesh, and choose for each the rank that speaks for it."""
-        ranks, numbers = self.ranks, self.numbers
-        # places among the vertices of this rank are ordered as their numbers are
-        place = np.empty(len(numbers), dtype=np.int64)
-        place[self._order] = np.arange(len(numbers))
-        edges = numbering.edges_of_faces(place[self._faces])
-        given = np.sort(place[self._given_edges], axis=1)
-        given = given[given[:, 0] != given[:, 1]]
-        rows = self._order[np.concatenate([edges, given])]
-        both = np.empty((len(rows), 3), dtype=np.int64)
-        both[:, :2] = numbers[rows]
-        both[:, 2] = np.arange(len(rows)) < len(edges)
-        sent, received = self._to_homes(both, both[:, 1])
-        of_all = np.concatenate(received)
-        home, is_codimensional = numbering.edges_at_home(of_all[:, :2], of_all[:, 2] == 1)
-        before = ranks.sum_before(home.count)
-        self.num_edges = int(ranks.total(np.array(home.count)))
-        number = np.where(home.number >= 0, home.number + before, -1)
-        codimensional = np.zeros(len(number), dtype=np.int64)
-        codimensional[home.chosen] = is_codimensional
-        found, flags = self._answers(np.stack([number, codimensional], axis=1), sent, received, len(both)).T
-        self.primitives = {"edge": self._primitives(found, rows, flags == 1)}
-        del both, of_all, received, rows, edges
-
-        faces = numbers[self._faces]
-        sent, received = self._to_homes(faces, faces.min(axis=1))
-        home = numbering.faces_at_home(np.concatenate(received))
-        before = ranks.sum_before(home.count)
-        self.num_faces = int(ranks.total(np.array(home.count)))
-        number = np.where(home.number >= 0, home.number + before, -1)
-        found = self._answers(number[:, None], sent, received, len(faces))[:, 0]
-        self.primitives["face"] = self._primitives(found, self._faces, np.zeros(len(faces), dtype=bool))
-
-        self.primitives["vertex"] = Primitives(
-            numbers[self.owned_rows],
-            self.owned_rows[:, None].astype(np.int64),
-            self._codimensional_points()[self.owned_rows],
-        )
-
-    def _codimensional_points(self) -> NDArray[np.bool_]:
-        """Which of the vertices are used by no face and no edge of any rank, of the bodies whose points collide."""
+        edges, self.num_edges = numbered_edges(self._homes, self.numbers, self._order, given.faces, given.edges)
+        faces, self.num_faces = numbered_faces(self._homes, self.numbers, given.faces)
         is_used = np.zeros(len(self.numbers))
-        is_used[self._faces] = 1.0
-        is_used[self._given_edges[self._given_edges[:, 0] != self._given_edges[:, 1]]] = 1.0
-        result = is_used.copy()
-        self.copies.back(is_used, result, np.add)
-        return (result == 0.0) & self._with_points[self.bodies]
-
-    def _to_homes(
-        self, rows: NDArray[np.int64], numbers: NDArray[np.int64]
-    ) -> tuple[list[NDArray[np.intp]], list[NDArray[np.int64]]]:
-        """Send rows to the homes of these numbers: which went where, and what has come."""
-        sent = numbering.by_destination(numbering.home_of(self._first_numbers, numbers), self.ranks.size)
-        return sent, self.ranks.swap([rows[items] for items in sent])
-
-    def _answers(
-        self,
-        replies: NDArray[np.int64],
-        sent: list[NDArray[np.intp]],
-        received: list[NDArray[np.int64]],
-        count: int,
-    ) -> NDArray[np.int64]:
-        """What the homes answer to each of the rows that were sent."""
-        back = self.ranks.swap(np.split(replies, np.cumsum([len(part) for part in received])[:-1]))
-        result = np.empty((count, replies.shape[1]), dtype=np.int64)
-        for items, answer in zip(sent, back, strict=True):
-            result[items] = answer
-        return result
-
-    def _primitives(
-        self, found: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]
-    ) -> Primitives:
-        """The primitives for which a home has chosen this rank, given the rows of their vertices."""
-        items = np.flatnonzero(found >= 0)
-        items = items[np.argsort(found[items], kind="stable")]
-        return Primitives(found[items], rows[items].astype(np.int64), codimensional[items])
+        is_used[given.faces] = 1.0
+        is_used[given.edges[given.edges[:, 0] != given.edges[:, 1]]] = 1.0
+        is_used_by_any = is_used.copy()
+        self.copies.back(is_used, is_used_by_any, np.add)
+        is_point = (is_used_by_any == 0.0) & self._with_points[self.bodies]
+        own = self.owned_rows
+        vertices = Primitives(self.numbers[own], own[:, None].astype(np.int64), is_point[own])
+        self.primitives = {"edge": edges, "face": faces, "vertex": vertices}
 
     def _measure(self) -> None:
         """The longest side of the whole mesh; rest positions of ghosts become those of their owners."""
@@ -545,16 +405,3 @@ def _pairs_of_ids(values: Any) -> NDArray[np.int64]:
     if ids.max() > np.iinfo(np.int64).max:
         raise ValueError(f"{name} holds {ids.max()}; expected ids of the whole mesh")
     return ids.astype(np.int64)
-
-
-def _per_vertex(name: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
-    """One integer of at least 0 for each vertex, or a ValueError."""
-    array = as_array(on_host(values, name), name, f"integers and shape {(count,)}")
-    if array.shape == (0,) == (count,):
-        return np.zeros(0, dtype=np.int64)
-    if array.shape != (count,) or array.dtype.kind not in "iu":
-        raise ValueError(f"{name} has dtype {array.dtype} and shape {array.shape}; expected integers and {(count,)}")
-    low, high = array.min(), array.max()
-    if low < 0 or high > np.iinfo(np.int64).max:
-        raise ValueError(f"{name} holds {low if low < 0 else high}; expected integers of at least 0, below 2**63")
-    return array.astype(np.int64)

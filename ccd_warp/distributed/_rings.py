@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp.distributed import _numbering as numbering
-from ccd_warp.distributed._ranks import Ranks
+from ccd_warp.distributed._homes import Homes
 
 _MOST_VERTICES = 1 << 27
 
@@ -18,18 +17,16 @@ class Rings:
     """Rows of numbers, for the vertices of which this rank is the home.
 
     Attributes:
-        first_numbers: First number of each home but the first.
+        homes: The homes.
         keys: The vertices of the rows and those in them, ascending, int64, shape [n, 2].
     """
 
-    ranks: Ranks
-    first_numbers: NDArray[np.int64]
+    homes: Homes
     keys: NDArray[np.int64]
 
     @staticmethod
     def of(
-        ranks: Ranks,
-        first_numbers: NDArray[np.int64],
+        homes: Homes,
         edges: NDArray[np.int64],
         numbers: NDArray[np.int64],
         num_rings: int,
@@ -38,8 +35,7 @@ class Rings:
         """The rings of a mesh, collectively; None where pairs that share a vertex are all that is left out.
 
         Args:
-            ranks: The ranks.
-            first_numbers: First number of each home but the first.
+            homes: The homes of numbers of vertices.
             edges: Numbers of the vertices of the edges for which this rank speaks, shape [n, 2].
             numbers: Number of each of its vertices.
             num_rings: ``exclusion_rings``.
@@ -47,11 +43,12 @@ class Rings:
         """
         if num_rings == 1 and len(excluded) == 0:
             return None
-        rings = Rings(ranks, first_numbers, np.zeros((0, 2), dtype=np.int64))
+        ranks = homes.ranks
+        rings = Rings(homes, np.zeros((0, 2), dtype=np.int64))
         own = np.unique(numbers)
         near = np.zeros((0, 2), dtype=np.int64)
         if num_rings > 1:
-            neighbours = Rings(ranks, first_numbers, rings._sent_home(np.concatenate([edges, edges[:, ::-1]])))
+            neighbours = Rings(homes, rings._sent_home(np.concatenate([edges, edges[:, ::-1]])))
             near = rings._sent_home(np.stack([own, own], axis=1))
             fresh = near
             for _ in range(num_rings - 1):
@@ -71,26 +68,21 @@ class Rings:
                 if most == 0:
                     break
         listed = rings._sent_home(np.concatenate([excluded, excluded[:, ::-1]]) if ranks.rank == 0 else excluded[:0])
-        return Rings(ranks, first_numbers, np.unique(np.concatenate([near, listed]), axis=0))
+        return Rings(homes, np.unique(np.concatenate([near, listed]), axis=0))
 
     def _sent_home(self, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
         """The pairs of all ranks whose first number has its home here, ascending, each once."""
-        sent = numbering.by_destination(numbering.home_of(self.first_numbers, pairs[:, 0]), self.ranks.size)
-        received = self.ranks.swap([pairs[items] for items in sent])
-        return np.unique(np.concatenate(received), axis=0)
+        return np.unique(self.homes.ask(pairs, pairs[:, 0]).rows, axis=0)
 
     def rows_of(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The length of the row of each number, and the rows one after the other; collective."""
         unique, place = np.unique(numbers, return_inverse=True)
-        size = self.ranks.size
-        sent = numbering.by_destination(numbering.home_of(self.first_numbers, unique), size)
-        asked = self.ranks.swap([unique[items] for items in sent])
+        ranks = self.homes.ranks
+        asked = self.homes.ask(unique, unique).received
         begins = [np.searchsorted(self.keys[:, 0], each, side="left") for each in asked]
         ends = [np.searchsorted(self.keys[:, 0], each, side="right") for each in asked]
-        lengths = self.ranks.swap([end - begin for begin, end in zip(begins, ends, strict=True)])
-        rows = self.ranks.swap(
-            [self.keys[_ranges(begin, end - begin), 1] for begin, end in zip(begins, ends, strict=True)]
-        )
+        lengths = ranks.swap([end - begin for begin, end in zip(begins, ends, strict=True)])
+        rows = ranks.swap([self.keys[_ranges(begin, end - begin), 1] for begin, end in zip(begins, ends, strict=True)])
         # homes hold ascending ranges, so their answers follow each other as the unique numbers do
         length, row = np.concatenate(lengths), np.concatenate(rows)
         begin = np.cumsum(length) - length
