@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ccd_warp.benchmarks.methods import SHORT
 from ccd_warp.benchmarks.numbers import OURS, bound, error_of, error_text, is_peer, rows_of, set_name, time_text
-from ccd_warp.benchmarks.sections import SMALL_CALLS, SMALL_PEERS, pair_name, scene_name
+from ccd_warp.benchmarks.scene_sections import SMALL_CALLS, SMALL_PEERS, pair_name, scene_name
 
 _ERRORS = {"median": "median", "p99": "99th percentile of the", "max": "largest"}
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import error_text, rows_of, set_name
-from ccd_warp.benchmarks.sections import SMALL_PEERS, pair_name, scene_name
+from ccd_warp.benchmarks.scene_sections import SMALL_PEERS, pair_name, scene_name
 
 DEFAULT_THRESHOLD = 1.25
 # An error below this is rounding of a toi near one; a ratio of such errors is meaningless.

@@ -13,7 +13,7 @@ import numpy as np
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, time_text
-from ccd_warp.benchmarks.sections import scene_name
+from ccd_warp.benchmarks.scene_sections import scene_name
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure

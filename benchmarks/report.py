@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ccd_warp.benchmarks import sections
+from ccd_warp.benchmarks import scene_sections, sections
 from ccd_warp.benchmarks.ahead import ahead
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
@@ -21,6 +21,7 @@ from ccd_warp.benchmarks.numbers import (
     table,
     time_text,
 )
+from ccd_warp.benchmarks.scene_sections import STEP_HEADER, scene_name, step_cells
 
 COMMAND = "ccd-warp bench --output benchmarks/results --docs ."
 
@@ -123,7 +124,7 @@ def document(raw: dict, figures: str = "figures") -> str:
             "beforehand for both. Candidates of the peer that overlap in its float32 boxes alone do not count as "
             "other.",
             "",
-            *sections.steps(raw),
+            *scene_sections.steps(raw),
             "",
             *picture("steps", "Time by stage"),
         ]
@@ -136,7 +137,7 @@ def document(raw: dict, figures: str = "figures") -> str:
             "every step, and the search with the cull. Candidates of the hash are sorted, those of the tree stay in "
             "the order of the search. The answers of both are equal in every bit.",
             "",
-            *sections.broad(raw),
+            *scene_sections.broad(raw),
             "",
         ]
     if raw.get("small"):
@@ -148,13 +149,13 @@ def document(raw: dict, figures: str = "figures") -> str:
             "the means. `launch` takes arrays of Warp and leaves its answer there; the other calls take and give "
             "NumPy's.",
             "",
-            *sections.small(raw),
+            *scene_sections.small(raw),
             "",
         ]
     if raw.get("pairs"):
-        lines += ["### Single pairs", "", *sections.single_pairs(raw), ""]
+        lines += ["### Single pairs", "", *scene_sections.single_pairs(raw), ""]
     if raw["growth"]:
-        lines += ["### Growth", "", *sections.growth(raw), ""]
+        lines += ["### Growth", "", *scene_sections.growth(raw), ""]
         lines += picture("growth", "Time and memory against the faces of a scene") if "exponents" in raw else []
     if raw["sweep"]:
         lines += ["## The sweep", "", "Time of a query, and the 99th percentile of the error of its toi.", ""]
@@ -189,7 +190,7 @@ def readme_queries(raw: dict) -> list[str]:
 
 
 def readme_steps(raw: dict) -> list[str]:
-    return table(sections.STEP_HEADER, ([sections.scene_name(row), *sections.step_cells(row)] for row in raw["steps"]))
+    return table(STEP_HEADER, ([scene_name(row), *step_cells(row)] for row in raw["steps"]))
 
 
 # Tables between marks, by the page on which they are.
@@ -271,6 +272,6 @@ def summary(raw: dict) -> list[str]:
     if raw["steps"]:
         lines += ["", f"{'whole step, ms':34} {'LBVH + step':>12} {'free step':>10} {'mesh_ccd':>9}"]
         for row in raw["steps"]:
-            cells = sections.step_cells(row)
-            lines.append(f"{sections.scene_name(row):34} {cells[2]:>12} {cells[3]:>10} {cells[4]:>9}")
+            cells = step_cells(row)
+            lines.append(f"{scene_name(row):34} {cells[2]:>12} {cells[3]:>10} {cells[4]:>9}")
     return lines

@@ -16,8 +16,8 @@ import ipctk
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.scene_sections import SMALL_PEERS
 from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.sections import SMALL_PEERS
 from ccd_warp.benchmarks.whole_step import ToolkitScene
 
 import ccd_warp as ccd

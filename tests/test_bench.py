@@ -29,11 +29,11 @@ from ccd_warp.benchmarks import (
     figures,
     raw_file,
     report,
+    scene_sections,
     scenes,
     separation,
     small_scenes,
 )
-from ccd_warp.benchmarks import sections as report_sections
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal
@@ -520,7 +520,7 @@ def test_a_row_of_both_broad_phases_is_told_beside_the_peer():
     row = broad_phases.measure(scenes.two_small_spheres(1), "cpu", 0.0, 1)
     assert row["are_equal"] and row["disagreements"] == 0 and sum(row["candidates"]) > 0
     assert row["rounds"] == 1 and set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 9
-    (line,) = report_sections.broad({"broad": [row]})[2:]
+    (line,) = scene_sections.broad({"broad": [row]})[2:]
     assert line.startswith(f"| {row['scene']} |") and line.endswith("| yes | 0 | 1 |")
 
 
