@@ -6,6 +6,7 @@
 while the others wait for it; that they end is up to MPI, and is what the test looks at.
 """
 
+import contextlib
 import copy
 import os
 import pickle
@@ -18,7 +19,7 @@ from mpi4py import MPI
 from mpi_parts import Cut, compare_call, whole_mesh
 
 import ccd_warp as ccd
-from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _part
+from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _exchange, _part
 
 COMM = MPI.COMM_WORLD
 RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
@@ -191,6 +192,12 @@ def together():
     several = [pipeline, limited]
     everywhere(ValueError, ["of pipeline 2"], lambda: several[min(RANK, 1)].mesh_ccd(x, y))
     interrupted(pipeline, x, y)
+    # no memory for the buffers of an exchange: what was begun of it ends without a word
+    unraisable, sys.unraisablehook = [], lambda given: unraisable.append(given.exc_value)
+    with contextlib.suppress(MemoryError, ValueError):
+        _exchange._Requests(cut.mesh.ranks, [1 << 60] * SIZE, [0] * SIZE, 3)
+    sys.unraisablehook = sys.__unraisablehook__
+    assert not unraisable, unraisable
     copies(pipeline.mesh_ccd(x, y))
     assert len(pickle.loads(pickle.dumps(pipeline.find_intersections(x)))) == 0
 

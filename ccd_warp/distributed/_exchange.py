@@ -101,10 +101,11 @@ class _Requests:
 
     def __init__(self, ranks: Ranks, sent: list[int], received: list[int], width: int) -> None:
         self._ranks = ranks
+        self._all: list[Any] = []  # also if the buffers do not fit into memory
         others = [r for r in range(ranks.size) if r != ranks.rank]
         self._out = {r: np.empty(width * sent[r]) for r in others if sent[r]}
         self._in = {r: np.empty(width * received[r]) for r in others if received[r]}
-        self._all: list[Any] = [ranks.comm.Recv_init(buffer, source=r) for r, buffer in self._in.items()]
+        self._all += [ranks.comm.Recv_init(buffer, source=r) for r, buffer in self._in.items()]
         self._all += [ranks.comm.Send_init(buffer, dest=r) for r, buffer in self._out.items()]
 
     def to_send(self, rows: list[NDArray[np.intp]]) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
