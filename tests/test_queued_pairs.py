@@ -75,16 +75,16 @@ def test_contacts_of_a_mesh_through_the_queue_have_equal_bits(options, precision
 
 
 def test_threads_get_few_pairs_spread_over_all_warps():
-    from ccd_warp.kernels.queued_pairs import first_of, in_use
+    from ccd_warp.kernels.queued_pairs import turns_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def take(num_solvers: int, count: int, taken: wp.array[wp.int32], lanes_used: wp.array[wp.int32]):
-        lanes = in_use(num_solvers, count)
-        lanes_used[0] = lanes
-        following = first_of(wp.tid(), lanes, count)
+        turns = turns_of(wp.tid(), num_solvers, count, False)
+        lanes_used[0] = turns.stride / (num_solvers / 32)
+        following = turns.first
         while following < count:
             wp.atomic_add(taken, following, 1)
-            following += num_solvers / 32 * lanes
+            following += turns.stride
 
     for num_solvers, count, lanes in (
         (128, 0, 0),
