@@ -85,7 +85,9 @@ def worked(mesh: VirtualMesh, plan: VirtualPlan, rank: int) -> Worked:
     start, end = (x[part.vertex_numbers] for x in (mesh.start, mesh.end))
     vars(part.mesh)["vertices"] = start.copy()
     lower, upper = plan.bounds.boxes(start, end, part.mesh.vertex_world, part.box_radius)
-    topology = PartTopology(part, wp.get_device("cpu"), axes_below(lower, plan.regions.lower[rank]), None)
+    topology = PartTopology(
+        part, wp.get_device("cpu"), axes_below(lower, plan.regions.lower[rank]), None, mesh.num_vertices
+    )
     # the quantization is that of the part, which is as good
     together = SimpleNamespace(whole=mesh, topology=topology, ranks=mesh.ranks, collect_samples=lambda positions: None)
     limits = plan.bounds.limits(lower, upper, part.box_radius)

@@ -44,6 +44,7 @@ LEAST_CELL = 2.0 ** (1 - CELL_BITS)  # with it the cells of the finest level fil
 _LEVEL_SHIFT = wp.constant(wp.uint64(3 * CELL_BITS + PART_BITS))
 _COLUMN_SHIFT = wp.constant(wp.uint64(CELL_BITS))
 _ROW_SHIFT = wp.constant(wp.uint64(CELL_BITS + PART_BITS))
+_COLUMN = wp.constant(wp.uint64(2**CELL_BITS - 1))
 _IN_ROW = wp.constant(wp.uint64(2 ** (CELL_BITS + PART_BITS) - 1))
 PARTS = wp.constant(2**PART_BITS)
 # The cells of a level are numbered from 1, so that there is one before each, and none is the last number.
@@ -127,6 +128,18 @@ def cell_key(level: int, x: int, y: int, z: int) -> wp.uint64:
 def level_of_cell(key: wp.uint64) -> int:
     """Level of a cell."""
     return wp.int32(key >> _LEVEL_SHIFT)
+
+
+@wp.func
+def is_at_an_end(key: wp.uint64) -> bool:
+    """Whether a row of cells is at an end of the grid, where all stand that lie outside, however far apart."""
+    row = key >> _ROW_SHIFT
+    for _k in range(2):
+        number = wp.int32(row & _COLUMN)
+        if number <= _MIDDLE - wp.int32(_FARTHEST) or number >= _MIDDLE + wp.int32(_FARTHEST):
+            return True
+        row = row >> _COLUMN_SHIFT
+    return False
 
 
 @wp.func

@@ -45,10 +45,10 @@ def surviving(mesh, start, end, num_parts=1, **options):
     keys = {kind: [] for kind in plan.kinds}
     largest = 1 << 30
     if num_parts > 1:
-        largest = max(1, sum(sum(b.found.values()) for b in plan.batches(1, largest)) // num_parts)
+        largest = max(1, sum(sum(b.found.values()) for b in plan.batches(largest)) // num_parts)
         largest = max(largest, *(pair.target.primitives.count for pair in plan.tree_pairs))
         plan.begin_candidates()
-    for batch in plan.batches(1, largest):
+    for batch in plan.batches(largest):
         for kind, count in batch.found.items():
             if count:
                 keys[kind].append(plan.some_keys(kind, count, count).copy())
@@ -383,6 +383,17 @@ def test_random_scenes_have_the_same_launches(seed):
     mesh, start, end, options = random_scene(seed)
     options["t_max"] = 1.0  # line searches look at whole steps
     check_launches(mesh, start, end, **options)
+
+
+def test_points_far_beyond_the_ends_of_the_grid_are_searched_one_by_one():
+    """They stand in one row of cells there, and the box around them covers any number of coarser ones."""
+    rng = np.random.default_rng(0)
+    points = 1.7e308 * rng.uniform(-1.0, 1.0, (120, 3))
+    motion = 10.0 ** rng.uniform(301, 307, (120, 1)) * rng.standard_normal((120, 3)) * (np.arange(120) % 2)[:, None]
+    mesh = ccd.CollisionMesh.from_arrays([(points, np.zeros((0, 3), dtype=int))], codimensional_points=True)
+    end = np.clip(points + motion, -1.7e308, 1.7e308)
+    tree, grid = (ccd.mesh_ccd(mesh, points, end, broad_phase=name) for name in ("tree", "hash"))
+    assert grid.counts.num_candidates == tree.counts.num_candidates and grid.toi == tree.toi
 
 
 # --- limits, threads, loops ---

@@ -224,8 +224,9 @@ class StepBoxes:
     def _is_in_order(self, tree: Tree, quantization: Any) -> bool:
         """Whether most of the blocks are small enough to consist of neighbours."""
         count = tree.levels[0]
-        if count <= WIDTH:
-            return True  # every query tests no more than the boxes of one block before these
+        # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours
+        if count <= WIDTH or tree.primitives.is_sample:
+            return True
         chosen = (np.arange(_CHECKED_BLOCKS) * count) // _CHECKED_BLOCKS
         boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
         with np.errstate(invalid="ignore", over="ignore"):

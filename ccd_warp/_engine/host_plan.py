@@ -16,7 +16,7 @@ from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
-from ccd_warp._engine.trees import Tree, TreePair, search_options, tree_pairs_of, trees_of, with_reverses
+from ccd_warp._engine.trees import Tree, TreePair, samples_of, search_options, tree_pairs_of, trees_of, with_reverses
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
@@ -112,11 +112,13 @@ class HostPlan:
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
         sought = topology, self.kinds, moves_alone(mesh)
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
+        kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
+        self.tree_pairs = tree_pairs_of(*sought, *kept)
+        is_sampled = goal == "bound" and topology.is_sampled
+        self._sample_pairs = samples_of(self.tree_pairs, topology, *kept) if is_sampled else []
         if self._has_grids:
-            self.tree_pairs = with_reverses(tree_pairs_of(*sought, self._boxes.grids, Grid))
-        else:
-            self.tree_pairs = tree_pairs_of(*sought, self._boxes.trees, Tree)
-        self.trees = trees_of(self.tree_pairs)
+            self.tree_pairs, self._sample_pairs = with_reverses(self.tree_pairs), with_reverses(self._sample_pairs)
+        self.trees = trees_of(self.tree_pairs + self._sample_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         has_narrow_phase = goal in ("contacts", "bound")
         # the search of CUDA lists candidates in trees of endpoint AABBs alone
@@ -125,7 +127,7 @@ class HostPlan:
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
-        self._excess: dict[int, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
+        self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._norm = EUCLIDEAN_NORM if goal in _AT_ONE_TIME else norm_of(mesh, options)
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
@@ -305,26 +307,26 @@ class HostPlan:
             self._search_values = values
         return self._recording.values["search options"]
 
-    def batches(self, stride: int, largest: int) -> Iterator[Batch]:
-        """Search every ``stride``-th block of queries, and yield the pairs that the cull leaves in batches.
+    def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
+        """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
 
         The first search tells how many pairs there are. If they are more than the capacity, which grows up to
         ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
         search is in parts from the beginning.
         """
-        if not self.tree_pairs:
+        section, tree_pairs = ("pairs of a sample", self._sample_pairs) if of_sample else ("pairs", self.tree_pairs)
+        if not tree_pairs:
             return
-        if stride in self._excess:
-            yield from self._batches_of_parts(stride, largest, self._excess[stride])
+        if section in self._excess:
+            yield from self._batches_of_parts(section, tree_pairs, largest, self._excess[section])
             return
-        self._reserve(stride, largest)
-        self._meets = [self.may_meet(tree_pair) for tree_pair in self.tree_pairs]
+        self._reserve(tree_pairs, largest)
+        self._meets = [self.may_meet(tree_pair) for tree_pair in tree_pairs]
         while True:
-            for tree_pair, meets in zip(self.tree_pairs, self._meets, strict=True):
+            for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self._clear_counts()
-            section = "pairs" if stride == 1 else "pairs of a sample"
-            self.play(section, lambda stages, recording: self._record_search(stages, recording, stride))
+            self.play(section, lambda stages, recording: self._record_search(stages, recording, tree_pairs))
             needed = self._num_needed()
             if all(needed[kind] <= self._capacities[kind] for kind in self._searched_kinds):
                 yield self._batch(self._num_found(), is_only=True)
@@ -334,12 +336,12 @@ class HostPlan:
                 break
             grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in needed.items()}
             self._set_capacities(grown if sum(grown.values()) <= largest else least)
-        yield from self._batches_of_parts(stride, largest, needed)
+        yield from self._batches_of_parts(section, tree_pairs, largest, needed)
 
-    def _record_search(self, stages: Stages, recording: Recording, stride: int) -> None:
+    def _record_search(self, stages: Stages, recording: Recording, tree_pairs: list[TreePair]) -> None:
         with recording.at_once():
-            for number, tree_pair in enumerate(self.tree_pairs):
-                items = range(0, self._num_items(tree_pair), stride)
+            for number, tree_pair in enumerate(tree_pairs):
+                items = range(self._num_items(tree_pair))
                 stages.search(recording, tree_pair, items, is_needed=lambda k=number: self._meets[k])  # type: ignore[misc]
         if recording.is_cuda:
             for kind in stages.kinds:
@@ -348,12 +350,14 @@ class HostPlan:
     def _num_items(self, tree_pair: TreePair) -> int:
         return tree_pair.query.primitives.count if self.execution.is_cuda else tree_pair.query.levels[0]
 
-    def _batches_of_parts(self, stride: int, largest: int, expected: Mapping[PairKind, int]) -> Iterator[Batch]:
+    def _batches_of_parts(
+        self, section: str, tree_pairs: list[TreePair], largest: int, expected: Mapping[PairKind, int]
+    ) -> Iterator[Batch]:
         """Batches of at most ``largest`` pairs, given how many there may be of each kind."""
         level = 0 if self.execution.is_cuda else 1
         pending: deque[_Part] = deque()
-        for tree_pair in filter(self.may_meet, self.tree_pairs):
-            items = range(0, self._num_items(tree_pair), stride)
+        for tree_pair in filter(self.may_meet, tree_pairs):
+            items = range(self._num_items(tree_pair))
             pending += _Part(tree_pair, level, items).split(_pieces(expected[tree_pair.kind], largest))
         total = sum(part.num_queries for part in pending)
         total_needed: Counter[PairKind] = Counter()
@@ -379,9 +383,9 @@ class HostPlan:
             if found[part.tree_pair.kind] > 0:
                 yield batch
         if total_needed.total() > largest:
-            self._excess[stride] = total_needed
+            self._excess[section] = total_needed
         else:
-            self._excess.pop(stride, None)
+            self._excess.pop(section, None)
 
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
@@ -417,13 +421,13 @@ class HostPlan:
         else:
             self._counts_view[:] = 0
 
-    def _reserve(self, stride: int, largest: int) -> None:
+    def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""
         wanted = self._capacities
         if not all(wanted.values()):
             wanted = dict.fromkeys(self._searched_kinds, 0)
-            for tree_pair in self.tree_pairs:
-                wanted[tree_pair.kind] += tree_pair.query.primitives.count // stride
+            for tree_pair in tree_pairs:
+                wanted[tree_pair.kind] += tree_pair.query.primitives.count
             wanted = {kind: max(count, _LEAST_CAPACITY) for kind, count in wanted.items()}
         total = sum(wanted.values())
         if total > largest:

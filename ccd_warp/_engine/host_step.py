@@ -33,9 +33,6 @@ from ccd_warp._status import CCDStatus, PairKind
 # Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
 TOI_BYTES = 8
-# The search for a bound first samples every so many blocks, and then checks all of them over the rest of the step.
-_SAMPLE_STRIDE = 32
-_WORTH_SAMPLING = 1 << 14  # vertices
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
 # Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
@@ -209,9 +206,9 @@ class Step:
     def least_toi(self, *, any_suffices: bool = False) -> float:
         """Earliest toi of all pairs, inf if none touches.
 
-        A sample of the queries comes first. Where it finds a contact, the full search covers only the part of the step
-        before it: the boxes are shorter, and the cull ends there. The bound of each round is the least toi of the pairs
-        of the previous round. It depends only on the input, and so does the result.
+        In a large mesh the pairs of a sample of the queries come first. Where one touches, the full search covers only
+        the part of the step before that: the boxes are shorter, and the cull ends there. The bound of each round is the
+        least toi of the pairs of the previous round. It depends only on the input, and so does the result.
 
         Args:
             any_suffices: Whether to end with the first contact found, whose toi need not be the earliest.
@@ -219,7 +216,7 @@ class Step:
         best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
         plan.set_options(self.workspace.packed(self.options, self.length_scale))
-        strides: tuple[int, ...] = (_SAMPLE_STRIDE, 1)
+        searches: tuple[bool, ...] = (True, False) if self.topology.is_sampled else (False,)
         if plan.has_planes:
             with self.timed("planes"):
                 plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
@@ -227,10 +224,8 @@ class Step:
                 plan.bound_by_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
             if best <= 0.0 or (any_suffices and best < np.inf):
-                strides = ()
-        for stride in strides:
-            if stride > 1 and self.num_vertices_in_all < _WORTH_SAMPLING:
-                continue
+                searches = ()
+        for of_sample in searches:
             if best <= _WORTH_SHORTENING * t_end:
                 t_end = best
                 with self.timed("boxes"):
@@ -239,7 +234,9 @@ class Step:
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
-            for batch in self.timed_batches(plan.batches(stride, self.capacity(plan.key_bytes + TOI_BYTES))):
+            for batch in self.timed_batches(
+                plan.batches(self.capacity(plan.key_bytes + TOI_BYTES), of_sample=of_sample)
+            ):
                 with self.timed("narrow phase"):
                     plan.bound(is_second=False)
                     for kind in plan.num_open():
@@ -284,11 +281,6 @@ class Step:
             bound = plan.least()
         return bound
 
-    @property
-    def num_vertices_in_all(self) -> int:
-        """Number of vertices of the whole mesh, which may be more than this process has."""
-        return self.mesh.num_vertices
-
     def least_of_all(self, toi: float) -> float:
         """The least toi of all processes that share the step; here of this one."""
         return toi
@@ -311,7 +303,7 @@ class Step:
             plan.reset_minima(store.count)
             plan.set_options(self.workspace.packed(self.options, self.length_scale))
             plan.set_search(t_max, self.inflation, self.separation)
-            batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
+            batches = plan.batches(self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
         survivors: Counter[PairKind] = Counter()
         if plan.has_planes:
             with self.timed("planes"):

@@ -62,7 +62,7 @@ class ProximityStep(_StepAtOneTime):
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.buffers, self.execution)
             plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(1, self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
+            batches = plan.batches(self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
         if plan.has_planes:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = self._list_near_planes(plan, store)
@@ -112,7 +112,7 @@ class DisplacementStep(_StepAtOneTime):
             inputs = [largest, self.topology.body_static]
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
-            batches = plan.batches(1, self.capacity(plan.key_bytes))
+            batches = plan.batches(self.capacity(plan.key_bytes))
         if plan.has_planes:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = plan.bound_by_half_spaces()

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
 
 WIDTH = int(kernels.WIDTH)
+# A sample of a set: of so many runs of primitives that follow one another by number, one. A run is a block of the tree
+# where neighbours have neighbouring numbers, as in most meshes.
+_SAMPLE_STRIDE, _RUN = 32, 16
+WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
@@ -38,6 +42,8 @@ PRIMITIVES = {
     PairKind.POINT_SEGMENT: ("codimensional_point", "codimensional_edge"),
     PairKind.POINT_POINT: ("codimensional_point", "codimensional_point"),
 }
+# The arrays of those kinds of primitives that have none of their own.
+ARRAYS = {"codimensional_point": "vertex", "codimensional_edge": "edge"}
 # In the plane, where vertices and edges are what vertices and faces are in space.
 _PRIMITIVES_IN_PLANE = PRIMITIVES | {PairKind.POINT_SEGMENT: ("vertex", "edge")}
 CORNER_ARRAYS = {
@@ -60,6 +66,7 @@ class PrimitiveSet:
         num_corners: Number of vertices of a primitive.
         ids: Indices among all primitives of the kind, int32, shape [n].
         corners: Vertex indices, wp.vec3i, shape [n]; where there are fewer than three, one repeats.
+        is_sample: Whether these are some of a set, which are no neighbours of each other.
     """
 
     name: str
@@ -67,6 +74,7 @@ class PrimitiveSet:
     num_corners: int
     ids: wp.array
     corners: wp.array
+    is_sample: bool = False
 
     @property
     def count(self) -> int:
@@ -92,6 +100,7 @@ class Topology:
     def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
         self.mesh = mesh
         self.device = device
+        self.num_vertices_in_all = mesh.num_vertices  # of the whole mesh, of which this one may be a part
         self.vertex_body = self.array(mesh.vertex_body)
         has_worlds = mesh.num_worlds > 1
         self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
@@ -211,9 +220,32 @@ class Topology:
             self._sets.setdefault(key, self._make_set(kind, is_static))
         return self._sets[key]
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the search for a bound begins with a sample."""
+        return self.num_vertices_in_all >= WORTH_SAMPLING
+
+    def sample(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
+        """Some primitives of a set of this kind, by their numbers alone: the same wherever they are, in any order."""
+        key = (f"sampled {kind}", primitives.is_static)
+        if key not in self._sets:
+            ids = primitives.ids.numpy()
+            chosen = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
+            corners = self.array(primitives.corners.numpy()[chosen], wp.vec3i)
+            name, of_ids = f"sampled {primitives.name}", self.array(ids[chosen])
+            found = PrimitiveSet(name, primitives.is_static, primitives.num_corners, of_ids, corners, is_sample=True)
+            self._sets.setdefault(key, found)
+        return self._sets[key]
+
+    def numbers(self, kind: str) -> NDArray[np.integer]:
+        """The index of each primitive of a kind in the whole mesh."""
+        mesh = self.mesh
+        count = {"edge": mesh.num_edges, "face": mesh.num_faces}.get(ARRAYS.get(kind, kind), mesh.num_vertices)
+        return np.arange(count)
+
     def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
         mesh = self.mesh
-        array = {"codimensional_point": "vertex", "codimensional_edge": "edge"}.get(kind, kind)
+        array = ARRAYS.get(kind, kind)
         body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
         among = {"codimensional_point": mesh.codimensional_points, "codimensional_edge": mesh.codimensional_edges}.get(
             kind

@@ -250,6 +250,28 @@ def tree_pairs_of(
     return tree_pairs
 
 
+def samples_of(
+    tree_pairs: list[TreePair],
+    topology: Topology,
+    trees: dict[str, Any],
+    make: Callable[[PrimitiveSet], Any] = Tree,
+) -> list[TreePair]:
+    """The tree pairs in which a sample of the queries takes the place of all of them.
+
+    Trees of samples that are not in ``trees`` yet are made and added to it. A pair of two primitives of one sample is
+    found twice.
+    """
+    found = []
+    for pair in tree_pairs:
+        kind = topology.primitives_of(pair.kind)[int(pair.swapped)]
+        primitives = topology.sample(pair.query.primitives, kind)
+        if primitives.count:
+            if primitives.name not in trees:
+                trees[primitives.name] = make(primitives)
+            found.append(TreePair(pair.kind, trees[primitives.name], pair.target, pair.swapped))
+    return found
+
+
 def with_reverses(tree_pairs: list[TreePair]) -> list[TreePair]:
     """The searches of grids for these pairs of sets: a box looks up only boxes that are no smaller.
 

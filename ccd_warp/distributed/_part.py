@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import swept_boxes
-from ccd_warp._engine.topology import Positions, PrimitiveSet, Topology
+from ccd_warp._engine.topology import ARRAYS, Positions, PrimitiveSet, Topology
 from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -110,6 +110,7 @@ class PartTopology(Topology):
         device: Any,
         vertex_below: NDArray[np.uint8],
         rings: tuple[NDArray[np.int32], NDArray[np.int32]] | None,
+        num_vertices_in_all: int,
     ) -> None:
         """The data of a part.
 
@@ -119,8 +120,10 @@ class PartTopology(Topology):
             vertex_below: The axes along which the box of each vertex in the plan begins below the region, a bit each,
                 shape [n].
             rings: The vertices that must not meet each vertex, as of `rings.excluded_vertices`.
+            num_vertices_in_all: Number of vertices of the whole mesh.
         """
         super().__init__(part.mesh, device)
+        self.num_vertices_in_all = num_vertices_in_all
         self._part = part
         self._vertex_below, self._rings = vertex_below, rings
         self._axes_below: dict[str, NDArray[np.uint8]] = {}
@@ -148,6 +151,12 @@ class PartTopology(Topology):
         mesh, tested = self.mesh, self._part.tested_vertices
         is_here = ~mesh.static[mesh.vertex_body[tested]] & (self._vertex_below[tested] == 0)
         return self.array(tested[is_here])
+
+    def numbers(self, kind: str) -> NDArray[np.integer]:
+        """The index of each primitive of a kind in the whole mesh."""
+        part = self._part
+        of_kind = {"edge": part.edge_numbers, "face": part.face_numbers}
+        return of_kind.get(ARRAYS.get(kind, kind), part.vertex_numbers)
 
     def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
         if kind != "vertex":

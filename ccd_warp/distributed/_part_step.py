@@ -98,11 +98,6 @@ class StepTogether(StepOnPart):
 class PartStep(StepTogether):
     """A step on one rank, which shares with the others what one process knows of all pairs."""
 
-    @property
-    def num_vertices_in_all(self) -> int:
-        """Number of vertices of the whole mesh."""
-        return self.together.whole.num_vertices
-
     def least_of_all(self, toi: float) -> float:
         """The least toi of all ranks."""
         with self.timed("reductions"):

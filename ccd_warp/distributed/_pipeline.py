@@ -161,9 +161,6 @@ class DistributedPipeline:
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
         """Like :func:`ccd_warp.collision_free_step`, collectively.
 
-        In a mesh of 16,384 vertices or more the ranks look at another sample first than one process, and answers may
-        differ where the precision, the method or a limit is not the default; see docs/distributed.md.
-
         Args:
             vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
             vertices_t1: End positions, likewise.

@@ -98,6 +98,7 @@ def make_plan(
         device,
         axes_below(part_lower, region[0]),
         None if whole.rings is None else whole.rings.among(part.vertex_numbers),
+        whole.num_vertices,
     )
     is_home = _is_in(part_lower, region)
     together = TogetherIn(whole, part, topology, is_home)
