@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 WIDTH = int(kernels.WIDTH)
 # A sample of a set: of so many runs of primitives that follow one another by number, one. A run is a block of the tree
 # where neighbours have neighbouring numbers, as in most meshes.
-_SAMPLE_STRIDE, _RUN = 32, 16
+_SAMPLE_STRIDE, _RUN = 96, 16
 WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
