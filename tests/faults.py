@@ -168,7 +168,7 @@ class _Signal:
     """Asks for an interrupt when its attribute is read, as SIGINT does.
 
     No function of Python is called for that, since Python looks for signals after each call: the interrupt arrives in
-    the code that is traced, at the next place where a real one could, and not in the function that traces it.
+    the code that is traced, and not in the function that traces it.
     """
 
     trip = staticmethod(functools.partial(__import__("_thread").interrupt_main, signal.SIGINT))
@@ -197,13 +197,18 @@ class Interrupt:
 
     def start(self) -> None:
         """Trace this thread."""
-        self._handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._handler = signal.signal(signal.SIGINT, self._arrive)
         sys.settrace(self._enter)
 
     def stop(self) -> None:
         """Stop tracing."""
         sys.settrace(None)
         signal.signal(signal.SIGINT, self._handler)
+
+    def _arrive(self, *_: object) -> None:
+        """Raise the interrupt where a real one is raised, and go on counting."""
+        sys.settrace(self._enter)
+        raise KeyboardInterrupt
 
     def _enter(self, frame: Any, event: str, _: Any) -> Any:
         name = frame.f_code.co_filename
@@ -224,6 +229,8 @@ class Interrupt:
         if self.count == self.n or self.count == self.second:
             self.where += f" {frame.f_code.co_filename.rpartition('/')[2]}:{frame.f_lineno}"
             self.has_happened = True
+            # or the interrupt would arrive where the next bytecode is traced, such as that which releases a lock
+            sys.settrace(None)
             _SIGNAL.now  # noqa: B018
         return self._step
 
@@ -289,19 +296,20 @@ def _settle() -> None:
 
 def _disturbed(fault: Any, call: Callable[[], Any]) -> tuple[BaseException | None, Any]:
     """What the call raised, and returned, while a fault happened in it."""
-    result = None
+    error, result = None, None
     try:
         try:
             fault.start()
             result = call()
             _settle()
-        except BaseException as error:
-            return error, None
-    except BaseException as error:  # a second interrupt, which arrived above
-        return error, None
+        except BaseException as raised:
+            error = raised
+            _settle()
+    except BaseException as raised:  # a second interrupt, which arrived above
+        error = raised
     finally:
         fault.stop()
-    return None, result
+    return error, None if error else result
 
 
 def _is_of(error: BaseException, kind: type[BaseException]) -> bool:
