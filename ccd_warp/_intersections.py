@@ -75,9 +75,7 @@ class Intersections:
 
         Edges through faces, and in the plane edges that cross, are what :func:`ccd_warp.mesh_ccd` does not see.
         """
-        crossing = IntersectionKind.EDGE_FACE if self.mesh.dimension == 3 else IntersectionKind.EDGE_EDGE
-        is_crossing: NDArray[np.bool_] = self.kind == int(crossing)
-        return is_crossing
+        return are_crossing(self.kind, self.mesh.dimension)
 
     @property
     def num_crossing(self) -> int:
@@ -122,6 +120,13 @@ class Intersections:
     def _rows(self) -> Iterator[tuple[IntersectionKind, list[int], list[int], list[float]]]:
         kinds = map(IntersectionKind, self.kind.tolist())
         return zip(kinds, self.primitives.tolist(), self.bodies.tolist(), self.points.tolist(), strict=True)
+
+
+def are_crossing(kind: NDArray[np.int32], dimension: int) -> NDArray[np.bool_]:
+    """Whether pairs of these kinds pass through each other: edges through faces, or in the plane edges that cross."""
+    crossing = IntersectionKind.EDGE_FACE if dimension == 3 else IntersectionKind.EDGE_EDGE
+    is_crossing: NDArray[np.bool_] = kind == int(crossing)
+    return is_crossing
 
 
 def located(

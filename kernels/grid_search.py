@@ -312,10 +312,10 @@ def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
             if is_stopped(options.stop):
                 return
             queries = in_cells(query_grid.cells, query_block, pending, first_of_row(own), last_of_row(own))
-            if is_at_an_end(own):
+            own_level = level_of_cell(own)
+            if own_level < LAST_LEVEL and is_at_an_end(own):
                 queries = queries & (~queries + wp.uint32(1))  # one alone: the box around several may cover any number
             pending = pending & ~queries
-            own_level = level_of_cell(own)
             levels = (wp.uint32(target_grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(tree_pair.rise)
             level = int(own_level + tree_pair.rise)
             while levels != _NONE:

@@ -16,7 +16,15 @@ from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
-from ccd_warp._engine.trees import Tree, TreePair, samples_of, search_options, tree_pairs_of, trees_of, with_reverses
+from ccd_warp._engine.trees import (
+    Tree,
+    TreePair,
+    sampled_pairs_of,
+    search_options,
+    tree_pairs_of,
+    trees_of,
+    with_reverses,
+)
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
@@ -114,11 +122,11 @@ class HostPlan:
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
         self.tree_pairs = tree_pairs_of(*sought, *kept)
-        is_sampled = goal == "bound" and topology.is_sampled
-        self._sample_pairs = samples_of(self.tree_pairs, topology, *kept) if is_sampled else []
+        has_sample = goal == "bound" and topology.samples_queries
+        self._sampled_pairs = sampled_pairs_of(self.tree_pairs, topology, *kept) if has_sample else []
         if self._has_grids:
-            self.tree_pairs, self._sample_pairs = with_reverses(self.tree_pairs), with_reverses(self._sample_pairs)
-        self.trees = trees_of(self.tree_pairs + self._sample_pairs)
+            self.tree_pairs, self._sampled_pairs = with_reverses(self.tree_pairs), with_reverses(self._sampled_pairs)
+        self.trees = trees_of(self.tree_pairs + self._sampled_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         has_narrow_phase = goal in ("contacts", "bound")
         # the search of CUDA lists candidates in trees of endpoint AABBs alone
@@ -314,7 +322,7 @@ class HostPlan:
         ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
         search is in parts from the beginning.
         """
-        section, tree_pairs = ("pairs of a sample", self._sample_pairs) if of_sample else ("pairs", self.tree_pairs)
+        section, tree_pairs = ("pairs of a sample", self._sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
         if not tree_pairs:
             return
         if section in self._excess:

@@ -216,7 +216,7 @@ class Step:
         best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
         plan.set_options(self.workspace.packed(self.options, self.length_scale))
-        searches: tuple[bool, ...] = (True, False) if self.topology.is_sampled else (False,)
+        searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries else (False,)
         if plan.has_planes:
             with self.timed("planes"):
                 plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))

@@ -221,11 +221,11 @@ class Topology:
         return self._sets[key]
 
     @property
-    def is_sampled(self) -> bool:
+    def samples_queries(self) -> bool:
         """Whether the search for a bound begins with a sample."""
         return self.num_vertices_in_all >= WORTH_SAMPLING
 
-    def sample(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
+    def sampled_queries(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
         """Some primitives of a set of this kind, by their numbers alone: the same wherever they are, in any order."""
         key = (f"sampled {kind}", primitives.is_static)
         if key not in self._sets:

@@ -250,7 +250,7 @@ def tree_pairs_of(
     return tree_pairs
 
 
-def samples_of(
+def sampled_pairs_of(
     tree_pairs: list[TreePair],
     topology: Topology,
     trees: dict[str, Any],
@@ -264,7 +264,7 @@ def samples_of(
     found = []
     for pair in tree_pairs:
         kind = topology.primitives_of(pair.kind)[int(pair.swapped)]
-        primitives = topology.sample(pair.query.primitives, kind)
+        primitives = topology.sampled_queries(pair.query.primitives, kind)
         if primitives.count:
             if primitives.name not in trees:
                 trees[primitives.name] = make(primitives)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._intersections import PRIMITIVES_OF, Intersections
-from ccd_warp._status import IntersectionKind
+from ccd_warp._intersections import PRIMITIVES_OF, Intersections, are_crossing
 from ccd_warp.distributed._results import OnRanks, at_root, whole_pairs
 
 if TYPE_CHECKING:
@@ -55,9 +54,7 @@ class DistributedIntersections(OnRanks):
 
         Edges through faces, and in the plane edges that cross, are what ``mesh_ccd`` does not see.
         """
-        crossing = IntersectionKind.EDGE_FACE if self.points.shape[1] == 3 else IntersectionKind.EDGE_EDGE
-        is_crossing: NDArray[np.bool_] = self.kind == int(crossing)
-        return is_crossing
+        return are_crossing(self.kind, self.points.shape[1])
 
     @property
     def num_crossing(self) -> int:

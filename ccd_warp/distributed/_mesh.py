@@ -243,6 +243,8 @@ class DistributedMesh:
             raise ValueError("half_spaces holds all bodies; expected at least one body with vertices")
         self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), self.dimension)
         self.static[self.planes.bodies] = True
+        self._is_static = self.static[self.bodies]
+        self._has_static = bool(self._is_static.any())
         self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
         self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
         self.body_pairs = validated_body_pairs(body_pairs, names)
@@ -282,13 +284,12 @@ class DistributedMesh:
 
     def _numbers_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Pairs of ids as pairs of numbers; a rank gives those of its own vertices."""
-        order = self._order
-        place = np.searchsorted(self.vertex_ids[order], ids)
-        clipped = np.minimum(place, max(len(order) - 1, 0))
+        ordered = self.vertex_ids[self._order]
+        place = np.minimum(np.searchsorted(ordered, ids), max(len(ordered) - 1, 0))
         found = np.full(ids.shape, -1, dtype=np.int64)
-        if len(order):
-            is_here = self.vertex_ids[order][clipped] == ids
-            found[is_here] = self.numbers[order][clipped][is_here]
+        if len(ordered):
+            is_here = ordered[place] == ids
+            found[is_here] = self._ordered[place[is_here]]
         found = self.ranks.most(found)
         if (found < 0).any():
             raise ValueError(f"exclude_pairs['vertices'] holds id {ids[found < 0][0]}; expected ids of the whole mesh")
@@ -380,9 +381,8 @@ class DistributedMesh:
             )
         start = as_positions(vertices_t0, name_t0, self.dimension, count, "one row a vertex of this rank")
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, count, "one row a vertex of this rank")
-        is_static = self.static[self.bodies] if self.static.any() else None
-        if is_static is not None and is_static.any():
-            end = np.where(is_static[:, None], start, end)
+        if self._has_static:
+            end = np.where(self._is_static[:, None], start, end)
         is_all = len(self.owned_rows) == count
         for name, values in ((name_t0, start), ("vertices_t1", end)):
             # rows are copied only where one that is not finite may be a ghost's

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 _PRIMITIVES_OF = CORNER_ARRAYS | {PairKind.VERTEX_PLANE: ("vertex", "plane")}
 
 
-_NOT_OF_A_CALL = "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
-
-
 class OnRanks:
     """What is spread over the ranks that have found it; a copy, or what was pickled, belongs to its rank alone."""
 
@@ -36,6 +33,17 @@ class OnRanks:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_ranks": None}
+
+    def _gathered(self) -> dict[str, Any] | None:
+        """The arrays of all ranks, one after the other, on rank 0; None on the others."""
+        ranks: Ranks | None = vars(self)["_ranks"]
+        if ranks is None:
+            raise ValueError(
+                "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
+            )
+        with ranks.together("to_root"):
+            arrays = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+            return ranks.at_root(arrays)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -253,16 +261,9 @@ def proximities_of(part: Part, found: Proximities, ranks: Ranks) -> DistributedP
     return result
 
 
-def at_root(found: Any) -> dict[str, Any] | None:
+def at_root(found: OnRanks) -> dict[str, Any] | None:
     """The arrays of all ranks on rank 0, in the order of kinds and primitives; None on the others."""
-    ranks: Ranks | None = vars(found)["_ranks"]
-    if ranks is None:
-        raise ValueError(
-            "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
-        )
-    with ranks.together("to_root"):
-        arrays = {f.name: getattr(found, f.name) for f in fields(found)}
-        gathered = ranks.at_root({name: each for name, each in arrays.items() if isinstance(each, np.ndarray)})
+    gathered = found._gathered()
     if gathered is None:
         return None
     order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))
@@ -294,13 +295,7 @@ class DistributedCandidates(OnRanks):
 
     def to_root(self) -> DistributedCandidates | None:
         """All candidates in lexicographic order on rank 0, and None on the others; collective."""
-        ranks: Ranks | None = vars(self)["_ranks"]
-        if ranks is None:
-            raise ValueError(
-                "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
-            )
-        with ranks.together("to_root"):
-            gathered = ranks.at_root({f.name: getattr(self, f.name) for f in fields(self)})
+        gathered = self._gathered()
         if gathered is None:
             return None
         return DistributedCandidates(**{name: _in_order(pairs) for name, pairs in gathered.items()})
