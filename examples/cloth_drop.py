@@ -67,8 +67,6 @@ FRICTION, AIR_DRAG = 0.3, 3.0
 SHEAR_COMPLIANCE, BEND_COMPLIANCE = 0.5, 5.0  # of unit masses, over the frame time squared
 # In edge lengths: half the thickness of the cloth, which any path keeps, and the gap beyond it that is aimed at.
 RADIUS, MARGIN = 0.02, 0.16
-# Signs of the vertices of a vertex and a face, and of two edges, in the gap between the two.
-SIGNS = np.array([[1, -1, -1, -1], [1, 1, -1, -1]])
 BALL_SUBDIVISIONS, GLOBE_SUBDIVISIONS = 3, 4
 KEY_FRAMES = (3, 8, 18, 50, 57, 68, 112, 299)
 
@@ -206,7 +204,7 @@ class Planes(NamedTuple):
     def between(cls, pairs: ccd.Contacts | ccd.Proximities, normals: NDArray[np.float64]) -> Self:
         """A plane across the gap of each pair."""
         keys = np.column_stack([pairs.kind, pairs.primitives])
-        return cls(keys, pairs.vertices, SIGNS[pairs.kind] * pairs.weights, normals)
+        return cls(keys, pairs.vertices, pairs.weights, normals)
 
     def joined(self, earlier: Self | None) -> Self:
         """These planes and the earlier ones of other pairs."""
