@@ -24,10 +24,9 @@ print(f"scene toi      {result.toi}")
 for body, toi in enumerate(result.body_toi):
     print(f"body {body} toi     {float(toi)}")
 print(f"contacts       {len(result.contacts.toi)} in the whole step")
-first = int(np.argmin(result.contacts.toi))
-kind = ccd.PairKind(int(result.contacts.kind[first])).name.lower().replace("_", "-")
-print(f"first contact  {kind} {result.contacts.primitives[first].tolist()}")
-print(f"  normal       {np.round(result.contacts.normal[first], 6).tolist()}")
+first = result.first
+print(f"first contact  {first.kind.name.lower().replace('_', '-')} {list(first.primitives)}")
+print(f"  normal       {first.normal.round(6).tolist()}")
 
 # Stop a little before the contact: positions are rounded when they are advanced, and the gap allows for that.
 step = ccd.collision_free_step(mesh, vertices_t0, vertices_t1, minimum_separation=1e-3)

@@ -20,7 +20,7 @@ def _run(name: str, folder: Path) -> str:
 
 
 def _number(text: str, label: str) -> float:
-    found = re.search(rf"^{label}\s+(\S+)", text, flags=re.MULTILINE)
+    found = re.search(rf"^{label}\s+([^\s,]+)", text, flags=re.MULTILINE)
     assert found, f"{label!r} is not in:\n{text}"
     return float(found[1])
 
@@ -51,6 +51,7 @@ def test_bullet_2d(tmp_path):
     for method in ("bisection", "clipping"):
         # Never later than the exact 0.5; earlier by at most δ = 1e-4 over the speed 9, and the bisection's box.
         assert 0.5 - 1e-4 <= _number(output, rf"{method}\s+toi =") <= 0.5
+        assert _number(output, rf"{method}.* at") == 0.5 and _number(output, rf"{method}.*gap <=") <= 1e-4
     steps = {name: int(re.search(rf"(\d+) {name}", output)[1]) for name in ("boxes", "steps")}
     assert steps["steps"] < steps["boxes"] < 1000
 
@@ -61,6 +62,11 @@ def test_mesh_against_mesh(tmp_path):
     assert 0.0 < step < toi < 1.0
     assert min(_number(output, f"body {k} toi") for k in (0, 1)) == toi
     assert _number(output, "contacts") >= 1
+    # a vertex of the small ball, which comes from the left, and a face of the large one: the normal points to the left
+    vertex, face = map(int, re.search(r"^first contact +vertex-face \[(\d+), (\d+)\]$", output, re.M).groups())
+    assert vertex < 642 and face >= 1280
+    normal = [float(number) for number in re.search(r"normal +\[(.*)\]", output)[1].split(", ")]
+    assert normal[0] < -0.9 and math.isclose(math.hypot(*normal), 1.0, abs_tol=1e-5)
     assert "surfaces touch after it: False" in output
 
 
