@@ -27,6 +27,7 @@ It needs: pip install 'ccd-warp[examples]'. It writes key frames as cloth_drop.p
     10201 vertices, obstacle up to 8.0 edge lengths a frame
     300 frames, 0 with intersecting faces, at most 0 pairs of them
     0% of the cloth outside the globe at the end
+    99 in 100 edges shorter than 1.343 of their rest length in the median frame, 2.160 in the worst; ...
 
 and without:
 
