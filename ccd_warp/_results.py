@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contact, Contacts, outcome
 from ccd_warp._device_results import DeviceContacts, HostLaunchResult, LaunchResult
 from ccd_warp._display import counted, html_table, pairs_of_bodies, start_sentence
-from ccd_warp._intersections import Intersections
+from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._status import CCDStatus, PairKind
 
 __all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
@@ -134,9 +134,7 @@ class MeshResult:
 
     def __repr__(self) -> str:
         at_start = start_sentence(self.pairs_at_start)
-        if self.start is not None and self.start.num_crossing:
-            crossing = self.start[self.start.is_crossing].describe()
-            at_start = "; ".join(filter(None, [at_start, f"at the start {crossing}"]))
+        at_start = "; ".join(filter(None, [at_start, crossing_at_start(self.start)]))
         at_start = f";\n{at_start}" if at_start else ""
         return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)}{at_start})"
 

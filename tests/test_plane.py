@@ -276,7 +276,7 @@ def test_pictures_of_a_mesh_in_the_plane(tmp_path):
     mesh, start, end = crowd_in_plane(np.random.default_rng(10))
     result = ccd.mesh_ccd(mesh, start, end)
     path = tmp_path / "plane.png"
-    ccd.viz.render_step(path, mesh, start, end, result)
+    ccd.viz.render_step(mesh, start, end, result, path)
     assert path.stat().st_size > 10_000
     blocks = ccd.viz.to_pyvista(mesh, start, end, result, t=1.0)
     np.testing.assert_array_equal(np.asarray(blocks["dust"].points)[:, :2], end[mesh.vertex_body == 2])
