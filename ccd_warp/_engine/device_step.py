@@ -241,7 +241,7 @@ class DeviceStep:
             queue=new_queue(capacities.max_pairs, topology.device)
             if execution.is_cuda and self._has_narrow_phase
             else None,
-            plane_query=plane_query(options, separation, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
+            plane_query=plane_query(options, length_scale, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
