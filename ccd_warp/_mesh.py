@@ -27,9 +27,9 @@ from ccd_warp._input.mesh_checks import (
     validated_static,
     validated_worlds,
 )
-from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
+from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 
@@ -393,8 +393,8 @@ class CollisionMesh:
         Returns:
             A mesh with ``count`` times as many bodies, vertices and worlds, copy after copy. The bodies of copy w are
             called ``name[w]``. Wherever positions are taken, those of all copies may be given as one array of shape
-            [count, V, 3], with the vertices of this mesh in each copy, also where it has several worlds. Half-spaces are not copied: each stays one body,
-            after those of all copies, with its own name, and all worlds share it.
+            [count, V, 3], with the vertices of this mesh in each copy, also where it has several worlds. Half-spaces
+            are not copied: each stays one body, after those of all copies, with its own name, and all worlds share it.
 
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.

@@ -24,6 +24,7 @@ from ccd_warp._engine.device_step import (
     LineSearch,
 )
 from ccd_warp._engine.host_step import Step, level_of_caller
+from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -34,6 +35,7 @@ from ccd_warp._engine.line_search import (
     validated_line_search,
 )
 from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.oddities import DistanceInEdges
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
@@ -664,9 +666,25 @@ class CollisionPipeline:
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
         found = search_step(
-            self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
+            self.mesh,
+            vertices_t0,
+            vertices_t1,
+            self.mesh_ccd,
+            per=per,
+            safety=safety,
+            max_rounds=max_rounds,
+            begins_at_rest=self._reaches_neighbours(vertices_t0),
         )
         return replace(found, start=self._checked_start(vertices_t0)) if check_start else found
+
+    def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
+        """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""
+        separation = self._options.separation(length_scale_of(self.mesh, self._options))
+        if self._options.start_gap_fraction is not None or not (separation > 0.0 or self.mesh.is_thick):
+            return False  # what is within its distance may move, or there is none
+        start = self.mesh._in_space(self.mesh.frame(vertices_t0))
+        found = DistanceInEdges.of(self._topology, start, separation)
+        return found is not None and found.is_many
 
 
 def validated_distance(distance: float) -> float:

@@ -59,8 +59,10 @@ class CCDStatus(IntEnum):
     """A coordinate is not finite (Warp arrays only; NumPy input raises a ValueError); toi is 0."""
 
     ROUNDING_LIMIT = int(status.STATUS_ROUNDING_LIMIT)
-    """Rounding at the size of the pair, or of its motion, is more than the tolerance and hides its gap at the start; toi
-    is 0, and nothing is said of a contact. So it is where positions blow up: the pair may be far from any contact."""
+    """Rounding at the size of the pair and its motion exceeds the tolerance and hides its gap at the start; toi is 0.
+
+    So it is where positions blow up; the pair may be far from any contact.
+    """
 
 
 class LaunchFlag(IntFlag):

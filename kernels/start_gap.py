@@ -1,7 +1,7 @@
 """Whether a pair with toi 0 is near at the start, or rounding at the size of the pair hides its gap.
 
-A pair whose end is at 1e15 has rounding errors of a tenth of a length unit all along, at its start as well: no bound can
-tell its gap from none there, so its toi is 0, though it touches nothing. The gap at the start alone tells the two
+A pair whose end is at 1e15 has rounding errors of a tenth of a length unit all along, at its start as well: no bound
+can tell its gap from none there, so its toi is 0, though it touches nothing. The gap at the start alone tells the two
 apart, where it is more than the tolerance and the start is not as large itself. It decides nothing but the status.
 
 The gap is that of two true points within 16 u of the largest corner, on each axis (`contact_normal`); with that added,

@@ -74,7 +74,6 @@ class Capacities:
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         return Capacities(min(max(_LEAST_CAPACITY, primitives), MOST_PAIRS), max(_LEAST_CAPACITY, mesh.num_vertices))
 
-
     def num_bytes(self, num_kinds: int, *, is_cuda: bool) -> int:
         """Bytes of the arrays that have these capacities, for pairs of so many kinds."""
         keys = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1) + (QUEUE_BYTES if is_cuda else 0)

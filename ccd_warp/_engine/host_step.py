@@ -104,14 +104,10 @@ class Step:
 
     def _reaches_far(self) -> bool:
         """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
-        mesh = self.mesh
-        if len(mesh.edges) == 0 or not (self.separation > 0.0 or mesh.is_thick):
-            return False
-        edges = self.topology.samples[1].T
-        found = DistanceInEdges.of(mesh, edges, self.positions[0], self.separation)
+        found = DistanceInEdges.of(self.topology, self.positions[0], self.separation)
         if found is None or not found.is_many:
             return False
-        if found.distance > mesh.exclusion_rings * found.edge:
+        if found.distance > self.mesh.exclusion_rings * found.edge:
             self.is_warned = True  # nothing has to be said of the many pairs that follow from it
             warnings.warn(found.described(), RuntimeWarning, stacklevel=level_of_caller())
         return True

@@ -116,11 +116,20 @@ def search_step(
     safety: float,
     max_rounds: int,
     everywhere: OneProcess | None = None,
+    begins_at_rest: bool = False,
 ) -> LineSearchResult:
-    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``."""
+    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``.
+
+    With ``begins_at_rest`` a first round looks at the start alone, where everything may be in contact already.
+    """
     everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
+    if begins_at_rest:
+        contacts = solve(start, start).contacts
+        stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
+        if everywhere.all(bool(stopped[moves].all())):
+            return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False)
     fraction = np.ones(mesh.num_vertices)
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round

@@ -10,7 +10,7 @@ from ccd_warp.kernels.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.start_gap import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.topology import Positions
+    from ccd_warp._engine.topology import Positions, Topology
     from ccd_warp._mesh import CollisionMesh
 
 # Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them.
@@ -65,10 +65,18 @@ class DistanceInEdges(NamedTuple):
     has_radius: bool
 
     @classmethod
-    def of(cls, mesh: "CollisionMesh", edges: NDArray[np.intp], start: NDArray[np.float64], distance: float) -> (
-        "DistanceInEdges | None"
-    ):
-        """That of a mesh, from some of its edges, shape [n, 2]; None where no edge counts."""
+    def of(cls, topology: "Topology", start: NDArray[np.float64], distance: float) -> "DistanceInEdges | None":
+        """That of a mesh at its start positions, from samples of its edges; None where no edge counts.
+
+        Args:
+            topology: The mesh.
+            start: Its start positions.
+            distance: What is added to the radii, a length.
+        """
+        mesh = topology.mesh
+        if len(mesh.edges) == 0 or not (distance > 0.0 or mesh.is_thick):
+            return None
+        edges = topology.samples[1].T
         body = mesh.vertex_body[edges[:, 0]]
         edges = edges[mesh.self_collision[body] & ~mesh.static[body]]
         if len(edges) == 0:

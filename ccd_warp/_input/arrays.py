@@ -36,7 +36,9 @@ def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
         array = np.asarray(values)
     except Exception as error:  # ragged lists, or whatever an __array__ of another library raises
         if speaks_dlpack(values):
-            raise ValueError(f"{name} is a {type(values).__name__} that cannot be shared: {reason_of(error)}") from error
+            raise ValueError(
+                f"{name} is a {type(values).__name__} that cannot be shared: {reason_of(error)}"
+            ) from error
         raise ValueError(f"{name} is not an array but {shown(values)}; expected {expected}") from error
     check_unmasked(name, values, array.ndim)
     return array

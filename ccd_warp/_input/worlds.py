@@ -26,7 +26,7 @@ def aligned_forms(vertex_world: NDArray[np.int32]) -> list[tuple[int, int]]:
 
 
 def worlds_of_bodies(
-    vertex_body: NDArray[np.int32], vertex_world: NDArray[np.int32], num_bodies: int
+    vertex_body: NDArray[np.integer], vertex_world: NDArray[np.integer], num_bodies: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The first and the last world of each body's vertices, shape [B]; of a body without any the first is larger."""
     first = np.full(num_bodies, np.iinfo(np.int64).max)
