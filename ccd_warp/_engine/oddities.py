@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 # Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them.
 _MANY_EDGES = 4.0
+# Vertices of a body from which on some are so near each other and share no edge.
+_LEAST_VERTICES = 16
 
 
 class Farthest(NamedTuple):
@@ -78,7 +80,8 @@ class DistanceInEdges(NamedTuple):
             return None
         edges = topology.samples[1].T
         body = mesh.vertex_body[edges[:, 0]]
-        edges = edges[mesh.self_collision[body] & ~mesh.static[body]]
+        has_neighbours = mesh.self_collision & ~mesh.static & (np.diff(mesh.body_vertex_range) >= _LEAST_VERTICES)
+        edges = edges[has_neighbours[body]]
         if len(edges) == 0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
