@@ -256,6 +256,26 @@ def test_launches_take_an_axis_of_worlds_and_write_through_it(make):
     assert (shortened[:2, :25, 2] > end[:2, :25, 2]).all() and np.array_equal(shortened[2:], end[2:].astype(real))
 
 
+def test_copies_of_several_worlds_have_an_axis_of_copies():
+    bodies = [(TRIANGLE, FACE), (np.eye(4, 3), FACE)]
+    one = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 4, static=[1])
+    mesh = one.replicate(3)
+    start, flat = np.tile(one.vertices, (3, 1, 1)), np.tile(one.vertices, (3, 1))
+    end = start + [0.0, 0.0, 0.5]
+    assert np.array_equal(mesh.frame(start), flat)
+    assert np.array_equal(mesh.frames(start, end[:, :3])[1], mesh.frames(flat, end.reshape(-1, 3))[1])
+    assert ccd.mesh_ccd(mesh, start, end).toi == ccd.mesh_ccd(mesh, flat, end.reshape(-1, 3)).toi == np.inf
+    launched = ccd.CollisionPipeline(mesh, device="cpu").launch(start, end[:, :3].copy())
+    assert launched.to_host().toi == np.inf
+    twice = named_cloth_and_ball()[0].replicate(2).replicate(3)
+    for blocks in (6, 3, 2, 1):
+        assert np.array_equal(twice.frame(twice.vertices.reshape(blocks, -1, 3)), twice.vertices)
+    with pytest.raises(
+        ValueError, match=r"vertices_t0 has shape \(7, 3, 3\); expected .*, or \(3, 7, 3\), with an axis"
+    ):
+        mesh.frame(flat.reshape(7, 3, 3))
+
+
 def test_worlds_of_different_sizes_have_no_axis():
     bodies = [(TRIANGLE, FACE), (np.eye(4, 3), FACE)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 4)

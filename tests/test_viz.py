@@ -150,10 +150,11 @@ def test_package_imports_without_its_parts_and_loads_them_when_used():
     code = (
         "import sys, ccd_warp as c; print(*(f'ccd_warp.{p}' in sys.modules for p in ('viz', 'datasets')));"
         "print({'viz', 'datasets'} <= set(dir(c)), callable(c.viz.render_step), callable(c.datasets.find_queries));"
-        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules); c.nothing"
+        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules);"
+        "print({n for n in dir(c) if not n.startswith('__')} == set(c.__all__) - {'__version__'}); c.nothing"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.split()[-7:] == ["False", "False", "True", "True", "True", "False", "False"]
+    assert done.stdout.split()[-8:] == ["False", "False", "True", "True", "True", "False", "False", "True"]
     assert "AttributeError: module 'ccd_warp' has no attribute 'nothing'" in done.stderr
 
 
@@ -457,6 +458,13 @@ def test_results_and_files_that_do_not_fit_are_refused(tmp_path):
     for name, words in (("step.jpg", "must end in .png"), ("none/step.png", "does not exist")):
         with pytest.raises(ValueError, match=words):
             viz.render_step(mesh, start, end, result, tmp_path / name)
+
+
+def test_path_that_is_given_first_is_told_where_it_belongs(tmp_path):
+    step = _with_result(*_balls_over_box())
+    for path in (tmp_path / "step.png", "step.png"):
+        with pytest.raises(ValueError, match=r"mesh is .*; expected the mesh first.*vertices_t1, result, path\)"):
+            viz.render_step(path, *step)
 
 
 def test_missing_extra_is_named(tmp_path, monkeypatch):
