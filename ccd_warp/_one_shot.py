@@ -185,8 +185,8 @@ def displacement_bounds(
     A pair shares what is between its primitives: the bound of a vertex is half the distance from one of its primitives
     to the nearest primitive outside its filter, less ``minimum_distance`` and radii, and all of it where the other one
     is static. What is farther away than ``search_radius`` counts as just that far, so no bound is above half of it; it
-    is the whole of it where a single body moves that does not collide with itself. One call serves several iterations
-    of a solver, until a vertex reaches its bound.
+    is the whole of it where a single body moves, or one in each world, and does not collide with itself. One call
+    serves several iterations of a solver, until a vertex reaches its bound.
 
     Args:
         mesh: The bodies.
