@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_unmasked, shown
-from ccd_warp._input.foreign import reason_of, speaks_dlpack
 
 _LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
 
@@ -35,10 +34,6 @@ def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
     try:
         array = np.asarray(values)
     except Exception as error:  # ragged lists, or whatever an __array__ of another library raises
-        if speaks_dlpack(values):
-            raise ValueError(
-                f"{name} is a {type(values).__name__} that cannot be shared: {reason_of(error)}"
-            ) from error
         raise ValueError(f"{name} is not an array but {shown(values)}; expected {expected}") from error
     check_unmasked(name, values, array.ndim)
     return array
