@@ -14,6 +14,7 @@ import numpy as np
 from ccd_warp.benchmarks.scenes import Scene
 
 from ccd_warp._input.half_spaces import planes_of
+from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed import _planning as planning
 from ccd_warp.distributed._plan import Bounds, destinations, united
@@ -68,6 +69,8 @@ class VirtualMesh:
         self.static[list(scene.static)] = True
         self.end = np.where(self.static[self.bodies][:, None], self.start, self.end)
         self.self_collision = np.full(self.num_bodies, scene.self_collision)
+        first, last = worlds_of_bodies(self.bodies, self.worlds, self.num_bodies)
+        self.moves_alone = move_alone(~self.static, self.self_collision, first, last)
         self.body_pairs, self.exclusion_rings, self.exclude_pairs = None, 1, {}
         self.planes = planes_of([], 3)
         self.names = tuple(f"body {b}" for b in range(self.num_bodies))

@@ -114,5 +114,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, those of parts that are not loaded included."""
-    return sorted({*globals(), *__all__})
+    """The public names, those of parts that are not loaded included, and nothing that this file imports for itself."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

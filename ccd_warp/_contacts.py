@@ -213,10 +213,9 @@ class Contact:
         return PairKind(int(self._row.kind[0]))
 
     @property
-    def primitives(self) -> tuple[int, int]:
-        """Indices of both primitives in the mesh, as in :class:`ccd_warp.Contacts`."""
-        a, b = self._row.primitives[0].tolist()
-        return a, b
+    def primitives(self) -> NDArray[np.int32]:
+        """Indices of both primitives in the mesh, as in :class:`ccd_warp.Contacts`, int32, shape [2]."""
+        return self._row.primitives[0].copy()
 
     @property
     def toi(self) -> float:
@@ -255,23 +254,22 @@ class Contact:
         return self._row.points[0].copy()
 
     @property
-    def vertices(self) -> tuple[int, ...]:
-        """Vertices of the first primitive and then of the second, 1 to 4 in all, as a plane has none."""
-        row = self._row.vertices[0].tolist()
-        return tuple(row[k] for k in _CORNERS[self.kind])
+    def vertices(self) -> NDArray[np.int32]:
+        """Vertices of the first primitive and then of the second, 1 to 4 in all, as a plane has none, int32.
+
+        ``positions[contact.vertices]`` are their positions.
+        """
+        return self._row.vertices[0, list(_CORNERS[self.kind])]
 
     @property
-    def bodies(self) -> tuple[int, int]:
-        """Bodies of the first and the second primitive."""
-        mesh, row = self._row._known().mesh, self._row.vertices[0]
-        if self.kind == PairKind.VERTEX_PLANE:
-            return int(mesh.vertex_body[row[0]]), int(mesh.planes.bodies[self._row.primitives[0, 1]])
-        return int(mesh.vertex_body[row[0]]), int(mesh.vertex_body[row[3]])
+    def bodies(self) -> NDArray[np.int32]:
+        """Bodies of the first and the second primitive, int32, shape [2]."""
+        return self._row.bodies[0]
 
     @property
     def body_names(self) -> tuple[str, str]:
         """Names of these bodies."""
-        names, (a, b) = self._row._known().mesh.names, self.bodies
+        names, (a, b) = self._row._known().mesh.names, self.bodies.tolist()
         return names[a], names[b]
 
     @property
@@ -289,7 +287,7 @@ class Contact:
         if place is None:
             return text
         a, b = map(shortened, self.body_names)
-        text += f" of {a} and {b}" if len({*self.bodies}) == 2 else f" of {a} and itself"
+        text += f" of {a} and {b}" if len({*self.bodies.tolist()}) == 2 else f" of {a} and itself"
         return text if not place.has_points else f"{text} at {point_text(self.point)}"
 
     def _cells(self) -> tuple[str, ...]:

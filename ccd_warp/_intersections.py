@@ -163,3 +163,8 @@ def _vertices_of(mesh: CollisionMesh, kind: NDArray[np.int32], primitives: NDArr
     is_plane = kind == int(IntersectionKind.VERTEX_PLANE)
     vertices[is_plane, 2:] = primitives[is_plane, :1]
     return vertices
+
+
+def crossing_at_start(start: Intersections | None) -> str:
+    """What crosses at the start of a step, empty if nothing does or nobody has looked."""
+    return f"at the start {start[start.is_crossing].describe()}" if start is not None and start.num_crossing else ""

@@ -29,6 +29,7 @@ from ccd_warp._input.mesh_checks import (
 )
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
+from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 
@@ -114,6 +115,15 @@ class CollisionMesh:
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
     with_codimensional_points: InitVar[NDArray[np.bool_]]
+
+    def __new__(cls, *arguments: Any, **parts: Any) -> CollisionMesh:
+        """Refuse what looks like the constructor of another library; a copy or a pickle is made without arguments."""
+        if arguments or (parts and "given_edges" not in parts):
+            raise TypeError(
+                "CollisionMesh() does not take arrays; use CollisionMesh.from_arrays([(vertices, faces)]), with a "
+                "tuple for each body and its edges only where they belong to no face, or CollisionMesh.from_trimesh"
+            )
+        return object.__new__(cls)
 
     def __post_init__(self, given_edges: NDArray[np.int32], with_codimensional_points: NDArray[np.bool_]) -> None:
         """Derive the remaining fields from the given ones, which are already validated."""
@@ -207,8 +217,9 @@ class CollisionMesh:
                 each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
                 diameter of the mesh as a graph costs no more than the diameter itself.
             exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
-            vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
-                worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
+            vertex_world: World of each vertex of all bodies, integer from 0 on and below V, as there are no more worlds
+                than vertices, shape [V]. Primitives of different worlds never collide, wherever they are, and each
+                world has its own toi. By default there is one world.
             radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
                 positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
                 vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
@@ -278,8 +289,9 @@ class CollisionMesh:
                 each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
                 diameter of the mesh as a graph costs no more than the diameter itself.
             exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
-            vertex_world: World of each vertex of all bodies, integer from 0 on, shape [V]. Primitives of different
-                worlds never collide, wherever they are, and each world has its own toi. By default there is one world.
+            vertex_world: World of each vertex of all bodies, integer from 0 on and below V, as there are no more worlds
+                than vertices, shape [V]. Primitives of different worlds never collide, wherever they are, and each
+                world has its own toi. By default there is one world.
             radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
                 positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
                 vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
@@ -381,8 +393,8 @@ class CollisionMesh:
         Returns:
             A mesh with ``count`` times as many bodies, vertices and worlds, copy after copy. The bodies of copy w are
             called ``name[w]``. Wherever positions are taken, those of all copies may be given as one array of shape
-            [count, V, 3], with the vertices of this mesh in each copy. Half-spaces are not copied: each stays one body,
-            after those of all copies, with its own name, and all worlds share it.
+            [count, V, 3], with the vertices of this mesh in each copy, also where it has several worlds. Half-spaces
+            are not copied: each stays one body, after those of all copies, with its own name, and all worlds share it.
 
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
@@ -417,6 +429,13 @@ class CollisionMesh:
         return int(self.vertex_world.max(initial=0)) + 1
 
     @lazy_property
+    def _moves_alone(self) -> bool:
+        """Whether at most one body moves in each world, and none of them collides with itself."""
+        return move_alone(
+            ~self.static, self.self_collision, *worlds_of_bodies(self.vertex_body, self.vertex_world, self.num_bodies)
+        )
+
+    @lazy_property
     def length_scale(self) -> float:
         """Longest side of the box around ``vertices``, 1 if it has none.
 
@@ -443,17 +462,13 @@ class CollisionMesh:
 
     @lazy_property
     def rows_by_world(self) -> tuple[tuple[int, int], ...]:
-        """Numbers of worlds and of rows in each, as positions may be given with an axis of worlds.
+        """Numbers of blocks and of rows in each, as positions may be given with an axis of worlds.
 
-        The first is for all vertices, the second for the vertices of bodies that move. Either is left out where the
-        worlds do not follow one another with equally many of them.
+        A block is a world, or several that follow one another, as those of a copy are where a mesh with worlds was
+        replicated. The first forms are for all vertices, the others for the vertices of bodies that move.
         """
-        forms = []
-        for world in (self.vertex_world, self.vertex_world[self.moving_vertices]):
-            rows, rest = divmod(len(world), self.num_worlds)
-            if rest == 0 and np.array_equal(world, np.repeat(np.arange(self.num_worlds), rows)):
-                forms.append((self.num_worlds, rows))
-        return tuple(forms)
+        moving = self.vertex_world[self.moving_vertices]
+        return tuple(dict.fromkeys([*aligned_forms(self.vertex_world), *aligned_forms(moving)]))
 
     @lazy_property
     def _vertices_in_space(self) -> NDArray[np.float64]:
@@ -495,7 +510,8 @@ class CollisionMesh:
 
         Args:
             vertices: Positions, float, same length unit as the mesh, shape [V, 3]; or [W, V / W, 3] of a mesh whose W
-                worlds have equally many vertices, as those of :meth:`replicate` have.
+                worlds have equally many vertices, as those of :meth:`replicate` have, or are the copies of several
+                worlds.
             name: Name of the argument, for the messages.
 
         Returns:

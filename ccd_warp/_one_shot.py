@@ -169,6 +169,8 @@ def find_proximity(
     Guarantee: every pair that passes the filter and whose distance is at most ``distance`` (plus radii) is found,
     exactly once, and no pair that is farther apart by more than 2e-15 of its size. The distance that is reported is
     exact to within 1e-15 of that size, whatever the shape of the primitives and however far they are from the origin.
+    Among subnormal numbers the unit counts besides: no pair is farther apart by more than 2⁻¹⁰⁶⁹, and the distance is
+    exact to within 2⁻¹⁰⁷⁴.
     """
     chosen = options_of("find_proximity", ProximityOptions, options, others=["distance"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
@@ -183,8 +185,8 @@ def displacement_bounds(
     A pair shares what is between its primitives: the bound of a vertex is half the distance from one of its primitives
     to the nearest primitive outside its filter, less ``minimum_distance`` and radii, and all of it where the other one
     is static. What is farther away than ``search_radius`` counts as just that far, so no bound is above half of it; it
-    is the whole of it where a single body moves that does not collide with itself. One call serves several iterations
-    of a solver, until a vertex reaches its bound.
+    is the whole of it where a single body moves, or one in each world, and does not collide with itself. One call
+    serves several iterations of a solver, until a vertex reaches its bound.
 
     Args:
         mesh: The bodies.
@@ -260,6 +262,8 @@ def collision_free_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
+    *,
+    check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
     """Largest step fraction that is certain to be free of collisions.
@@ -268,6 +272,8 @@ def collision_free_step(
         mesh: The bodies.
         vertices_t0: Start positions, as in :func:`mesh_ccd`.
         vertices_t1: End positions, as in :func:`mesh_ccd`.
+        check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
+            ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
         **options: Options of :class:`ccd_warp.MeshOptions`. With ``start_gap_fraction`` the step is positive even where
             the minimum separation alone would make it 0, unless primitives touch at the start.
 
@@ -286,15 +292,17 @@ def collision_free_step(
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
     touches (or comes within the minimum separation) before the returned fraction.
     """
-    chosen = options_of("collision_free_step", MeshOptions, options)
+    chosen = options_of("collision_free_step", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.collision_free_step(vertices_t0, vertices_t1)
+        return pipeline.collision_free_step(vertices_t0, vertices_t1, check_start=check_start)
 
 
 def is_step_collision_free(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
+    *,
+    check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
     """Whether a step is certain to be free of collisions from its start to its end, both included.
@@ -306,11 +314,13 @@ def is_step_collision_free(
         mesh: The bodies.
         vertices_t0: Start positions, as in :func:`mesh_ccd`.
         vertices_t1: End positions, as in :func:`mesh_ccd`.
+        check_start: Whether surfaces that cross at the start count, too: a step is not free where an edge is through
+            the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies.
         **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
         True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or
-        comes so close that this cannot be excluded.
+        comes so close that this cannot be excluded; with ``check_start`` also if surfaces cross at the start.
 
     Raises:
         ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
@@ -322,9 +332,9 @@ def is_step_collision_free(
 
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
-    chosen = options_of("is_step_collision_free", MeshOptions, options)
+    chosen = options_of("is_step_collision_free", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.is_step_collision_free(vertices_t0, vertices_t1)
+        return pipeline.is_step_collision_free(vertices_t0, vertices_t1, check_start=check_start)
 
 
 def line_search(
@@ -335,6 +345,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
+    check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:
     """Shorten a step until it is certain to be free of collisions: as a whole, or per world, body or vertex.
@@ -364,6 +375,8 @@ def line_search(
         max_rounds: Largest number of calls of :func:`mesh_ccd`, at least 3. Where they do not suffice, all vertices of
             a world move by one fraction, or not at all, and ``is_limited`` is set. Bodies and vertices with toi 0 are
             stopped at once where fewer than 6 rounds are left.
+        check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
+            result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.
 
     Returns:
@@ -382,6 +395,9 @@ def line_search(
     with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds were moved
     back to their start.)
     """
-    chosen = options_of("line_search", LineSearchOptions, options, others=["per", "safety", "max_rounds"])
+    others = ["per", "safety", "max_rounds", "check_start"]
+    chosen = options_of("line_search", LineSearchOptions, options, others=others)
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds)
+        return pipeline.line_search(
+            vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds, check_start=check_start
+        )

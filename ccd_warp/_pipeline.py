@@ -24,6 +24,7 @@ from ccd_warp._engine.device_step import (
     LineSearch,
 )
 from ccd_warp._engine.host_step import Step, level_of_caller
+from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -34,7 +35,8 @@ from ccd_warp._engine.line_search import (
     validated_line_search,
 )
 from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.scene import norm_of
+from ccd_warp._engine.oddities import DistanceInEdges
+from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
@@ -227,6 +229,7 @@ class CollisionPipeline:
         Raises:
             ValueError: If a capacity is out of its range, or the positions do not match the mesh.
             RuntimeError: If a graph is being captured.
+            MemoryError: If the device has not as much memory; the pipeline stays as it was.
         """
         with self._lock:
             if self._topology.device.is_capturing:
@@ -247,7 +250,18 @@ class CollisionPipeline:
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
-        step = DeviceStep(self._topology, self._options, capacities, layout, placed, self.radius)
+        try:
+            step = DeviceStep(self._topology, self._options, capacities, layout, placed, self.radius)
+        except RuntimeError as error:  # of Warp; what it has allocated so far is freed
+            if "allocate" not in str(error):
+                raise
+            num_kinds = len(possible_kinds(self.mesh, self._options))
+            least = capacities.num_bytes(num_kinds, is_cuda=self._topology.device.is_cuda)
+            raise MemoryError(
+                f"max_pairs is {capacities.max_pairs:,} and max_contacts is {capacities.max_contacts:,}, which take "
+                f"{least:,} bytes on {self._topology.device.alias} besides the boxes; expected capacities for which "
+                f"it has memory"
+            ) from error
         if placed is layout:
             self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step
@@ -553,8 +567,10 @@ class CollisionPipeline:
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
         result = self._on_step(vertices_t0, vertices_t1, Step.contacts)
-        if not check_start:
-            return result
+        return replace(result, start=self._checked_start(vertices_t0)) if check_start else result
+
+    def _checked_start(self, vertices_t0: ArrayLike) -> Intersections:
+        """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
         counts, timings = self.counts, self.timings
         start = self.find_intersections(vertices_t0)
         timings["intersections at start"] = self.timings["total"]
@@ -566,14 +582,17 @@ class CollisionPipeline:
                 RuntimeWarning,
                 stacklevel=level_of_caller(),
             )
-        return replace(result, start=start)
+        return start
 
-    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+    def collision_free_step(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
+    ) -> float:
         """Like :func:`ccd_warp.collision_free_step`.
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
             vertices_t1: End positions, as in that function.
+            check_start: Whether to look for surfaces that cross at the start, too.
 
         Returns:
             A fraction of the step in [0, t_max].
@@ -583,14 +602,22 @@ class CollisionPipeline:
 
         Guarantee: as for that function; no pair touches before the returned fraction.
         """
-        return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
+        with naming("collision_free_step"):
+            check_start = check_flag("check_start", check_start)
+        toi = self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
+        if check_start:
+            self._checked_start(vertices_t0)
+        return toi
 
-    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+    def is_step_collision_free(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
+    ) -> bool:
         """Like :func:`ccd_warp.is_step_collision_free`.
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
             vertices_t1: End positions, as in that function.
+            check_start: Whether surfaces that cross at the start count, too.
 
         Returns:
             True if no pair touches in [0, t_max], both ends included.
@@ -600,7 +627,10 @@ class CollisionPipeline:
 
         Guarantee: as for that function; True is certain.
         """
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True)) == np.inf
+        with naming("is_step_collision_free"):
+            check_start = check_flag("check_start", check_start)
+        is_free = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True)) == np.inf
+        return is_free if not check_start else self._checked_start(vertices_t0).num_crossing == 0 and is_free
 
     def line_search(
         self,
@@ -610,6 +640,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
+        check_start: bool = False,
     ) -> LineSearchResult:
         """Like :func:`ccd_warp.line_search`.
 
@@ -619,6 +650,7 @@ class CollisionPipeline:
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
             safety: Fraction of its toi by which a vertex in contact may move.
             max_rounds: Largest number of calls of :meth:`mesh_ccd`.
+            check_start: Whether to look for surfaces that cross at the start, too.
 
         Returns:
             The end positions of the shortened step, and the fractions by which the vertices move.
@@ -632,9 +664,27 @@ class CollisionPipeline:
             check_step_is_whole(self._options.t_max)
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
-        return search_step(
-            self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
+            check_start = check_flag("check_start", check_start)
+        found = search_step(
+            self.mesh,
+            vertices_t0,
+            vertices_t1,
+            self.mesh_ccd,
+            per=per,
+            safety=safety,
+            max_rounds=max_rounds,
+            begins_at_rest=self._reaches_neighbours(vertices_t0),
         )
+        return replace(found, start=self._checked_start(vertices_t0)) if check_start else found
+
+    def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
+        """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""
+        separation = self._options.separation(length_scale_of(self.mesh, self._options))
+        if self._options.start_gap_fraction is not None or not (separation > 0.0 or self.mesh.is_thick):
+            return False  # what is within its distance may move, or there is none
+        start = self.mesh._in_space(self.mesh.frame(vertices_t0))
+        found = DistanceInEdges.of(self._topology, start, separation)
+        return found is not None and found.is_many
 
 
 def validated_distance(distance: float) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contact, Contacts, outcome
 from ccd_warp._device_results import DeviceContacts, HostLaunchResult, LaunchResult
 from ccd_warp._display import counted, html_table, pairs_of_bodies, start_sentence
-from ccd_warp._intersections import Intersections
+from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._status import CCDStatus, PairKind
 
 __all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
@@ -40,7 +40,7 @@ class Counts:
         num_after_cull: Candidates that the cull left to the narrow phase.
         num_contacts: Pairs that touch.
         num_contacts_at_start: Contacts with the status ``INITIAL_CONTACT``.
-        num_contacts_at_limit: Contacts with the status ``ITERATION_LIMIT`` or ``RESOLUTION_LIMIT``.
+        num_contacts_at_limit: Contacts with the status ``ITERATION_LIMIT``, ``RESOLUTION_LIMIT`` or ``ROUNDING_LIMIT``.
         num_batches: Times that the memory for pairs was filled.
     """
 
@@ -97,6 +97,8 @@ class MeshResult:
         body_contact: The same for each body, int32, shape [B].
         world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
+        hidden_gaps: Where pairs have the status ``ROUNDING_LIMIT``, a sentence on how many they are and on the vertex
+            that is farthest from the others; otherwise empty.
     """
 
     toi: float
@@ -109,6 +111,7 @@ class MeshResult:
     body_contact: NDArray[np.int32]
     world_toi: NDArray[np.float64]
     start: Intersections | None = None
+    hidden_gaps: str = ""
 
     @property
     def hit(self) -> bool:
@@ -134,9 +137,7 @@ class MeshResult:
 
     def __repr__(self) -> str:
         at_start = start_sentence(self.pairs_at_start)
-        if self.start is not None and self.start.num_crossing:
-            crossing = self.start[self.start.is_crossing].describe()
-            at_start = "; ".join(filter(None, [at_start, f"at the start {crossing}"]))
+        at_start = "; ".join(filter(None, [at_start, self.hidden_gaps, crossing_at_start(self.start)]))
         at_start = f";\n{at_start}" if at_start else ""
         return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)}{at_start})"
 

@@ -58,6 +58,12 @@ class CCDStatus(IntEnum):
     INVALID = int(status.STATUS_INVALID)
     """A coordinate is not finite (Warp arrays only; NumPy input raises a ValueError); toi is 0."""
 
+    ROUNDING_LIMIT = int(status.STATUS_ROUNDING_LIMIT)
+    """Rounding at the size of the pair and its motion exceeds the tolerance and hides its gap at the start; toi is 0.
+
+    So it is where positions blow up; the pair may be far from any contact.
+    """
+
 
 class LaunchFlag(IntFlag):
     """Outcome of a launch on the device, 0 if there was no problem. Every toi is conservative, whatever the flags."""
@@ -70,3 +76,7 @@ class LaunchFlag(IntFlag):
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
     """A coordinate is not finite, and every toi of its world is 0."""
+
+    ROUNDING_LIMIT = int(minima.ROUNDING_LIMIT)
+    """Rounding hides the gap of a pair at the start, with ``CCDStatus.ROUNDING_LIMIT``; of a line search in its last
+    pass."""

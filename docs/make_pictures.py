@@ -23,7 +23,7 @@ def draw(scene: DemoScene) -> Path:
     )
     result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1)
     path = FIGURES / f"demo_{scene.name}.png"
-    viz.render_step(path, mesh, vertices_t0, vertices_t1, result)
+    viz.render_step(mesh, vertices_t0, vertices_t1, result, path)
     return path
 
 

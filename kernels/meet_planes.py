@@ -4,11 +4,11 @@ import warp as wp
 
 from .atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
 from .contacts import ContactList
-from .minima import CONTACTS_OVERFLOW, FOUND, Minima, flag_world, lower_primitive, world_of
+from .minima import CONTACTS_OVERFLOW, FOUND, ROUNDING_LIMIT, Minima, flag_world, lower_primitive, world_of
 from .pair_key import pair_key
 from .pair_kind import VERTEX_PLANE
 from .planes import PlaneQuery, Planes, meeting_of
-from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT
+from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -82,11 +82,14 @@ def meet_planes(
                     atomic_min_int64(minima.world, world_of(minima, v), bits)
                     atomic_min_int64(minima.scene, 0, bits)
                     claim(counts, VERTEX_PLANE, FOUND, 1)
+                    status = STATUS_COLLISION
+                    if meeting.toi == _ZERO:
+                        status = STATUS_INITIAL_CONTACT
+                        if meeting.gap > query.most_gap:
+                            status = STATUS_ROUNDING_LIMIT
+                            flag_world(minima, v, ROUNDING_LIMIT)
                     n = claim_int(contacts.count, 0)
                     if n < contacts.toi.shape[0]:
-                        status = STATUS_COLLISION
-                        if meeting.toi == _ZERO:
-                            status = STATUS_INITIAL_CONTACT
                         contacts.kind[n] = VERTEX_PLANE
                         contacts.primitives[n] = wp.vec2i(v, k)
                         contacts.toi[n] = meeting.toi

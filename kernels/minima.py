@@ -8,6 +8,7 @@ from .atomics import atomic_min_int64, set_bits
 PAIRS_OVERFLOW = wp.constant(1)
 CONTACTS_OVERFLOW = wp.constant(2)
 INVALID_INPUT = wp.constant(4)
+ROUNDING_LIMIT = wp.constant(8)
 
 # Columns of the counts of a pair kind: pairs that the search found, those of them that the first round of the narrow
 # phase leaves open, and pairs whose boxes overlap. A row fills a cache line, so that rows do not share one.

@@ -323,6 +323,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                         outcome,
                         vertices_t0,
                         vertices_t1,
+                        options,
                         gaps_moved,
                         minima,
                         contacts,
@@ -375,6 +376,8 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                 following = next_block(following, chunk, num_solvers)
                 if is_second != 0 and pairs[k] >= wp.int64(0):
                     continue  # in the second round a block is one pair, and this one is not open
+            if least_bits[0] == wp.int64(0):
+                return  # no toi is less
             points_a, points_b = points_of_pairs(
                 kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
             )

@@ -8,14 +8,21 @@ from .atomics import claim_int
 from .contact_normal import ContactGap, contact_at
 from .contacts import ContactList
 from .lane_solver import make_lane_solver
-from .minima import CONTACTS_OVERFLOW, Minima, flag_world, lower_pair
+from .minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, Minima, flag_world, lower_pair
 from .norm import MAXIMUM_NORM, THICK_NORM
 from .once import once
+from .pair_options import make_pair_options
 from .points import Points, points_of, relative_motion
 from .query import CLIPPING, make_query
 from .simd import make_simd
 from .solver import make_solver
-from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
+from .start_gap import LEAST_TOLERANCE, is_near
+from .status import (
+    STATUS_COLLISION,
+    STATUS_INITIAL_CONTACT,
+    STATUS_NO_COLLISION,
+    STATUS_ROUNDING_LIMIT,
+)
 
 # A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
 _LOST_TOI = wp.constant(wp.float64(2.0**-20))
@@ -27,6 +34,9 @@ _ONE = wp.constant(wp.uint32(1))
 def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for a floating-point type of the iteration and a number of lanes; ``on_warp`` as for `make_solver`."""
     is_thick = norm == THICK_NORM
+    is_euclidean = wp.constant(norm != MAXIMUM_NORM)
+    least_tolerance = wp.constant(wp.float64(LEAST_TOLERANCE[real]))
+    options_of_pair = make_pair_options(real, width, norm).options_of_pair
     Options = make_query(real).Options
     share_of_work = make_query(real).share_of_work
     solver = make_solver(real, on_warp, norm)
@@ -35,7 +45,14 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     solve = solver.solve
     closest_parameters = solver.closest_parameters
     LaneAnswer = make_lane_solver(real, width, norm).LaneAnswer
-    lane_of = make_simd(wp.float64, width).lane_of
+    simd = make_simd(wp.float64, width)
+    lane_of = simd.lane_of
+    spread = simd.spread
+    both = simd.both
+    is_at_most = simd.is_at_most
+    is_less = simd.is_less
+    mask_of = simd.mask_of
+    bits_of = simd.bits_of
 
     @wp.func
     def is_set(bits: wp.uint32, lane: int) -> bool:
@@ -92,13 +109,40 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         return outcome
 
     @wp.func
+    def most_gap(options: Options) -> wp.float64:
+        """The largest gap at toi 0 that the tolerance explains; where each pair has its own length scale, any."""
+        if options.length_scale <= wp.float64(0.0):
+            return wp.float64(wp.inf)
+        return wp.float64(2.0) * wp.max(options.tolerance, least_tolerance) * options.length_scale
+
+    @wp.func
+    def status_at_start(kind: int, outcome: Outcome, a: Points, options: Options) -> int:
+        """The status of an outcome, given the points of the pair at the start."""
+        most = most_gap(options)
+        if outcome.status != STATUS_INITIAL_CONTACT or outcome.gap <= most:
+            return outcome.status
+        separation = options.minimum_separation
+        if wp.static(norm == MAXIMUM_NORM):
+            separation *= options.length_scale
+        if is_near(kind, a, separation + most, is_euclidean):
+            return STATUS_INITIAL_CONTACT
+        return STATUS_ROUNDING_LIMIT
+
+    @wp.func
+    def hidden_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
+        """The contacts at the start whose gap the tolerance does not explain."""
+        is_at_start = is_at_most(answer.t, spread(wp.float64(0.0)))
+        is_more = is_less(spread(most_gap(options)), answer.gap)
+        return bits_of(both(mask_of(answer.contact), both(is_at_start, is_more)))
+
+    @wp.func
     def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
         """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
         if wp.static(is_thick):
             return answer.free
         if options.minimum_separation > wp.float64(0.0):
             return answer.free
-        return answer.free | answer.contact
+        return answer.free | (answer.contact & ~hidden_lanes(answer, options))
 
     @wp.func
     def rest_of(
@@ -112,8 +156,22 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         found = finished(kind, lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
         if is_contact:
             outcome.parameters = found.parameters
-            return outcome
+            found = outcome
+        found.status = status_at_start(kind, found, a, options)
         return found
+
+    @wp.func(inline=False)
+    def status_of(
+        kind: int,
+        first: wp.vec3i,
+        second: wp.vec3i,
+        outcome: Outcome,
+        vertices_t0: wp.array[wp.vec3d],
+        options: Options,
+    ) -> int:
+        """`status_at_start` of a pair of primitives."""
+        own = options_of_pair(options, first, second)
+        return status_at_start(kind, outcome, points_of(kind, first, second, vertices_t0), own)
 
     @wp.func(inline=False)
     def motion_of(
@@ -150,13 +208,19 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         outcome: Outcome,
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
+        options: Options,
         gaps_moved: wp.float64,
         # out
         minima: Minima,
         contacts: ContactList,
     ):
-        """Lower the minima, and append the contact to the list if there is capacity."""
+        """Lower the minima, and append the contact to the list if there is capacity; ``options`` are of all pairs."""
         toi = outcome.toi
+        status = outcome.status
+        if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options):
+            status = status_of(kind, first, second, outcome, vertices_t0, options)
+            if status == STATUS_ROUNDING_LIMIT:
+                flag_world(minima, first[0], ROUNDING_LIMIT)
         if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
             motion = motion_of(kind, first, second, vertices_t0, vertices_t1)
             if gaps_moved * outcome.gap < motion:
@@ -167,7 +231,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
             contacts.kind[n] = kind
             contacts.primitives[n] = pair
             contacts.toi[n] = outcome.toi
-            contacts.status[n] = outcome.status
+            contacts.status[n] = status
             contacts.gap[n] = outcome.gap
             contacts.width[n] = outcome.width
             at_toi = place_at(kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters)
@@ -184,6 +248,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         finished=finished,
         finished_lanes=finished_lanes,
         rest_of=rest_of,
+        status_at_start=status_at_start,
         parameters_at=parameters_at,
         record_contact=record_contact,
     )

@@ -82,6 +82,7 @@ class PlaneQuery:
     is_euclidean: int  # 1: it is Euclidean, as radii are; 0: in the maximum norm
     start_gap_fraction: wp.float64  # 0: the distance applies to every pair
     t_max: wp.float64
+    most_gap: wp.float64  # beyond the distance at toi 0, above which rounding hides whether there is one, a length
 
 
 @wp.struct

@@ -117,6 +117,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     finished = pair_outcome.finished
     parameters_at = pair_outcome.parameters_at
     record_contact = pair_outcome.record_contact
+    status_at_start = pair_outcome.status_at_start
     lane_solver = make_lane_solver(real, 1, norm)
     LaneAnswer = lane_solver.LaneAnswer
     first_rounds = lane_solver.first_rounds
@@ -215,7 +216,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 if not turns.writes:
                     continue
                 toi[i] = outcome.toi
-                status[i] = outcome.status
+                status[i] = status_at_start(kind, outcome, a, options)
                 parameters[i] = outcome.parameters
                 gap[i] = outcome.gap
                 width_of[i] = outcome.width
@@ -316,7 +317,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 first = first_corners[pair[0]]
                 second = second_corners[pair[1]]
                 record_contact(
-                    kind, pair, first, second, outcome, vertices_t0, vertices_t1, gaps_moved, minima, contacts
+                    kind, pair, first, second, outcome, vertices_t0, vertices_t1, options, gaps_moved, minima, contacts
                 )
 
         return solve_pairs

@@ -282,9 +282,9 @@ def make_solver(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespac
                 is_open = answer.status != STATUS_COLLISION
                 if not is_open and answer.toi == real(0.0):
                     outcome.status = STATUS_INITIAL_CONTACT
-                if is_open or n.problem.has_separation:
+                if is_open or n.problem.has_separation or options.method == BISECTION:
                     # the toi is the earliest time still open, on any sub-patch; or the point is one within the
-                    # separation, which need not be the closest
+                    # separation, or a corner of a box of the bisection, which need not be the closest
                     answer.parameters = closest_parameters(kind, n, answer.toi)
                     if is_open:
                         answer.point = closest_point(n, answer.toi)

@@ -120,7 +120,9 @@ def check_proximities(mesh, x, distance, found):
 def exact_bounds(mesh, x, search_radius, kept=0.0):
     """The bound of each vertex without rounding, and the size of the largest pair."""
     moving = ~mesh.static[mesh.vertex_body]
-    is_alone = len(mesh.self_collision[~mesh.static]) == 1 and not mesh.self_collision[~mesh.static].any()
+    bodies = np.flatnonzero(~mesh.static)  # each in a single world
+    worlds = mesh.vertex_world[mesh.body_vertex_range[bodies]]
+    is_alone = not mesh.self_collision[bodies].any() and 0 < len({*worlds.tolist()}) == len(bodies)
     bounds = np.where(moving, search_radius if is_alone else 0.5 * search_radius, 0.0)
     largest = 0.0
     for (kind, *pair), (exact, radii, size) in exact_proximities(mesh, x, search_radius + kept).items():

@@ -338,6 +338,14 @@ def planes_and_nothing_else():
     check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world", "displacement_bounds"])
 
 
+def copies_of_a_body_that_moves_alone():
+    """One body in each world, beside a static one: no two of them share what is between."""
+    body = scenes.soup(np.random.default_rng(7), 12, 0.2, spread=0.5)
+    one = ccd.CollisionMesh.from_arrays([body, scenes.sheet(3)], static=[1], self_collision=False)
+    mesh = one.replicate(3)
+    check((mesh, mesh.vertices, mesh.vertices), interleaved, ["displacement_bounds", "mesh_ccd"])
+
+
 def in_the_plane():
     """Cables, particles and a half-plane: positions, points and normals have two coordinates."""
     rng = np.random.default_rng(8)
@@ -501,6 +509,7 @@ CASES = [
     radii,
     half_spaces,
     planes_and_nothing_else,
+    copies_of_a_body_that_moves_alone,
     in_the_plane,
     random_scenes,
     coordinates_at_the_ends_of_float64,

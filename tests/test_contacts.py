@@ -29,7 +29,9 @@ def test_the_first_contact_says_what_touches_what_and_where(step):
     assert [mesh.names[b] for b in first.bodies] == list(first.body_names)
     assert first.kind == ccd.PairKind.VERTEX_FACE and first.status == ccd.CCDStatus.COLLISION and first.world == 0
     vertex, face = first.primitives
-    assert first.vertices == (vertex, *mesh.faces[face].tolist())
+    assert first.vertices.tolist() == [vertex, *mesh.faces[face].tolist()]
+    # arrays, which index positions and bodies
+    assert step[1][first.vertices].shape == (4, 3) and mesh.static[first.bodies].tolist() == [True, False]
     assert repr(first).startswith("Contact(vertex-face of ball and cloth at (")
     assert repr(first).endswith(f"toi={result.toi!r})")
 
@@ -74,7 +76,8 @@ def test_contacts_are_read_one_at_a_time_in_part_and_by_toi(step):
     assert isinstance(chosen, ccd.Contacts) and np.array_equal(chosen.points, contacts.points[contacts.toi < 0.3])
     assert np.array_equal(contacts[[3, 1]].vertices, contacts.vertices[[3, 1]])
     by_toi = contacts.sorted_by_toi()
-    assert (np.diff(by_toi.toi) >= 0).all() and by_toi[0].primitives == step[3].first.primitives
+    assert (np.diff(by_toi.toi) >= 0).all()
+    assert np.array_equal(by_toi[0].primitives, step[3].first.primitives)
     assert np.array_equal(by_toi.points, contacts.points[np.argsort(contacts.toi, kind="stable")])
     with pytest.raises(IndexError, match=f"index is {len(contacts)}; expected one of {len(contacts)} contacts"):
         contacts[len(contacts)]
@@ -94,7 +97,7 @@ def test_particles_have_as_many_vertices_as_they_have():
     end[2] -= [0, 0, 2]
     end[3] += [2, 0, 0]
     on_cable, together = ccd.mesh_ccd(mesh, mesh.vertices, end).contacts
-    assert on_cable.vertices == (2, 0, 1) and together.vertices == (3, 4)
+    assert on_cable.vertices.tolist() == [2, 0, 1] and together.vertices.tolist() == [3, 4]
     assert on_cable.body_names == ("dust", "cable") and together.body_names == ("dust", "dust")
     assert "point-point of dust and itself at (2, 5, 0)" in repr(together)
 
@@ -113,7 +116,7 @@ def test_contacts_made_of_arrays_alone_say_that_they_know_no_mesh(step):
 def test_results_are_copied_and_pickled_with_all_that_they_know(step, copied):
     result = copied(step[3])
     assert np.array_equal(result.contacts.points, step[3].contacts.points)
-    assert repr(result) == repr(step[3]) and copied(result.first).vertices == result.first.vertices
+    assert repr(result) == repr(step[3]) and np.array_equal(copied(result.first).vertices, result.first.vertices)
 
 
 def test_what_a_line_search_could_not_move_is_located():
@@ -150,7 +153,7 @@ def test_a_launch_locates_its_contacts(step, dtype, has_static):
     assert found.toi == expected.toi and found.hit and found.flags == 0 and found.num_contacts == len(found.contacts)
     for name in ("points", "vertices", "bodies", "world"):
         np.testing.assert_array_equal(getattr(found.contacts, name), getattr(expected.contacts, name))
-    assert found.first.primitives == expected.first.primitives
+    assert np.array_equal(found.first.primitives, expected.first.primitives)
     assert np.array_equal(result.contacts.to_host().points, expected.contacts.points)
     assert np.array_equal(found.vertex_toi, expected.vertex_toi)
     x.zero_()
@@ -251,6 +254,26 @@ def test_launches_take_an_axis_of_worlds_and_write_through_it(make):
     pipeline.launch_line_search(array(start), wished, per="world")
     shortened = (wished if make == "numpy" else wished.numpy()).reshape(end.shape)
     assert (shortened[:2, :25, 2] > end[:2, :25, 2]).all() and np.array_equal(shortened[2:], end[2:].astype(real))
+
+
+def test_copies_of_several_worlds_have_an_axis_of_copies():
+    bodies = [(TRIANGLE, FACE), (np.eye(4, 3), FACE)]
+    one = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 4, static=[1])
+    mesh = one.replicate(3)
+    start, flat = np.tile(one.vertices, (3, 1, 1)), np.tile(one.vertices, (3, 1))
+    end = start + [0.0, 0.0, 0.5]
+    assert np.array_equal(mesh.frame(start), flat)
+    assert np.array_equal(mesh.frames(start, end[:, :3])[1], mesh.frames(flat, end.reshape(-1, 3))[1])
+    assert ccd.mesh_ccd(mesh, start, end).toi == ccd.mesh_ccd(mesh, flat, end.reshape(-1, 3)).toi == np.inf
+    launched = ccd.CollisionPipeline(mesh, device="cpu").launch(start, end[:, :3].copy())
+    assert launched.to_host().toi == np.inf
+    twice = named_cloth_and_ball()[0].replicate(2).replicate(3)
+    for blocks in (6, 3, 2, 1):
+        assert np.array_equal(twice.frame(twice.vertices.reshape(blocks, -1, 3)), twice.vertices)
+    with pytest.raises(
+        ValueError, match=r"vertices_t0 has shape \(7, 3, 3\); expected .*, or \(3, 7, 3\), with an axis"
+    ):
+        mesh.frame(flat.reshape(7, 3, 3))
 
 
 def test_worlds_of_different_sizes_have_no_axis():

@@ -116,6 +116,23 @@ def test_vertices_that_all_move_straight_at_what_is_nearest_leave_a_gap_and_fart
 # --- on the device ---
 
 
+def test_copies_of_a_body_that_moves_alone_have_its_bounds():
+    bodies = [(np.eye(3), [[0, 1, 2]]), (np.eye(3) - [0.0, 0.0, 0.3], [[0, 1, 2]])]
+    one = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False)
+    copies, x = one.replicate(3), np.tile(one.vertices, (3, 1, 1))
+    expected = np.tile(ccd.displacement_bounds(one, one.vertices, 1.0), 3)
+    assert 0.15 < expected.max() < 0.5
+    np.testing.assert_array_equal(ccd.displacement_bounds(copies, x, 1.0), expected)
+    np.testing.assert_array_equal(
+        ccd.CollisionPipeline(copies).launch_displacement_bounds(on_device(x), 1.0).to_host(), expected
+    )
+    free = ccd.CollisionMesh.from_arrays([bodies[0]], self_collision=False).replicate(2)
+    assert (ccd.displacement_bounds(free, free.vertices, 1.0) == 1.0).all()
+    # two that move share what is between them, in whatever world they are
+    pairs = ccd.CollisionMesh.from_arrays(bodies, self_collision=False).replicate(2)
+    assert ccd.displacement_bounds(pairs, pairs.vertices, 1.0).max() <= 0.5
+
+
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
 def test_launches_give_the_bounds_of_the_call_on_the_host(broad_phase, device):
     mesh = few(6, static=[1], half_spaces=HALF_SPACES)

@@ -49,7 +49,7 @@ OPTIONS = {
 MESH_OPTIONS = OPTIONS | {"max_work": 1000, "broad_phase": "tree", "pair_kinds": None, "memory_limit": None}
 AT_ONE_TIME = {"broad_phase": "hash", "pair_kinds": None, "memory_limit": None, "device": "cpu", "num_threads": 1}
 FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
-SEARCH = {"per": "scene", "safety": 0.5, "max_rounds": 16}
+SEARCH = {"check_start": False, "per": "scene", "safety": 0.5, "max_rounds": 16}
 BODIES = {
     "bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])],
     "static": [1],
@@ -142,8 +142,8 @@ def _calls(folder):
         ),
         "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"check_start": False}),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
-        "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS),
-        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS),
+        "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS | {"check_start": False}),
+        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS | {"check_start": False}),
         "line_search": (ccd.line_search, FRAMES | SEARCH | {k: MESH_OPTIONS[k] for k in MESH_OPTIONS if k != "t_max"}),
         "from_arrays": (ccd.CollisionMesh.from_arrays, BODIES),
         "arrays of a body": (
@@ -183,10 +183,13 @@ def _calls(folder):
         ),
         "launch_proximity": (PIPELINE.launch_proximity, {"positions": START, "distance": 0.1}),
         "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "check_start": False}),
-        "pipeline.collision_free_step": (PIPELINE.collision_free_step, {"vertices_t0": START, "vertices_t1": END}),
+        "pipeline.collision_free_step": (
+            PIPELINE.collision_free_step,
+            {"vertices_t0": START, "vertices_t1": END, "check_start": False},
+        ),
         "pipeline.is_step_collision_free": (
             PIPELINE.is_step_collision_free,
-            {"vertices_t0": START, "vertices_t1": END},
+            {"vertices_t0": START, "vertices_t1": END, "check_start": False},
         ),
         "pipeline.line_search": (PIPELINE.line_search, {"vertices_t0": START, "vertices_t1": END} | SEARCH),
         "render_step": (viz.render_step, picture | {"path": folder / "a.png", "size": (900, 300), "t_max": 1.0}),

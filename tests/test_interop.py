@@ -148,6 +148,31 @@ def test_array_that_does_not_say_where_it_is_is_named():
         ccd.mesh_ccd(MESH, WithoutADevice(), END)
 
 
+class WithAGradient:
+    """What NumPy cannot read as it is: a tensor of torch that requires a gradient, or one of bfloat16."""
+
+    shape = (6, 3)
+
+    def __dlpack__(self, **_):
+        raise BufferError("Can't export tensors that require gradient, use tensor.detach()")
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead.")
+
+    def __dlpack_device__(self):
+        return (1, 0)
+
+
+def test_array_that_numpy_cannot_read_is_named_by_every_call():
+    sentence = "is a WithAGradient that cannot be shared: .*detach.*; expected one that can"
+    with pytest.raises(ValueError, match=f"vertices_t1 {sentence}"):
+        ccd.CollisionPipeline(MESH, device="cpu").launch(START, WithAGradient())
+    with pytest.raises(ValueError, match=f"vertices_t1 {sentence}"):
+        ccd.mesh_ccd(MESH, START, WithAGradient())
+    with pytest.raises(ValueError, match=f"vertices of body 0 {sentence}|vertices {sentence}"):
+        ccd.CollisionMesh.from_arrays([(WithAGradient(), [[0, 1, 2]])])
+
+
 @pytest.mark.parametrize("name", ["torch", "jax"])
 def test_bad_arrays_of_other_libraries_are_named(name):
     library = Library(name)
@@ -171,6 +196,10 @@ def test_tensor_that_is_not_contiguous_or_requires_a_gradient_is_named():
         pipeline.launch(good, torch.zeros(6, 6, dtype=torch.float64)[:, :3])
     with pytest.raises(ValueError, match=r"vertices_t0 is a Tensor that cannot be shared: .*gradient"):
         pipeline.launch(good.clone().requires_grad_(), good)
+    with pytest.raises(ValueError, match=r"vertices_t0 is a Tensor that cannot be shared: .*grad"):
+        ccd.mesh_ccd(MESH, good.clone().requires_grad_(), good)
+    with pytest.raises(ValueError, match=r"vertices_t0 is a Tensor that cannot be shared: .*BFloat16"):
+        ccd.mesh_ccd(MESH, good.to(torch.bfloat16), good)
 
 
 def test_line_search_writes_where_it_is(library):

@@ -410,6 +410,36 @@ def test_a_step_says_where_surfaces_cross_at_its_start_if_it_is_asked_to(recwarn
         ccd.mesh_ccd(mesh, start, end, check_start="yes")
 
 
+def test_every_call_of_a_step_says_where_surfaces_cross_at_its_start_if_it_is_asked_to(recwarn):
+    mesh = two_triangles([[1, 1, -1], [1, 1, 1], [9, 9, 0.5]], names=["sheet", "blade"])
+    start, end = mesh.vertices, mesh.vertices + [0, 0, 0.1] * (mesh.vertex_body == 1)[:, None]
+    frames, pipeline = (start, end), ccd.CollisionPipeline(mesh)
+    assert ccd.collision_free_step(mesh, *frames) == 1.0 and ccd.is_step_collision_free(mesh, *frames)
+    assert ccd.line_search(mesh, *frames).start is None and not recwarn.list
+    sentence = "at the start 2 pairs pass through each other: 2 of sheet and blade"
+    calls = [
+        (1.0, lambda **given: ccd.collision_free_step(mesh, *frames, **given)),
+        (1.0, lambda **given: pipeline.collision_free_step(*frames, **given)),
+        (False, lambda **given: ccd.is_step_collision_free(mesh, *frames, **given)),
+        (False, lambda **given: pipeline.is_step_collision_free(*frames, **given)),
+        (1.0, lambda **given: ccd.line_search(mesh, *frames, **given).fraction),
+        (1.0, lambda **given: pipeline.line_search(*frames, **given).fraction),
+    ]
+    for expected, call in calls:
+        with pytest.warns(
+            RuntimeWarning, match=f"^{sentence}; what crosses already is not seen in the step$"
+        ) as warned:
+            assert call(check_start=True) == expected
+        assert warned[0].filename == __file__
+        with pytest.raises(ValueError, match="check_start is 2; expected True or False"):
+            call(check_start=2)
+    with pytest.warns(RuntimeWarning):
+        found = ccd.line_search(mesh, *frames, check_start=True)
+    assert found.start.num_crossing == 2 and repr(found).endswith(f"\n{sentence})")
+    lifted = start + [0, 0, 5] * (mesh.vertex_body == 1)[:, None]
+    assert pipeline.is_step_collision_free(lifted, lifted, check_start=True) and not recwarn.list
+
+
 def test_pairs_in_contact_at_the_start_of_a_step_are_those_that_touch():
     mesh, x = random_scene(np.random.default_rng(12), "lattice")
     found = ccd.find_intersections(mesh, x)

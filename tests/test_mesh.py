@@ -367,3 +367,16 @@ def test_bad_frames_are_named(static, start, end, message):
     mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], static=static)
     with pytest.raises(ValueError, match=message):
         mesh.frames(start, end)
+
+
+def test_constructor_says_which_factory_takes_arrays():
+    vertices, faces = TRIANGLE
+    mesh = CollisionMesh.from_arrays([TRIANGLE])
+    for call in (
+        lambda: CollisionMesh(vertices, mesh.edges, faces),
+        lambda: CollisionMesh(vertices, faces),
+        lambda: CollisionMesh(vertices=vertices, faces=faces),
+    ):
+        with pytest.raises(TypeError, match=r"use CollisionMesh\.from_arrays\(\[\(vertices, faces\)\]\), with a tuple"):
+            call()
+    assert pickle.loads(pickle.dumps(mesh)).num_faces == copy.copy(mesh).num_faces == 1

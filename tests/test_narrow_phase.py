@@ -183,6 +183,25 @@ def test_bisection_is_conservative_and_agrees(family, kind, precision):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_parameters_of_the_bisection_are_those_of_the_closest_points(kind):
+    p0, p1 = FAMILIES["random_colliding"](kind, 60, np.random.default_rng(5))
+    result = SOLVE[kind](p0, p1, method="bisection", tolerance=1e-2)
+    t = result.toi[:, None, None]
+    x, (u, v) = (1 - t) * p0 + t * p1, result.parameters.T[:, :, None]
+
+    def gap(u, v):
+        if kind == "vertex-face":
+            return np.linalg.norm(x[:, 0] - x[:, 1] - u * (x[:, 2] - x[:, 1]) - v * (x[:, 3] - x[:, 1]), axis=1)
+        return np.linalg.norm(x[:, 0] + u * (x[:, 1] - x[:, 0]) - x[:, 2] - v * (x[:, 3] - x[:, 2]), axis=1)
+
+    least = gap(u, v)[result.hit]
+    assert len(least) > 30
+    for a, b in itertools.product(np.linspace(0.0, 1.0, 33), repeat=2):
+        if kind == "edge-edge" or a + b <= 1.0:
+            assert (least <= gap(a, b)[result.hit] * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_gap_bounds_the_exact_gap(kind, precision):
     for family, options in (("random_colliding", {}), ("slivers", {}), ("random", {"minimum_separation": 0.05})):
         p0, p1 = FAMILIES[family](kind, 60, np.random.default_rng(33))

@@ -102,7 +102,7 @@ def test_a_falling_point_meets_a_segment_at_its_height():
     assert first.toi == pytest.approx(0.5) and first.body_names == ("p", "floor")
     np.testing.assert_allclose(first.point, [0.25, 0.0], atol=1e-5)
     np.testing.assert_array_equal(first.normal, [0, 1])
-    assert first.vertices == (2, 0, 1) and first.parameters[0] == pytest.approx(0.625)
+    assert first.vertices.tolist() == [2, 0, 1] and first.parameters[0] == pytest.approx(0.625)
     assert "(0.25, " in repr(result) and "in the plane" in repr(mesh)
 
 
@@ -276,7 +276,7 @@ def test_pictures_of_a_mesh_in_the_plane(tmp_path):
     mesh, start, end = crowd_in_plane(np.random.default_rng(10))
     result = ccd.mesh_ccd(mesh, start, end)
     path = tmp_path / "plane.png"
-    ccd.viz.render_step(path, mesh, start, end, result)
+    ccd.viz.render_step(mesh, start, end, result, path)
     assert path.stat().st_size > 10_000
     blocks = ccd.viz.to_pyvista(mesh, start, end, result, t=1.0)
     np.testing.assert_array_equal(np.asarray(blocks["dust"].points)[:, :2], end[mesh.vertex_body == 2])

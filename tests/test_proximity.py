@@ -351,6 +351,24 @@ def test_a_bad_distance_is_told_by_its_name(distance):
             call()
 
 
+def test_among_subnormal_numbers_the_unit_counts_besides():
+    rng, unit = np.random.default_rng(0), 2.0**-1074
+    for size in (20, 300, 5000):
+        whole = [rng.integers(0, size, (24, 3)).astype(float) for _ in range(2)]
+        faces = np.arange(24).reshape(-1, 3)
+        exact, mesh = (ccd.CollisionMesh.from_arrays([(s * x, faces) for x in whole]) for s in (1.0, unit))
+        distance = float(size // 4)
+        truth, found = (
+            ccd.find_proximity(exact, exact.vertices, size),
+            ccd.find_proximity(mesh, mesh.vertices, distance * unit),
+        )
+        of_pair = {(k, *p): d for k, p, d in zip(truth.kind, truth.primitives.tolist(), truth.distance, strict=True)}
+        rows = [(k, *p) for k, p in zip(found.kind, found.primitives.tolist(), strict=True)]
+        assert len(rows) > 5 and {row for row, d in of_pair.items() if d < distance - 1e-9} <= {*rows}
+        of_rows = np.array([of_pair[row] for row in rows])
+        assert of_rows.max() <= distance + 2.0**5 and np.abs(found.distance / unit - of_rows).max() <= 1.0
+
+
 def test_the_thin_end_of_a_cable_keeps_the_radius_of_its_thick_end_from_the_ground():
     cable = ([[0.0, 0.0, 0.05], [1.0, 0.0, 0.5], [2.0, 0.0, 0.5]], np.empty((0, 3), dtype=int), [[0, 1], [1, 2]])
     ground = ccd.HalfSpace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])

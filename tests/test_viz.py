@@ -66,7 +66,7 @@ def _draw(folder, mesh, start, end, *, mesh_options=None, **options) -> list[np.
     """The three panels of a picture, without their titles."""
     result = ccd.mesh_ccd(mesh, start, end, **(mesh_options or {}))
     options = {"size": SIZE} | options
-    path = viz.render_step(folder / "step.png", mesh, start, end, result, **options)
+    path = viz.render_step(mesh, start, end, result, folder / "step.png", **options)
     image = _read(path)
     assert image.shape == (options["size"][1], options["size"][0], 3)
     return np.split(image[image.shape[0] // 10 :], 3, axis=1)
@@ -150,10 +150,11 @@ def test_package_imports_without_its_parts_and_loads_them_when_used():
     code = (
         "import sys, ccd_warp as c; print(*(f'ccd_warp.{p}' in sys.modules for p in ('viz', 'datasets')));"
         "print({'viz', 'datasets'} <= set(dir(c)), callable(c.viz.render_step), callable(c.datasets.find_queries));"
-        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules); c.nothing"
+        "print('pyvista' in sys.modules, 'vtkmodules' in sys.modules);"
+        "print({n for n in dir(c) if not n.startswith('__')} == set(c.__all__) - {'__version__'}); c.nothing"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.split()[-7:] == ["False", "False", "True", "True", "True", "False", "False"]
+    assert done.stdout.split()[-8:] == ["False", "False", "True", "True", "True", "False", "False", "True"]
     assert "AttributeError: module 'ccd_warp' has no attribute 'nothing'" in done.stderr
 
 
@@ -290,7 +291,7 @@ def test_a_picture_is_shown_by_a_notebook_and_stands_for_its_file(tmp_path):
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(picture._repr_png_()))), picture.image)
     with pytest.raises(ValueError, match=r"picture has no file; expected picture\.save"):
         os.fspath(picture)
-    saved = viz.render_step(tmp_path / "step.png", *step, size=SIZE)
+    saved = viz.render_step(*step, tmp_path / "step.png", size=SIZE)
     assert os.fspath(saved) == str(tmp_path / "step.png") and np.array_equal(_read(saved), saved.image)
     assert repr(saved) == f"Picture(600 × 200 pixels, {tmp_path / 'step.png'})"
     assert picture.save(tmp_path / "again.png").path.exists()
@@ -444,7 +445,7 @@ def test_earlier_vertices_are_darker(tmp_path):
 def test_bad_options_are_refused(tmp_path, options, words):
     mesh, start, end, result = _with_result(*_balls_over_box())
     with pytest.raises(ValueError, match=words):
-        viz.render_step(tmp_path / "step.png", mesh, start, end, result, **options)
+        viz.render_step(mesh, start, end, result, tmp_path / "step.png", **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -453,17 +454,24 @@ def test_results_and_files_that_do_not_fit_are_refused(tmp_path):
     box = trimesh.creation.box()
     other = ccd.CollisionMesh.from_trimesh([box])
     with pytest.raises(ValueError, match=r"result\.vertex_toi has shape \(332,\); expected \(8,\)"):
-        viz.render_step(tmp_path / "step.png", other, box.vertices, box.vertices, result)
+        viz.render_step(other, box.vertices, box.vertices, result, tmp_path / "step.png")
     for name, words in (("step.jpg", "must end in .png"), ("none/step.png", "does not exist")):
         with pytest.raises(ValueError, match=words):
-            viz.render_step(tmp_path / name, mesh, start, end, result)
+            viz.render_step(mesh, start, end, result, tmp_path / name)
+
+
+def test_path_that_is_given_first_is_told_where_it_belongs(tmp_path):
+    step = _with_result(*_balls_over_box())
+    for path in (tmp_path / "step.png", "step.png"):
+        with pytest.raises(ValueError, match=r"mesh is .*; expected the mesh first.*vertices_t1, result, path\)"):
+            viz.render_step(path, *step)
 
 
 def test_missing_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     mesh, start, end, result = _with_result(*_balls_over_box())
     with pytest.raises(ImportError, match=r"pip install 'ccd-warp\[viz\]'"):
-        viz.render_step(tmp_path / "step.png", mesh, start, end, result)
+        viz.render_step(mesh, start, end, result, tmp_path / "step.png")
     with pytest.raises(ImportError, match=r"pip install 'ccd-warp\[viz\]'"):
         viz.show_step(mesh, start, end, result)
 

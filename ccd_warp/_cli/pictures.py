@@ -32,7 +32,7 @@ def draw_step(path: Path, step: SolvedStep) -> Path:
 
     try:
         with closed_stderr():
-            viz.render_step(path, step.mesh, step.vertices_t0, step.vertices_t1, step.result, t_max=step.options.t_max)
+            viz.render_step(step.mesh, step.vertices_t0, step.vertices_t1, step.result, path, t_max=step.options.t_max)
     except OSError as error:
         raise InputError(f"cannot write {path} ({error.strerror or error})") from error
     return path

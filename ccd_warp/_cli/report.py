@@ -153,7 +153,7 @@ def _at_start(step: SolvedStep) -> list[str]:
     """What touches, and what crosses, at the start."""
     sentence = start_sentence(step.result.pairs_at_start)
     crossing = crossing_sentence(step.start[step.start.is_crossing].by_bodies())
-    return [f"at the start  {each}" for each in (sentence, crossing) if each]
+    return [f"at the start  {each}" for each in (sentence, step.result.hidden_gaps, crossing) if each]
 
 
 def count_rows(counts: Counts) -> list[tuple[str, int]]:

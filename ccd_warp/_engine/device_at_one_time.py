@@ -19,7 +19,6 @@ from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch,
 from ccd_warp._engine.lengths import half_up, sum_up
 from ccd_warp._engine.proximities import PROXIMITY_DTYPES, new_proximity_list, reach_of
 from ccd_warp._engine.proximity_step import largest_bound
-from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import Topology
 from ccd_warp._engine.trees import search_options
@@ -172,7 +171,7 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     """How far vertices may move."""
 
     def _new_arrays(self, capacity: int) -> DeviceDisplacements:
-        self._is_alone = moves_alone(self._mesh)
+        self._is_alone = self._mesh._moves_alone
         _ = self.topology.body_static  # computed now, not during a capture
         result = self.result
         return DeviceDisplacements(

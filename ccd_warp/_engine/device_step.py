@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
-from ccd_warp._engine.contacts import CONTACT_DTYPES, new_contact_list, new_minima
+from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
+from ccd_warp._engine.scene import norm_of, possible_kinds
+from ccd_warp._engine.search import KEY_BYTES
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
@@ -26,7 +27,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
-from ccd_warp._runtime.pair_queue import new_queue
+from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step, thickness
@@ -72,6 +73,11 @@ class Capacities:
         """One pair of each kind for each primitive and one contact for each vertex, less memory than the boxes take."""
         primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         return Capacities(min(max(_LEAST_CAPACITY, primitives), MOST_PAIRS), max(_LEAST_CAPACITY, mesh.num_vertices))
+
+    def num_bytes(self, num_kinds: int, *, is_cuda: bool) -> int:
+        """Bytes of the arrays that have these capacities, for pairs of so many kinds."""
+        keys = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1) + (QUEUE_BYTES if is_cuda else 0)
+        return self.max_pairs * keys + self.max_contacts * BYTES_PER_CONTACT
 
 
 @dataclass(frozen=True)
@@ -180,7 +186,7 @@ class DeviceStep:
         quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
         self._has_grids = options.broad_phase == "hash"
         make = Grid if self._has_grids else Tree
-        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {}, make)
+        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), mesh._moves_alone, {}, make)
         if self._has_grids:
             tree_pairs = with_reverses(tree_pairs)
         trees = trees_of(tree_pairs)
@@ -234,7 +240,7 @@ class DeviceStep:
             queue=new_queue(capacities.max_pairs, topology.device)
             if execution.is_cuda and self._has_narrow_phase
             else None,
-            plane_query=plane_query(options, separation, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
+            plane_query=plane_query(options, length_scale, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.grids import Grid
-from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
+from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
@@ -45,6 +45,8 @@ _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
 _MOST_COPIED = 1 << 15
+# Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
+_FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
@@ -118,7 +120,7 @@ class HostPlan:
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
-        sought = topology, self.kinds, moves_alone(mesh)
+        sought = topology, self.kinds, mesh._moves_alone
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
         self.tree_pairs = tree_pairs_of(*sought, *kept)
@@ -345,6 +347,22 @@ class HostPlan:
             grown = {kind: max(int(_GROWTH * n), _LEAST_CAPACITY) for kind, n in needed.items()}
             self._set_capacities(grown if sum(grown.values()) <= largest else least)
         yield from self._batches_of_parts(section, tree_pairs, largest, needed)
+
+    def few_batches(self, largest: int) -> Iterator[Batch]:
+        """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
+        largest = min(largest, _FEW_PAIRS)
+        self._share_capacity(largest)
+        stages = self._stages.with_values(self._recording.values)
+        for tree_pair in filter(self.may_meet, self.tree_pairs):
+            count = tree_pair.query.primitives.count
+            self._clear_counts()
+            stages.search(self.execution, tree_pair, range(0, count, -(-count // _FEW_QUERIES)), level=0)
+            if self.execution.is_cuda:
+                stages.cull(self.execution, tree_pair.kind)
+            self.num_searches[tree_pair.kind] += 1
+            found = {kind: min(count, largest) for kind, count in self._num_found().items()}
+            if found[tree_pair.kind] > 0:
+                yield self._batch(found, is_only=False)
 
     def _record_search(self, stages: Stages, recording: Recording, tree_pairs: list[TreePair]) -> None:
         with recording.at_once():

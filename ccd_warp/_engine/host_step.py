@@ -21,6 +21,7 @@ from ccd_warp._engine.contact_corners import contact_corners
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.lengths import half_up, length_scale_of
+from ccd_warp._engine.oddities import DistanceInEdges, Farthest, hidden_sentence
 from ccd_warp._engine.planes import plane_candidates
 from ccd_warp._engine.search import KEY_BYTES, PairSearch
 from ccd_warp._engine.topology import Positions
@@ -94,11 +95,40 @@ class Step:
             if inflation is None:
                 self.length_scale = length_scale_of(self.mesh, self.options)
                 self.separation = self.options.separation(self.length_scale)
+                self.is_far_reaching = self._reaches_far()
         with self.timed("boxes"):
             self.inflation = half_up(self.separation) if inflation is None else inflation
             active = self.workspace.active(self._bodies_near())
             plan.fill_boxes(self.positions, t_end, self.inflation, active)
         return plan
+
+    def _reaches_far(self) -> bool:
+        """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
+        found = DistanceInEdges.of(self.topology, self.positions[0], self.separation)
+        if found is None or not found.is_many:
+            return False
+        if found.distance > self.mesh.exclusion_rings * found.edge:
+            self.is_warned = True  # nothing has to be said of the many pairs that follow from it
+            warnings.warn(found.described(), RuntimeWarning, stacklevel=level_of_caller())
+        return True
+
+    def _warn_of_size(self) -> None:
+        """Name the vertex at whose size rounding hides gaps at the start, if there is one, where a toi is 0."""
+        found = Farthest.of(self.positions)
+        if found.hides_gaps(self.options.tolerance, self.length_scale):
+            warnings.warn(
+                f"rounding at the size of the positions is more than the tolerance and hides gaps at the start, so "
+                f"toi is 0: {found.described(self.mesh)}",
+                RuntimeWarning,
+                stacklevel=level_of_caller(),
+            )
+
+    def _hidden_gaps(self, contacts: Contacts) -> str:
+        """A sentence on the pairs whose gaps rounding hides, empty if there are none."""
+        count = int((contacts.status == int(CCDStatus.ROUNDING_LIMIT)).sum())
+        if count:
+            self._warn_of_size()
+        return hidden_sentence(count, self.mesh, self.positions)
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
@@ -234,9 +264,15 @@ class Step:
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
-            for batch in self.timed_batches(
-                plan.batches(self.capacity(plan.key_bytes + TOI_BYTES), of_sample=of_sample)
-            ):
+            capacity = self.capacity(plan.key_bytes + TOI_BYTES)
+            if self.is_far_reaching:
+                # most queries have a partner within the distance, so a few of them show a toi of 0
+                for _ in self.timed_batches(plan.few_batches(capacity)):
+                    with self.timed("narrow phase"):
+                        plan.bound(is_second=False)
+            is_known = plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf)
+            batches = iter(()) if is_known else plan.batches(capacity, of_sample=of_sample)
+            for batch in self.timed_batches(batches):
                 with self.timed("narrow phase"):
                     plan.bound(is_second=False)
                     for kind in plan.num_open():
@@ -251,6 +287,8 @@ class Step:
             with self.timed("narrow phase"):
                 best = self.least_of_all(self.least_open_toi(plan, best, open_pairs))
         plan.release_positions()
+        if best <= 0.0:
+            self._warn_of_size()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
         return best
 
@@ -353,6 +391,7 @@ class Step:
             gathered.vertex_contact,
             gathered.body_contact,
             gathered.world_toi,
+            hidden_gaps=self._hidden_gaps(contacts) if gathered.toi <= 0.0 else "",
         )
 
     def _meet_planes(self, plan: HostPlan) -> int:

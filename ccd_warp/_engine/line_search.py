@@ -11,6 +11,7 @@ from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.contact_corners import contact_vertices
 from ccd_warp._input.arguments import check_choice, check_real
+from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
@@ -52,6 +53,7 @@ class LineSearchResult:
         num_rounds: Number of calls of ``mesh_ccd``.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
+        start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -60,11 +62,14 @@ class LineSearchResult:
     touching: Contacts
     num_rounds: int
     is_limited: bool
+    start: Intersections | None = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
         touching = f"{len(self.touching)} touching, {self.num_rounds} rounds{limited}"
-        return f"LineSearchResult(fraction={self.fraction!r} of {len(self.vertices):,} vertices, {touching})"
+        crossing = crossing_at_start(self.start)
+        at_start = f";\n{crossing}" if crossing else ""
+        return f"LineSearchResult(fraction={self.fraction!r} of {len(self.vertices):,} vertices, {touching}{at_start})"
 
 
 def check_step_is_whole(t_max: float) -> None:
@@ -111,11 +116,20 @@ def search_step(
     safety: float,
     max_rounds: int,
     everywhere: OneProcess | None = None,
+    begins_at_rest: bool = False,
 ) -> LineSearchResult:
-    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``."""
+    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``.
+
+    With ``begins_at_rest`` a first round looks at the start alone, where everything may be in contact already.
+    """
     everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
+    if begins_at_rest:
+        contacts = solve(start, start).contacts
+        stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
+        if everywhere.all(bool(stopped[moves].all())):
+            return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False)
     fraction = np.ones(mesh.num_vertices)
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round

@@ -106,9 +106,12 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
     return planes
 
 
-def plane_query(options: "Options", separation: float, *, is_euclidean: bool) -> Any:
-    """What vertices and planes are asked for, as the struct of the kernels; ``separation`` as of `Options`."""
+def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels."""
     from ccd_warp.kernels.planes import PlaneQuery  # not before a scene needs it
+    from ccd_warp.kernels.start_gap import LEAST_TOLERANCE
+
+    separation = options.separation(length_scale)
 
     query = PlaneQuery()
     query.is_euclidean = int(is_euclidean)
@@ -117,6 +120,7 @@ def plane_query(options: "Options", separation: float, *, is_euclidean: bool) ->
         query.distance = next_above(separation)
     query.start_gap_fraction = 0.0 if options.start_gap_fraction is None else options.start_gap_fraction
     query.t_max = options.t_max
+    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
     return query
 
 

@@ -12,7 +12,6 @@ from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.lengths import half_up, sum_up
 from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, reach_of
-from ccd_warp._engine.scene import moves_alone
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._proximities import Proximities
@@ -108,7 +107,7 @@ class DisplacementStep(_StepAtOneTime):
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
-            largest = largest_bound(search_radius, moves_alone(self.mesh))
+            largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))

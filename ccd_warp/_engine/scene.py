@@ -37,12 +37,6 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
     return tuple(kind for kind in options.kinds if possible[kind])
 
 
-def moves_alone(mesh: "CollisionMesh") -> bool:
-    """Whether exactly one body moves, and it does not collide with itself."""
-    moving = mesh.self_collision[~mesh.static]
-    return len(moving) == 1 and not moving.any()
-
-
 def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False) -> str:
     """The norm of separations (``kernels.norm``): with radii each pair has a distance of its own.
 

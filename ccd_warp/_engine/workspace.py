@@ -106,6 +106,5 @@ class Workspace:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
             is_euclidean = norm_of(self.topology.mesh, options) != MAXIMUM_NORM
-            separation = options.separation(length_scale)
-            self._packed[key] = plane_query(options, separation, is_euclidean=is_euclidean)
+            self._packed[key] = plane_query(options, length_scale, is_euclidean=is_euclidean)
         return self._packed[key]

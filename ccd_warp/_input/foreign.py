@@ -44,11 +44,18 @@ def on_host(value: Any, name: str) -> Any:
     """The value as NumPy can read it in place; arrays of other libraries must not be on a GPU.
 
     Raises:
-        ValueError: If it is an array on a GPU.
+        ValueError: If it is an array on a GPU, or one that NumPy cannot read, as a tensor that requires a gradient.
     """
     if is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY:
         raise ValueError(
             f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
             f"or CollisionPipeline.launch, which takes arrays on its device"
         )
-    return value.numpy() if isinstance(value, wp.array) else value
+    if isinstance(value, wp.array):
+        return value.numpy()
+    if not is_device_array(value):
+        return value
+    try:
+        return np.asarray(value)
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error

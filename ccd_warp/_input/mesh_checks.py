@@ -142,7 +142,9 @@ def validated_worlds(
         )
     for world in (array.min(initial=0), array.max(initial=0)):
         if not 0 <= world < max(num_vertices, 1):
-            raise ValueError(f"vertex_world holds {world}; expected worlds in [0, {num_vertices})")
+            raise ValueError(
+                f"vertex_world holds {world}; expected worlds from 0 on, below the number of vertices, {num_vertices}"
+            )
     for name, corners in primitives.items():
         worlds = array[corners]
         is_torn = (worlds != worlds[:, :1]).any(axis=1)

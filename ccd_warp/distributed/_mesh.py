@@ -24,6 +24,7 @@ from ccd_warp._input.mesh_checks import (
     validated_rings,
     validated_static,
 )
+from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._handed_in import HandedIn, handed_in
@@ -202,6 +203,11 @@ class DistributedMesh:
         self.copies = Exchange(ranks, every.sources, every.targets)
         self.has_ghosts = ranks.agree(-float(self.copies.num_sent))[0] < 0.0
 
+    def _move_alone(self) -> bool:
+        """Whether at most one body moves in each world, and none of them collides with itself; collective."""
+        first, last = worlds_of_bodies(self.bodies, self.worlds, self.num_bodies)
+        return move_alone(~self.static, self.self_collision, self.ranks.least(first), self.ranks.most(last))
+
     def _check_bodies(self, ids: NDArray[np.int64], bodies: NDArray[np.int64]) -> None:
         """Check that bodies follow one another over all homes."""
         ends = self.ranks.every(np.stack([ids, bodies], axis=1)[[0, -1]] if len(ids) else np.zeros((0, 2), np.int64))
@@ -246,6 +252,7 @@ class DistributedMesh:
         self._is_static = self.static[self.bodies]
         self._has_static = bool(self._is_static.any())
         self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
+        self.moves_alone = self._move_alone()
         self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
         self.body_pairs = validated_body_pairs(body_pairs, names)
         self.exclusion_rings = validated_rings(exclusion_rings)

@@ -97,6 +97,7 @@ def part_mesh(
     mesh.__setstate__(state)
     # lazy properties of the whole mesh, which a part cannot tell
     vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale, is_thick=whole.is_thick)
+    vars(mesh)["_moves_alone"] = whole.moves_alone
     vars(mesh)["_excludes_by_vertices"] = whole.rings is not None
     return mesh
 

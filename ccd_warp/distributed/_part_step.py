@@ -27,6 +27,9 @@ class StepOnPart(Step):
         self.ranks: Ranks = together.ranks
         super().__init__(*arguments, **options)
 
+    def _warn_of_size(self) -> None:
+        """Nothing is said: the vertices of a part have other numbers than those of the mesh."""
+
     def work_by_vertex(self, of_candidate: float, of_pair: float) -> NDArray[np.float64]:
         """Work of the last search: that of a pair at a vertex of its first primitive, that of candidates spread evenly.
 

@@ -14,6 +14,7 @@ systems have; otherwise install it, for example with ``apt-get install libegl1 l
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from decimal import ROUND_FLOOR, Context
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -120,11 +121,11 @@ def draw_step(
 
 
 def render_step(
-    path: str | Path,
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     result: MeshResult | HostLaunchResult,
+    path: str | Path,
     *,
     size: tuple[int, int] = (1600, 520),
     camera: ArrayLike | None = None,
@@ -134,11 +135,11 @@ def render_step(
     """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
     Args:
-        path: File to write, ``.png``.
         mesh: The mesh of the step.
         vertices_t0: Start positions, as in :func:`draw_step`.
         vertices_t1: End positions, as in :func:`draw_step`.
         result: The result of ``mesh_ccd``, or of a launch on the host.
+        path: File to write, ``.png``.
         size: Width and height in pixels.
         camera: Direction from the scene to the viewer, as in :func:`draw_step`.
         colour: Colours of the bodies at t = 1, as in :func:`draw_step`.
@@ -153,6 +154,11 @@ def render_step(
         RuntimeError: If the system has no OpenGL that works without a display.
         ValueError: If an argument is not as described.
     """
+    if isinstance(mesh, (str, PathLike)):
+        raise ValueError(
+            f"mesh is {shown(mesh)}; expected the mesh first, as in draw_step, and the path last: "
+            f"render_step(mesh, vertices_t0, vertices_t1, result, path)"
+        )
     path = check_path("path", path)
     check_picture_path(path, "path")
     picture = draw_step(mesh, vertices_t0, vertices_t1, result, size=size, camera=camera, colour=colour, t_max=t_max)

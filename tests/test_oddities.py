@@ -1,0 +1,142 @@
+"""Lengths that hardly mean what they say: positions that blow up, and a distance of many edges."""
+
+import numpy as np
+import pytest
+import scenes
+
+import ccd_warp as ccd
+from ccd_warp._engine.host_plan import HostPlan
+
+AT_START, HIDDEN = ccd.CCDStatus.INITIAL_CONTACT, ccd.CCDStatus.ROUNDING_LIMIT
+
+
+def two_sheets(height=0.3, **arguments):
+    """Two sheets of 32 faces, one above the other."""
+    vertices, faces = scenes.sheet(4)
+    bodies = [(vertices, faces), (vertices + [0.0, 0.0, height], faces)]
+    return ccd.CollisionMesh.from_arrays(bodies, names=["floor", "sheet"], **arguments)
+
+
+def with_one_at(x, size):
+    """Positions of which one vertex of the sheet is far away."""
+    x = x.copy()
+    x[25 + 7] = size
+    return x
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("size", [1e15, 1e20, 1e30])
+def test_a_vertex_that_blows_up_is_named_where_rounding_hides_all_gaps(size, precision):
+    mesh = two_sheets()
+    start, end = mesh.vertices, with_one_at(mesh.vertices, size)
+    with pytest.warns(RuntimeWarning, match=r"so toi is 0: vertex 32 \(vertex 7 of sheet\) is 1e"):
+        result = ccd.mesh_ccd(mesh, start, end, precision=precision)
+    assert result.toi == 0.0 and {*result.contacts.status.tolist()} == {int(HIDDEN)}
+    assert not result.pairs_at_start and result.counts.num_contacts_at_limit == len(result.contacts)
+    place = f"vertex 32 (vertex 7 of sheet) is {size:.3g} from the others at the end"
+    assert f"rounding hides the gaps of {len(result.contacts)} pairs at the start, with toi 0: {place}" in repr(result)
+
+
+def test_a_step_of_0_says_that_positions_blow_up():
+    mesh = two_sheets()
+    for frames in ((mesh.vertices, with_one_at(mesh.vertices, 1e20)), (with_one_at(mesh.vertices, 1e20),) * 2):
+        with pytest.warns(RuntimeWarning, match="is 1e[+]20 from the others at the") as warned:
+            assert ccd.collision_free_step(mesh, *frames) == 0.0
+        assert warned[0].filename == __file__
+
+
+@pytest.mark.parametrize("option", [{}, {"minimum_distance": 0.1}, {"minimum_separation": 0.1}])
+def test_pairs_that_touch_at_the_start_do_so_wherever_others_end(option):
+    mesh = two_sheets(height=0.05 if option else 0.0)
+    with pytest.warns(RuntimeWarning, match="hides gaps at the start"):
+        contacts = ccd.mesh_ccd(mesh, mesh.vertices, with_one_at(mesh.vertices, 1e20), **option).contacts
+    at_rest = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **option).contacts
+    at_start = contacts[contacts.status == AT_START]
+    assert len(at_start) and (at_rest.status == AT_START).all()
+    assert np.array_equal(at_start.kind, at_rest.kind)
+    assert np.array_equal(at_start.primitives, at_rest.primitives)
+    assert ((contacts.status == AT_START) | (contacts.status == HIDDEN)).all()
+
+
+def test_a_launch_flags_what_rounding_hides():
+    mesh = two_sheets().replicate(2)
+    end = mesh.vertices.copy()
+    end[50 + 32] = 1e20
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    found = pipeline.launch(mesh.vertices, end).to_host()
+    assert found.flags == ccd.LaunchFlag.ROUNDING_LIMIT and found.world_flags.tolist() == [0, 8]
+    assert (found.contacts.status == HIDDEN).all() and found.world_toi.tolist() == [np.inf, 0.0]
+    # what the first pass of a line search cannot tell, a shorter step shows
+    assert pipeline.launch_line_search(mesh.vertices, end).to_host().flags == 0
+
+
+@pytest.mark.parametrize("function", [ccd.vertex_face_ccd, ccd.edge_edge_ccd])
+@pytest.mark.parametrize("count", [1, 9])
+def test_a_pair_whose_motion_blows_up_is_not_in_contact(function, count):
+    start = np.array([[0.2, 0.2, 0.5], [0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    end = start * [1e20, -3e20, 1e20]
+    touching = start * [1, 1, 0] if function is ccd.vertex_face_ccd else np.zeros((4, 3))
+    for points, status in ((start, HIDDEN), (touching, AT_START)):
+        pairs = [np.tile(x, (count, 1, 1)) for x in (points, end)]
+        result = function(*pairs, length_scale=1.0, device="cpu")
+        assert (result.toi == 0.0).all() and (result.status == status).all()
+
+
+def test_a_vertex_far_along_a_plane_is_not_in_contact_with_it():
+    mesh = ccd.CollisionMesh.from_arrays([*two_sheet_bodies(), ccd.HalfSpace([0, 0, -1.0], [1.0, 2.0, 3.0])])
+    start = with_one_at(mesh.vertices, [2e20, -1e20, 10.0])
+    with pytest.warns(RuntimeWarning, match="from the others at the start"):
+        contacts = ccd.mesh_ccd(mesh, start, start, pair_kinds=["vertex_plane"]).contacts
+    assert contacts.primitives.tolist() == [[32, 0]] and contacts.status.tolist() == [int(HIDDEN)]
+
+
+def two_sheet_bodies():
+    vertices, faces = scenes.sheet(4)
+    return [(vertices, faces), (vertices + [0.0, 0.0, 0.3], faces)]
+
+
+def searched(monkeypatch):
+    """The numbers of searches of all pairs from now on, in a list."""
+    seen = []
+    batches = HostPlan.batches
+    monkeypatch.setattr(HostPlan, "batches", lambda *a, **k: (seen.append(1), batches(*a, **k))[1])
+    return seen
+
+
+@pytest.mark.parametrize("thickness", ["distance", "separation", "radius"])
+def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thickness, monkeypatch):
+    mesh = two_sheets(radius=2.5 if thickness == "radius" else None)
+    of_separation = {"minimum_separation": 5.0, "length_scale": 1.0}
+    options = {"distance": {"minimum_distance": 5.0}, "separation": of_separation, "radius": {}}[thickness]
+    name = "distance of a pair, radii included," if thickness == "radius" else "distance at which pairs touch"
+    sentence = f"^the {name} is 5, 20 times the median edge of 0.25; neighbours are within it: exclusion_rings of"
+    seen = searched(monkeypatch)
+    end = mesh.vertices + [0.0, 0.0, 0.1]
+    with pytest.warns(RuntimeWarning, match=sentence) as warned:
+        assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == 0.0
+    assert not seen and len(warned) == 1 and warned[0].filename == __file__
+    with pytest.warns(RuntimeWarning, match=sentence):
+        assert not ccd.is_step_collision_free(mesh, mesh.vertices, end, **options)
+    assert not seen
+    with pytest.warns(RuntimeWarning, match=sentence):
+        assert ccd.mesh_ccd(mesh, mesh.vertices, end, **options).toi == 0.0
+
+
+@pytest.mark.parametrize("per", ["scene", "vertex"])
+def test_a_line_search_at_a_distance_of_many_edges_takes_one_round(per):
+    mesh = two_sheets(static=[0])
+    with pytest.warns(RuntimeWarning, match="20 times the median edge"):
+        found = ccd.line_search(mesh, mesh.vertices, mesh.vertices + [0, 0, 0.1], per=per, minimum_distance=5.0)
+        contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, minimum_distance=5.0).contacts
+    assert found.num_rounds == 1 and found.fraction == 0.0 and np.array_equal(found.vertices, mesh.vertices)
+    assert found.vertex_fraction.tolist() == [1.0] * 25 + [0.0] * 25
+    assert np.array_equal(found.touching.primitives, contacts.primitives)
+
+
+def test_nothing_is_said_where_neighbours_are_excluded_or_there_are_none(recwarn):
+    vertices, faces = scenes.sheet(4)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)], exclusion_rings=9)
+    assert ccd.collision_free_step(mesh, mesh.vertices, mesh.vertices, minimum_distance=2.0) == 1.0
+    mesh = two_sheets(height=10.0, self_collision=False)
+    assert ccd.collision_free_step(mesh, mesh.vertices, mesh.vertices, minimum_distance=5.0) == 1.0
+    assert not recwarn.list
