@@ -23,12 +23,14 @@ from ccd_warp._engine.device_step import (
     DeviceStep,
     LineSearch,
 )
+from ccd_warp._engine.hold_step import HoldStep, hold_distance
 from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
     Per,
+    Solver,
     check_step_is_whole,
     search_step,
     validated_line_search,
@@ -44,6 +46,7 @@ from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts, LaunchResult, MeshResult
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 
 DEFAULT_NUM_ROUNDS = 7
@@ -583,7 +586,27 @@ class CollisionPipeline:
 
         Guarantee: as for that function; no pair touches before the returned fraction.
         """
-        return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
+        if not self._options.holds:
+            return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
+        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
+        if toi <= 0.0 and self._hold_distance > 0.0:
+            # something may start within its distance
+            counts, timings = self.counts, self.timings
+            holds = self._holds(vertices_t0)
+            timings["holds"] = timings.get("holds", 0.0) + self.timings["total"]
+            toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
+        return min(toi, self._options.t_max)
+
+    @lazy_property
+    def _hold_distance(self) -> float:
+        """The distance up to which pairs are held, radii besides; 0 where they keep none."""
+        return hold_distance(self.mesh, self._options, self.mesh.radius) if self._options.holds else 0.0
+
+    def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """How near each vertex is to anything at one time, as far as it is within its distance."""
+        return self._run(
+            HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(self._hold_distance)
+        )
 
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
         """Like :func:`ccd_warp.is_step_collision_free`.
@@ -633,7 +656,18 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
         return search_step(
-            self.mesh, vertices_t0, vertices_t1, self.mesh_ccd, per=per, safety=safety, max_rounds=max_rounds
+            self.mesh, vertices_t0, vertices_t1, self._solver, per=per, safety=safety, max_rounds=max_rounds
+        )
+
+    @property
+    def _solver(self) -> Solver:
+        """The steps of a line search."""
+        if not self._options.holds:
+            return Solver(self.mesh_ccd, lambda start, end, holds: self.mesh_ccd(start, end))
+        return Solver(
+            self.mesh_ccd,
+            lambda start, end, holds: self._on_step(start, end, lambda step: step.holding(holds).contacts()),
+            self._holds if self._hold_distance > 0.0 else None,
         )
 
 

@@ -49,7 +49,8 @@ class LineSearchResult:
             still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
             long stops a world, these are all pairs of this world that touched in its last step, so that their toi may
             be above 0.
-        num_rounds: Number of calls of ``mesh_ccd``.
+        num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
+            something starts within its distance counts once.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
     """
@@ -85,6 +86,22 @@ def validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
     )
 
 
+@dataclass(frozen=True)
+class Solver:
+    """The steps that a line search takes.
+
+    Attributes:
+        strict: All contacts between two positions.
+        holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
+            as long as these are not known to matter.
+        find_holds: The hold of each vertex at the start (`HoldStep`); None where pairs keep no distance.
+    """
+
+    strict: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult]
+    holding: Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None], MeshResult]
+    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+
+
 class OneProcess:
     """What a line search asks of everything at once: here one process has it all."""
 
@@ -105,14 +122,14 @@ def search_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    solve: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult],
+    solver: Solver,
     *,
     per: str,
     safety: float,
     max_rounds: int,
     everywhere: OneProcess | None = None,
 ) -> LineSearchResult:
-    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``."""
+    """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``."""
     everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
@@ -120,12 +137,17 @@ def search_step(
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
     is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
+    holds: NDArray[np.float64] | None = None
     at_start: NDArray[np.uint64] | None = None
     stopping: list[Contacts] = []
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
-        contacts = solve(start, vertices).contacts
+        contacts = solver.holding(start, vertices, holds).contacts
+        # Without a toi of 0 in the first round nothing starts within its distance.
+        if num_rounds == 0 and solver.find_holds is not None and not everywhere.all(not _has_pair_at_start(contacts)):
+            holds = everywhere.least_of_vertices(solver.find_holds(start))
+            contacts = solver.holding(start, vertices, holds).contacts
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
         is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
@@ -137,7 +159,7 @@ def search_step(
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
-                at_start = _keys(solve(start, start).contacts)
+                at_start = _keys(solver.strict(start, start).contacts)
                 num_rounds += 1
             is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
@@ -178,6 +200,11 @@ def search_step(
         num_rounds=num_rounds,
         is_limited=is_limited,
     )
+
+
+def _has_pair_at_start(contacts: Contacts) -> bool:
+    """Whether a pair of surfaces has toi 0."""
+    return bool(((contacts.toi == 0.0) & (contacts.kind != int(PairKind.VERTEX_PLANE))).any())
 
 
 def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:

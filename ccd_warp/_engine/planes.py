@@ -106,8 +106,11 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
     return planes
 
 
-def plane_query(options: "Options", separation: float, *, is_euclidean: bool) -> Any:
-    """What vertices and planes are asked for, as the struct of the kernels; ``separation`` as of `Options`."""
+def plane_query(options: "Options", separation: float, *, is_euclidean: bool, holds: bool = False) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels; ``separation`` as of `Options`.
+
+    ``holds`` is whether what starts within its distance may part and slide.
+    """
     from ccd_warp.kernels.planes import PlaneQuery  # not before a scene needs it
 
     query = PlaneQuery()
@@ -115,7 +118,8 @@ def plane_query(options: "Options", separation: float, *, is_euclidean: bool) ->
     query.distance = separation
     if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
         query.distance = next_above(separation)
-    query.start_gap_fraction = 0.0 if options.start_gap_fraction is None else options.start_gap_fraction
+    query.start_gap_fraction = options.start_gap_share
+    query.holds = int(holds)
     query.t_max = options.t_max
     return query
 

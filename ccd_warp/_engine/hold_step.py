@@ -1,0 +1,56 @@
+"""How near each vertex is to anything at the start of a step: a step at one time, with holds in place of times."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.lengths import length_scale_of, sum_up
+from ccd_warp._engine.proximities import reach_of
+from ccd_warp._engine.proximity_step import StepAtOneTime
+
+if TYPE_CHECKING:
+    from ccd_warp._input.options import Options
+
+# What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
+# the mesh are far above the margin of a pair (`kernels.hold`), unless its motion is some sixty times as long as the mesh.
+_OF_DISTANCE = 2.0**-20
+_OF_SIZE = 2.0**-40
+
+
+def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
+    """The distance up to which pairs are held, radii besides; 0 where the pairs of a mesh keep none."""
+    distance = options.separation(length_scale_of(mesh, options))
+    thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
+    if distance + thickest == 0.0:
+        return 0.0
+    with np.errstate(over="ignore"):
+        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE * mesh.length_scale
+    return sum_up(distance, min(slack, float(np.finfo(np.float64).max)))
+
+
+class HoldStep(StepAtOneTime):
+    """The hold of each vertex."""
+
+    goal = "holds"
+
+    def find_holds(self, distance: float) -> NDArray[np.float64]:
+        """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
+        from ccd_warp.kernels import start_holds as kernels  # few programs need it
+
+        plan = self.search(distance)
+        minima = self.workspace.contacts.minima
+        with self.timed("pairs"):
+            self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
+            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity(plan.key_bytes))
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.lower_holds()
+        with self.timed("gather"):
+            holds: wp.array = minima.vertex.view(wp.float64)
+            result = holds.numpy().copy()
+        self.finish(plan)
+        return result
