@@ -23,7 +23,7 @@ from ccd_warp._engine.device_step import (
     DeviceStep,
     LineSearch,
 )
-from ccd_warp._engine.hold_step import HoldStep, hold_distance
+from ccd_warp._engine.hold_step import HoldStep, hold_distance, holds_pairs
 from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
@@ -46,10 +46,9 @@ from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Counts, LaunchResult, MeshResult
-from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 
-DEFAULT_NUM_ROUNDS = 7
+DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
 
 
@@ -589,23 +588,23 @@ class CollisionPipeline:
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
-        if toi <= 0.0 and self._hold_distance > 0.0:
+        if toi <= 0.0 and self._holds_pairs:
             # something may start within its distance
-            counts, timings = self.counts, self.timings
             holds = self._holds(vertices_t0)
-            timings["holds"] = timings.get("holds", 0.0) + self.timings["total"]
             toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
         return min(toi, self._options.t_max)
 
-    @lazy_property
-    def _hold_distance(self) -> float:
-        """The distance up to which pairs are held, radii besides; 0 where they keep none."""
-        return hold_distance(self.mesh, self._options, self.mesh.radius) if self._options.holds else 0.0
+    @property
+    def _holds_pairs(self) -> bool:
+        """Whether pairs keep a distance within which they may start."""
+        return holds_pairs(self.mesh, self._options)
 
     def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
         return self._run(
-            HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(self._hold_distance)
+            HoldStep,
+            lambda: self._one_frame(positions),
+            lambda step: step.find_holds(hold_distance(self.mesh, self._options, self.mesh.radius)),
         )
 
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
@@ -667,7 +666,7 @@ class CollisionPipeline:
         return Solver(
             self.mesh_ccd,
             lambda start, end, holds: self._on_step(start, end, lambda step: step.holding(holds).contacts()),
-            self._holds if self._hold_distance > 0.0 else None,
+            self._holds if self._holds_pairs else None,
         )
 
 

@@ -7,8 +7,8 @@ distance of every pair that it belongs to as a vertex, or as an end of an edge; 
 distance. A pair then keeps the least of its distance and the holds of its vertices, less a margin for its rounding.
 
 By vertex, not by pair: what slides over a mesh at less than the distance meets the next face from beyond the distance,
-and its vertices take their hold along. A face of a vertex-face pair takes none from it, since the vertex has it: so what
-rests on one corner of a large face does not lower what all else keeps of that face.
+and its vertices take their hold along. In a vertex-face pair the vertex has the hold, and the face takes none: so what
+rests on a large face does not lower what all else keeps of that face.
 
 **The margin.** At the start the gap of a held pair is at least what it keeps plus MARGIN times its size, the largest
 corner of its patch at either end of the step. Less than the bounds on rounding (`rounding`, steps 4 to 9) nothing could
@@ -23,7 +23,7 @@ from .points import Points, corners, make_points, relative_motion
 from .rounding import UNIT_ROUNDOFF
 
 MARGIN = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
-# A held pair has toi 0 if it touches within this fraction of the step, and of its size: what is lost in the margin is no
+# A held pair has toi 0 if it touches within this fraction of the step and of its size: what is lost in the margin is no
 # progress, and a response is to find the pair among those that touch.
 _LOST = wp.constant(wp.float64(2.0**-20))
 _INFINITY = wp.constant(wp.float64(float("inf")))

@@ -134,7 +134,8 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         vertices_t1: wp.array[wp.vec3d],
     ) -> bool:
         """`is_lost` of a pair that is held."""
-        return is_lost(kind, toi, points_of(kind, first, second, vertices_t0), points_of(kind, first, second, vertices_t1))
+        a = points_of(kind, first, second, vertices_t0)
+        return is_lost(kind, toi, a, points_of(kind, first, second, vertices_t1))
 
     @wp.func(inline=False)
     def parameters_at(kind: int, t: wp.float64, a: Points, b: Points, options: Options) -> wp.vec2d:

@@ -30,12 +30,12 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is
    0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
-6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`). The
-   change of f over the step is (x(1) - x(0))·n, with the error of step 2. If it is certainly not negative, the vertex
-   is free, also in the solid: a half-space has a side to leave by. Otherwise the vertex keeps h = F - E at the start,
-   less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter the
-   solid. L > 0 at the end shows, as in step 4, that it is free. If not, f falls by more than these roundings, and toi
-   is 0.
+6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`).
+   The change of f over the step is (x(1) - x(0))·n, with the error of step 2. If it is certainly not negative, the
+   vertex is free, also in the solid: a half-space has a side to leave by. Otherwise the vertex keeps h = F - E at the
+   start, less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter
+   the solid. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these roundings, and
+   toi is 0.
 
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.

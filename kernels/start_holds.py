@@ -1,8 +1,8 @@
 """How near each vertex is to anything at the start: the holds of `hold`, found by a search at one time.
 
-**Least distances** are proved in the norm of the separation. In the Euclidean norm they are those of `pair_distance`. In
-the maximum norm, a direction d bounds the distance of the patch by least d·W / Σ|d_k|, and the best direction is one of
-the facets of `facets`: an axis, a side crossed with an axis, or the normal.
+The least distance of a pair is proved in the norm of the separation. In the Euclidean norm it is that of
+`pair_distance`. In the maximum norm, a direction d bounds the distance of the patch by least d·W / Σ|d_k|, and the best
+direction is one of the facets of `facets`: an axis, a side crossed with an axis, or the normal.
 """
 
 from types import SimpleNamespace

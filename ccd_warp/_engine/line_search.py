@@ -143,11 +143,14 @@ def search_step(
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
-        contacts = solver.holding(start, vertices, holds).contacts
+        result = solver.holding(start, vertices, holds)
         # Without a toi of 0 in the first round nothing starts within its distance.
-        if num_rounds == 0 and solver.find_holds is not None and not everywhere.all(not _has_pair_at_start(contacts)):
+        if num_rounds == 0 and solver.find_holds is not None and _has_pair_at_start(result.contacts, everywhere):
             holds = everywhere.least_of_vertices(solver.find_holds(start))
-            contacts = solver.holding(start, vertices, holds).contacts
+            is_world_near = everywhere.least(result.world_toi) == 0.0
+            holds[~is_world_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
+            result = solver.holding(start, vertices, holds)
+        contacts = result.contacts
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
         is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
@@ -202,9 +205,10 @@ def search_step(
     )
 
 
-def _has_pair_at_start(contacts: Contacts) -> bool:
+def _has_pair_at_start(contacts: Contacts, everywhere: OneProcess) -> bool:
     """Whether a pair of surfaces has toi 0."""
-    return bool(((contacts.toi == 0.0) & (contacts.kind != int(PairKind.VERTEX_PLANE))).any())
+    is_at_start = (contacts.toi == 0.0) & (contacts.kind != int(PairKind.VERTEX_PLANE))
+    return not everywhere.all(not is_at_start.any())
 
 
 def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
