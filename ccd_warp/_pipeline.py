@@ -45,7 +45,7 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
-from ccd_warp._results import Counts, LaunchResult, MeshResult
+from ccd_warp._results import Contacts, Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
 
 DEFAULT_NUM_ROUNDS = 8
@@ -588,10 +588,11 @@ class CollisionPipeline:
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
-        if toi <= 0.0 and self._holds_pairs:
-            # something may start within its distance
+        if toi < np.inf and self._holds_pairs:
+            # what touches may start within its distance
             holds = self._holds(vertices_t0)
-            toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
+            if np.isfinite(holds).any():
+                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
         return min(toi, self._options.t_max)
 
     @property
@@ -601,10 +602,14 @@ class CollisionPipeline:
 
     def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
+        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
+
+    def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact that starts within its distance."""
+        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         return self._run(
-            HoldStep,
-            lambda: self._one_frame(positions),
-            lambda step: step.find_holds(hold_distance(self.mesh, self._options, self.mesh.radius)),
+            HoldStep, lambda: self._one_frame(positions), lambda step: step.worlds_near(contacts, distance)
         )
 
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
@@ -662,11 +667,12 @@ class CollisionPipeline:
     def _solver(self) -> Solver:
         """The steps of a line search."""
         if not self._options.holds:
-            return Solver(self.mesh_ccd, lambda start, end, holds: self.mesh_ccd(start, end))
+            return Solver(self.mesh_ccd, lambda start, end, holds: self.mesh_ccd(start, end), None, self._holds)
         return Solver(
             self.mesh_ccd,
             lambda start, end, holds: self._on_step(start, end, lambda step: step.holding(holds).contacts()),
-            self._holds if self._holds_pairs else None,
+            self._worlds_near if self._holds_pairs else None,
+            self._holds,
         )
 
 

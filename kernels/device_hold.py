@@ -6,8 +6,6 @@ from .minima import Minima, world_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# A pair that starts within its distance has toi 0; one that starts next to it may have one that is lost in rounding.
-_NEAR_BITS = wp.constant(wp.int64(0x3EB0000000000000))  # of 2^-20
 _INFINITY = wp.constant(wp.float64(float("inf")))
 
 
@@ -26,29 +24,34 @@ def clear_near(
     begin: int,
     # out
     body_near: wp.array[wp.int32],
+    world_near: wp.array[wp.int32],
     is_near: wp.array[wp.int32],
 ):
-    """Note that no body is near another."""
+    """Note that nothing is near."""
     i = begin + wp.tid()
-    body_near[i] = 0
+    if i < body_near.shape[0]:
+        body_near[i] = 0
+    if i < world_near.shape[0]:
+        world_near[i] = 0
     if i == 0:
         is_near[0] = 0
 
 
 @wp.kernel
-def note_near(
+def note_near_bodies(
     begin: int,
     # in
     vertices: wp.array[wp.int32],
-    m: Minima,
+    world_near: wp.array[wp.int32],
+    minima: Minima,
     # out
     body_near: wp.array[wp.int32],
     is_near: wp.array[wp.int32],
 ):
-    """Note the bodies of the worlds whose toi is 0 or next to it."""
+    """Note the bodies of these worlds."""
     v = vertices[begin + wp.tid()]
-    if m.world[world_of(m, v)] < _NEAR_BITS:
-        body_near[m.vertex_body[v]] = 1
+    if world_near[world_of(minima, v)] != 0:
+        body_near[minima.vertex_body[v]] = 1
         is_near[0] = 1
 
 

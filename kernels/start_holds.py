@@ -12,11 +12,11 @@ import warp as wp
 from .atomics import atomic_min_int64
 from .contact_normal import to_unit_size
 from .interrupts import is_stopped
-from .minima import FOUND, Minima
+from .minima import FOUND, Minima, world_of
 from .once import once
 from .pair_distance import UNDERFLOW, bound_along, measured
 from .pair_key import pair_of
-from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from .points import Points, corners, make_points, points_of
 from .proximity import Reach
 from .rounding import LARGEST, inverse_power_of_two
@@ -98,7 +98,7 @@ def lower_hold(corners: wp.vec3i, bits: wp.int64, minima: Minima):
 
 @once
 def make_holds(is_euclidean: bool) -> SimpleNamespace:
-    """The kernel that finds holds, in the norm of the separation."""
+    """The kernels that find holds, and whether there are any, in the norm of the separation."""
     module = wp.get_module(f"ccd_warp.holds.{'ball' if is_euclidean else 'box'}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
@@ -143,7 +143,48 @@ def make_holds(is_euclidean: bool) -> SimpleNamespace:
                 return
             first += num_solvers * chunk
 
-    return SimpleNamespace(lower_holds=lower_holds)
+    @wp.kernel(module=module)
+    def note_near_contacts(
+        begin: int,
+        # in
+        count: wp.array[wp.int32],
+        kinds: wp.array[wp.int32],
+        primitives: wp.array[wp.vec2i],
+        vertex_corners: wp.array[wp.vec3i],
+        edge_corners: wp.array[wp.vec3i],
+        face_corners: wp.array[wp.vec3i],
+        x: wp.array[wp.vec3d],
+        reach: Reach,
+        minima: Minima,
+        # out
+        world_near: wp.array[wp.int32],
+    ):
+        """Note the worlds of contacts that start within the distance; those beyond the list may be in any world."""
+        n = begin + wp.tid()
+        if n == 0 and count[0] > kinds.shape[0]:
+            for world in range(world_near.shape[0]):
+                world_near[world] = 1
+        if n >= count[0]:
+            return
+        kind = kinds[n]
+        if kind == VERTEX_PLANE:
+            return
+        pair = primitives[n]
+        first = vertex_corners[pair[0]]
+        if kind == EDGE_EDGE:
+            first = edge_corners[pair[0]]
+        second = first
+        if kind == VERTEX_FACE:
+            second = face_corners[pair[1]]
+        elif kind == POINT_POINT:
+            second = vertex_corners[pair[1]]
+        else:
+            second = edge_corners[pair[1]]
+        least = least_distance(kind, points_of(kind, first, second, x), wp.static(is_euclidean))
+        if not (least > distance_of(reach.distance, reach.radius, first, second)):
+            world_near[world_of(minima, first[0])] = 1
+
+    return SimpleNamespace(lower_holds=lower_holds, note_near_contacts=note_near_contacts)
 
 
 @wp.kernel

@@ -386,7 +386,9 @@ class DeviceStep:
         touched = [self._touched, self._is_any_touched]
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=touched)
         if self._may_hold and self._hold is None:
-            self._hold = DeviceHold(topology, self._options, self._stages, self._flag, self._radius)
+            self._hold = DeviceHold(
+                topology, self._options, self._stages, self.result.contacts, self._flag, self._radius
+            )
         stages = line_search.stages()
         for number, (per, share) in enumerate(stages):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from ccd_warp._engine.lengths import length_scale_of, sum_up
 from ccd_warp._engine.proximities import reach_of
 from ccd_warp._engine.proximity_step import StepAtOneTime
+from ccd_warp._engine.scene import norm_of
+from ccd_warp._results import Contacts
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels.norm import is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -21,11 +25,20 @@ _OF_SIZE = 2.0**-40
 
 def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
     """The distance up to which pairs are held, radii besides."""
+    return sum_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
+
+
+def corners_by_kind(topology: Any) -> list[wp.array]:
+    """The vertices of the primitives that contacts name: of vertices, edges and faces."""
+    return [topology.corners[name] for name in ("vertex", "edge", "face")]
+
+
+def _slack(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
     distance = options.separation(length_scale_of(mesh, options))
     thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
     with np.errstate(over="ignore"):
         slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE * mesh.length_scale
-    return sum_up(distance, min(slack, float(np.finfo(np.float64).max)))
+    return min(slack, float(np.finfo(np.float64).max))
 
 
 def holds_pairs(mesh: Any, options: "Options") -> bool:
@@ -57,3 +70,24 @@ class HoldStep(StepAtOneTime):
             result = holds.numpy().copy()
         self.finish(plan)
         return result
+
+    def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
+        """Whether one of these contacts of a world starts within a distance, and radii, shape [W]."""
+        from ccd_warp.kernels import start_holds as kernels
+
+        topology, device = self.topology, self.topology.device
+        near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
+        if len(contacts):
+            values = {"kind": wp.int32, "primitives": wp.vec2i}
+            listed = [wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()]
+            count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
+            x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
+            reach = reach_of(topology.radius, distance, self.workspace.flag.array)
+            self.execution = Execution(device, self.options.threads, self.workspace.flag)
+            self.execution.launch(
+                kernels.make_holds(is_ball(norm_of(self.mesh, self.options))).note_near_contacts,
+                len(contacts),
+                inputs=[count, *listed, *corners_by_kind(topology), x, reach, self.workspace.contacts.minima],
+                outputs=[near],
+            )
+        return near.numpy() != 0

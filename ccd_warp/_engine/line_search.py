@@ -94,12 +94,15 @@ class Solver:
         strict: All contacts between two positions.
         holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
             as long as these are not known to matter.
-        find_holds: The hold of each vertex at the start (`HoldStep`); None where pairs keep no distance.
+        worlds_near: Which worlds have a contact that starts within its distance, given the start and all contacts; None
+            where pairs keep no distance.
+        find_holds: The hold of each vertex at the start (`HoldStep`).
     """
 
     strict: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult]
     holding: Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None], MeshResult]
-    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None
+    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class OneProcess:
@@ -144,12 +147,13 @@ def search_step(
     num_rounds = 0
     while num_rounds < max_rounds:
         result = solver.holding(start, vertices, holds)
-        # Without a toi of 0 in the first round nothing starts within its distance.
-        if num_rounds == 0 and solver.find_holds is not None and _has_pair_at_start(result.contacts, everywhere):
-            holds = everywhere.least_of_vertices(solver.find_holds(start))
-            is_world_near = everywhere.least(result.world_toi) == 0.0
-            holds[~is_world_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
-            result = solver.holding(start, vertices, holds)
+        if num_rounds == 0 and solver.worlds_near is not None and not everywhere.all(not len(result.contacts)):
+            # what starts within its distance has a contact, whichever way it moves
+            is_near = everywhere.least(-1.0 * solver.worlds_near(start, result.contacts)) < 0.0
+            if is_near.any():
+                holds = everywhere.least_of_vertices(solver.find_holds(start))
+                holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
+                result = solver.holding(start, vertices, holds)
         contacts = result.contacts
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
@@ -203,12 +207,6 @@ def search_step(
         num_rounds=num_rounds,
         is_limited=is_limited,
     )
-
-
-def _has_pair_at_start(contacts: Contacts, everywhere: OneProcess) -> bool:
-    """Whether a pair of surfaces has toi 0."""
-    is_at_start = (contacts.toi == 0.0) & (contacts.kind != int(PairKind.VERTEX_PLANE))
-    return not everywhere.all(not is_at_start.any())
 
 
 def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,10 +30,11 @@ from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._pipeline import validated_distance, validated_search_radius
-from ccd_warp._results import MeshResult
+from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._intersections import DistributedIntersections, intersections_of
 from ccd_warp.distributed._mesh import DistributedMesh
+from ccd_warp.distributed._part_proximity import PartHoldStep
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._plan import in_space, is_within
@@ -206,9 +207,11 @@ class DistributedPipeline:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
             toi = self._run(plan.start, plan.end, least)
-            if holds and toi <= 0.0 and self._holds_pairs:
-                of_vertices = AcrossRanks(plan.together).least_of_vertices(self._holds(plan.start))
-                toi = self._run(plan.start, plan.end, lambda step: step.holding(of_vertices).held_toi())
+            if holds and toi < np.inf and self._holds_pairs:
+                everywhere = AcrossRanks(plan.together)
+                of_vertices = everywhere.least_of_vertices(self._holds(plan.start))
+                if not everywhere.all(not np.isfinite(of_vertices).any()):
+                    toi = self._run(plan.start, plan.end, lambda step: step.holding(of_vertices).held_toi())
             self._finished()
             return toi
 
@@ -416,11 +419,12 @@ class DistributedPipeline:
             return self._run(start, end, PartStep.contacts)
 
         if not self._options.holds:
-            return Solver(strict, lambda start, end, holds: strict(start, end))
+            return Solver(strict, lambda start, end, holds: strict(start, end), None, self._holds)
         return Solver(
             strict,
             lambda start, end, holds: self._run(start, end, lambda step: step.holding(holds).contacts()),
-            self._holds if self._holds_pairs else None,
+            self._worlds_near if self._holds_pairs else None,
+            self._holds,
         )
 
     @property
@@ -430,17 +434,22 @@ class DistributedPipeline:
 
     def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
-        from ccd_warp.distributed._part_proximity import PartHoldStep  # few programs need it
+        return self._run(start, start, lambda step: step.find_holds(self._hold_distance), PartHoldStep)
 
-        distance = hold_distance(self.mesh, self._options, self.mesh.body_radius)
-        return self._run(start, start, lambda step: step.find_holds(distance), PartHoldStep)
+    def _worlds_near(self, start: NDArray[np.float64], contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact, of those of this part, that starts within its distance."""
+        return self._run(start, start, lambda step: step.worlds_near(contacts, self._hold_distance), PartHoldStep)
+
+    @property
+    def _hold_distance(self) -> float:
+        return hold_distance(self.mesh, self._options, self.mesh.body_radius)
 
     @property
     def _holding_inflation(self) -> float:
         """That of the boxes of calls that let what starts within its distance part and slide."""
         if not self._holds_pairs:
             return self._inflation
-        return half_up(hold_distance(self.mesh, self._options, self.mesh.body_radius))
+        return half_up(self._hold_distance)
 
     def _together(self, call: str) -> AbstractContextManager[None]:
         return self._ranks.together(self._named(call))
