@@ -79,7 +79,9 @@ class HoldStep(StepAtOneTime):
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
         if len(contacts):
             values = {"kind": wp.int32, "primitives": wp.vec2i}
-            listed = [wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()]
+            listed: list[wp.array] = [
+                wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
+            ]
             count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
             x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
             reach = reach_of(topology.radius, distance, self.workspace.flag.array)

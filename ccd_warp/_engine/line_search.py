@@ -149,7 +149,7 @@ def search_step(
         result = solver.holding(start, vertices, holds)
         if num_rounds == 0 and solver.worlds_near is not None and not everywhere.all(not len(result.contacts)):
             # what starts within its distance has a contact, whichever way it moves
-            is_near = everywhere.least(-1.0 * solver.worlds_near(start, result.contacts)) < 0.0
+            is_near = everywhere.least(np.where(solver.worlds_near(start, result.contacts), 0.0, 1.0)) == 0.0
             if is_near.any():
                 holds = everywhere.least_of_vertices(solver.find_holds(start))
                 holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
