@@ -323,6 +323,10 @@ class CollisionPipeline:
         second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
         body or vertex this requires ``num_rounds`` of at least 4.
 
+        What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``). Where
+        the first pass finds a contact that starts so close, what is near at the start is searched for, and the pass is
+        made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
 
         Args:
@@ -345,7 +349,8 @@ class CollisionPipeline:
             Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
 
         Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a
-        vertex that moves touches (or comes within the minimum separation), whatever the flags. Proof: the final pass
+        vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
+        the start (as in :func:`ccd_warp.line_search`), whatever the flags. Proof: the final pass
         checked exactly these rounded positions, and where its toi was not inf the vertices do not move.
         """
         check_writable(vertices_t1, "vertices_t1")

@@ -43,7 +43,7 @@ class LineSearchResult:
             vertices.
         fraction: The least fraction of the vertices of moving bodies.
         touching: Pairs that keep their vertices from moving, in the order of :class:`ccd_warp.Contacts`, each once;
-            none of their vertices moves. Such a pair touches at the start, or comes within the minimum separation, or
+            none of their vertices moves. Such a pair touches at the start, or presses on from within its distance, or
             its gap is too small for the precision over any step however short, or the rest of the step is lost in the
             rounding of positions. Each pair is reported as found in the last round in which one of its vertices was
             still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
