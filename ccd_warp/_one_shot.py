@@ -284,8 +284,8 @@ def collision_free_step(
         Wang et al. 2021, section 4.
 
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
-    touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than that
-    to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair).
+    touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
+    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair).
     """
     chosen = options_of("collision_free_step", MeshOptions, options)
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
@@ -346,9 +346,9 @@ def line_search(
     run into it once it is stopped.
 
     A search ends at the distance of a pair, and the next one begins there. By default what starts within its distance
-    may part and slide, and comes no closer (``start_gap_fraction``). Pairs that touch at the start, with no gap, and pairs
-    that press on from within their distance have toi 0. Vertices that share their fraction do not move, and the pairs
-    are returned as ``touching``.
+    may part and slide, and comes no closer (``start_gap_fraction``). Pairs that touch at the start, with no gap, and
+    pairs that press on from within their distance have toi 0. Vertices that share their fraction do not move, and the
+    pairs are returned as ``touching``.
 
     A toi of 0 may also mean that the gap is lost in the rounding of a long motion: in float32, a gap of a millionth of
     the motion. When a toi of 0 first occurs, one round therefore checks the start positions alone. Pairs that touch
@@ -380,10 +380,10 @@ def line_search(
 
     Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
     that passes the mesh's filter touches, or comes within its distance, or, where one of its vertices was closer than
-    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair); except pairs of
-    ``touching``, whose vertices do not move. Proof: the last round checked exactly these rounded positions, and every
-    pair with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds were
-    moved back to their start.)
+    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair); except pairs
+    of ``touching``, whose vertices do not move. Proof: the last round checked exactly these rounded positions, and
+    every pair with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds
+    were moved back to their start.)
     """
     chosen = options_of("line_search", LineSearchOptions, options, others=["per", "safety", "max_rounds"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:

@@ -323,9 +323,9 @@ class CollisionPipeline:
         second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
         body or vertex this requires ``num_rounds`` of at least 4.
 
-        What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``). Where
-        the first pass finds a contact that starts so close, what is near at the start is searched for, and the pass is
-        made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+        What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``).
+        Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
+        pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
 
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
 
