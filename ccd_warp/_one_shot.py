@@ -274,12 +274,12 @@ def collision_free_step(
         vertices_t1: End positions, as in :func:`mesh_ccd`.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
             ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
-        **options: Options of :class:`ccd_warp.MeshOptions`. With ``start_gap_fraction`` the step is positive even where
-            the minimum separation alone would make it 0, unless primitives touch at the start.
+        **options: Options of :class:`ccd_warp.MeshOptions`. By default what starts within its distance may part and
+            slide, and comes no closer (``start_gap_fraction``).
 
     Returns:
         A fraction of the step in [0, t_max], dimensionless; t_max if there is certainly no collision, 0 if bodies touch
-        at the start.
+        at the start, or approach each other from within their distance.
 
     Raises:
         ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
@@ -290,7 +290,8 @@ def collision_free_step(
         Wang et al. 2021, section 4.
 
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
-    touches (or comes within the minimum separation) before the returned fraction.
+    touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
+    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair).
     """
     chosen = options_of("collision_free_step", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
@@ -355,9 +356,10 @@ def line_search(
     each vertex once by its own toi would not suffice: another vertex that would have passed behind a moving vertex can
     run into it once it is stopped.
 
-    Pairs that touch at the start, or are within the minimum separation there, have toi 0. Vertices that share their
-    fraction do not move, and the pairs are returned as ``touching``. With ``start_gap_fraction`` pairs that are only
-    close may move.
+    A search ends at the distance of a pair, and the next one begins there. By default what starts within its distance
+    may part and slide, and comes no closer (``start_gap_fraction``). Pairs that touch at the start, with no gap, and
+    pairs that press on from within their distance have toi 0. Vertices that share their fraction do not move, and the
+    pairs are returned as ``touching``.
 
     A toi of 0 may also mean that the gap is lost in the rounding of a long motion: in float32, a gap of a millionth of
     the motion. When a toi of 0 first occurs, one round therefore checks the start positions alone. Pairs that touch
@@ -390,10 +392,11 @@ def line_search(
         Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
 
     Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
-    that passes the mesh's filter touches (or comes within the minimum separation), except pairs of ``touching``, whose
-    vertices do not move. Proof: the last round ran :func:`mesh_ccd` on exactly these rounded positions, and every pair
-    with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds were moved
-    back to their start.)
+    that passes the mesh's filter touches, or comes within its distance, or, where one of its vertices was closer than
+    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair); except pairs
+    of ``touching``, whose vertices do not move. Proof: the last round checked exactly these rounded positions, and
+    every pair with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds
+    were moved back to their start.)
     """
     others = ["per", "safety", "max_rounds", "check_start"]
     chosen = options_of("line_search", LineSearchOptions, options, others=others)

@@ -23,6 +23,7 @@ from ccd_warp._engine.device_step import (
     DeviceStep,
     LineSearch,
 )
+from ccd_warp._engine.hold_step import HoldStep, hold_distance, holds_pairs
 from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (
@@ -30,6 +31,7 @@ from ccd_warp._engine.line_search import (
     DEFAULT_SAFETY,
     LineSearchResult,
     Per,
+    Solver,
     check_step_is_whole,
     search_step,
     validated_line_search,
@@ -45,10 +47,10 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
-from ccd_warp._results import Counts, LaunchResult, MeshResult
+from ccd_warp._results import Contacts, Counts, LaunchResult, MeshResult
 from ccd_warp._runtime.progress import Progress
 
-DEFAULT_NUM_ROUNDS = 7
+DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
 
 
@@ -335,6 +337,10 @@ class CollisionPipeline:
         second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
         body or vertex this requires ``num_rounds`` of at least 4.
 
+        What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``).
+        Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
+        pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
 
         Args:
@@ -357,7 +363,8 @@ class CollisionPipeline:
             Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
 
         Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a
-        vertex that moves touches (or comes within the minimum separation), whatever the flags. Proof: the final pass
+        vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
+        the start (as in :func:`ccd_warp.line_search`), whatever the flags. Proof: the final pass
         checked exactly these rounded positions, and where its toi was not inf the vertices do not move.
         """
         check_writable(vertices_t1, "vertices_t1")
@@ -604,10 +611,39 @@ class CollisionPipeline:
         """
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
-        toi = self._on_step(vertices_t0, vertices_t1, lambda step: min(step.least_toi(), self._options.t_max))
+        toi = min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
         if check_start:
             self._checked_start(vertices_t0)
         return toi
+
+    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
+        if not self._options.holds:
+            return self._on_step(vertices_t0, vertices_t1, Step.least_toi)
+        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
+        if toi < np.inf and self._holds_pairs:
+            # what touches may start within its distance
+            holds = self._holds(vertices_t0)
+            if np.isfinite(holds).any():
+                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
+        return toi
+
+    @property
+    def _holds_pairs(self) -> bool:
+        """Whether pairs keep a distance within which they may start."""
+        return holds_pairs(self.mesh, self._options)
+
+    def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """How near each vertex is to anything at one time, as far as it is within its distance."""
+        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
+
+    def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact that starts within its distance."""
+        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        return self._run(
+            HoldStep, lambda: self._one_frame(positions), lambda step: step.worlds_near(contacts, distance)
+        )
 
     def is_step_collision_free(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
@@ -669,13 +705,25 @@ class CollisionPipeline:
             self.mesh,
             vertices_t0,
             vertices_t1,
-            self.mesh_ccd,
+            self._solver,
             per=per,
             safety=safety,
             max_rounds=max_rounds,
             begins_at_rest=self._reaches_neighbours(vertices_t0),
         )
         return replace(found, start=self._checked_start(vertices_t0)) if check_start else found
+
+    @property
+    def _solver(self) -> Solver:
+        """The steps of a line search."""
+        if not self._options.holds:
+            return Solver(self.mesh_ccd, lambda start, end, holds: self.mesh_ccd(start, end), None, self._holds)
+        return Solver(
+            self.mesh_ccd,
+            lambda start, end, holds: self._on_step(start, end, lambda step: step.holding(holds).contacts()),
+            self._worlds_near if self._holds_pairs else None,
+            self._holds,
+        )
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""

@@ -19,7 +19,7 @@ from .closest_point import make_closest_point
 from .contact_test import make_contact_test
 from .facets import make_facets
 from .inclusion import make_inclusion
-from .norm import MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, is_ball
 from .once import once
 from .patch import make_patch
 from .sub_patch import make_sub_patch
@@ -46,7 +46,7 @@ _PATIENCE = wp.constant(3)
 @once
 def make_advance(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for one floating-point type and norm; with ``on_warp`` for a warp of CUDA that works on one pair."""
-    is_euclidean = norm != MAXIMUM_NORM
+    is_euclidean = is_ball(norm)
     vec3 = wp.types.vector(length=3, dtype=real)
     Corners = make_patch(real, 1).Corners
     corners_at = make_patch(real, 1).corners_at

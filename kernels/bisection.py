@@ -19,7 +19,7 @@ import warp as wp
 
 from .answer import STACK_DEPTH, make_answer
 from .interrupts import is_stopped
-from .norm import MAXIMUM_NORM
+from .norm import MAXIMUM_NORM, is_ball
 from .once import once
 from .patch import make_patch
 from .rounding import MAX_SPLITS, MOVING, SQUARE_UNDERFLOW
@@ -35,7 +35,7 @@ from .sub_patch import make_sub_patch
 @once
 def make_bisection(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for one floating-point type and one norm."""
-    is_euclidean = norm != MAXIMUM_NORM
+    is_euclidean = is_ball(norm)
     square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
     vec3 = wp.types.vector(length=3, dtype=real)
     box_stack = wp.types.vector(length=6 * STACK_DEPTH, dtype=real)

@@ -16,7 +16,7 @@ from .inclusion import make_inclusion
 from .lane_closest import make_lane_closest
 from .lane_pair import make_lane_pair
 from .lane_touch import make_lane_touch
-from .norm import MAXIMUM_NORM, make_norm
+from .norm import MAXIMUM_NORM, is_ball, make_norm
 from .once import once
 from .pair_kind import VERTEX_FACE
 from .patch import make_patch
@@ -40,7 +40,7 @@ def make_lane_advance(real, width: int, with_facets: bool, norm: str = MAXIMUM_N
 
     In the Euclidean norm directions that turn with a side take the place of the facets.
     """
-    is_euclidean = norm != MAXIMUM_NORM
+    is_euclidean = is_ball(norm)
     simd = make_simd(real, width)
     Lanes = simd.Lanes
     Mask = simd.Mask

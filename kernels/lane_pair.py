@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .norm import MAXIMUM_NORM, THICK_NORM
+from .norm import MAXIMUM_NORM, is_ball, is_by_pair
 from .once import once
 from .pair_options import make_pair_options
 from .patch import make_patch
@@ -44,8 +44,8 @@ def _power_of_two(width: int) -> str:
 @once
 def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Structs and functions for lanes of one floating-point type, with separations in one norm."""
-    is_euclidean = norm != MAXIMUM_NORM
-    is_thick = norm == THICK_NORM
+    is_euclidean = is_ball(norm)
+    has_own = is_by_pair(norm)
     simd64 = make_simd(wp.float64, width)
     simd = make_simd(real, width)
     Lanes64 = simd64.Lanes
@@ -233,16 +233,18 @@ def make_lane_pair(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespac
             n.is_valid = n.is_valid & bits64(is_at_most64(scale, spread64(LARGEST)))
         limit = spread64(LARGEST)
         delta_length = least64(options.tolerance * scale, limit)
-        if wp.static(is_thick):
+        if wp.static(has_own):
             separation_length = least64(options.minimum_separation, limit)  # one in each lane
         else:
             separation_length = least64(options.minimum_separation * scale, limit)
         m = greatest64(largest(c0), largest(c1))
+        most = greatest64(m.x, greatest64(m.y, m.z))
+        if wp.static(has_own):
+            separation_length = greatest64(separation_length - options.margin * most, spread64(wp.float64(0.0)))
         if wp.static(is_euclidean):
             # a length, and one scale for all axes, so that the ball stays a ball
-            if wp.static(not is_thick):
+            if wp.static(not has_own):
                 separation_length = least64(spread64(options.minimum_separation), limit)
-            most = greatest64(m.x, greatest64(m.y, m.z))
             shared = inverse_power_of_two(greatest64(most, delta_length))
             return scaled_pair(n, c0, c1, m, vec64(shared, shared, shared), separation_length, delta_length)
         # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance

@@ -13,7 +13,7 @@ from .ball import make_ball
 from .facets import make_facets
 from .lane_advance import make_lane_advance
 from .lane_pair import make_lane_pair
-from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, THICK_NORM, make_norm
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, is_ball, is_by_pair, make_norm
 from .once import once
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from .pair_options import make_pair_options
@@ -32,8 +32,8 @@ _NONE = wp.constant(wp.uint32(0))
 @once
 def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Struct and functions for lanes of one floating-point type, with separations in one norm."""
-    is_euclidean = norm != MAXIMUM_NORM
-    is_thick = norm == THICK_NORM
+    is_euclidean = is_ball(norm)
+    has_own = is_by_pair(norm)
     simd = make_simd(real, width)
     simd64 = make_simd(wp.float64, width)
     Lanes64 = simd64.Lanes
@@ -77,7 +77,7 @@ def make_lane_solver(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamesp
         gap: Lanes64
         iterations: Lanes64
 
-    if is_thick:
+    if has_own:
 
         @wp.func
         def has_distance(options: Options) -> bool:

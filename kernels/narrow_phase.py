@@ -15,7 +15,7 @@ from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .lanes import lowest_bit
 from .minima import ANY_OPEN, FOUND, OPEN, Minima
-from .norm import MAXIMUM_NORM, THICK_NORM
+from .norm import MAXIMUM_NORM, is_by_pair
 from .once import once
 from .pair_key import pair_of
 from .pair_options import make_pair_options
@@ -45,7 +45,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
 
     Positions are always float64.
     """
-    is_thick = norm == THICK_NORM
+    has_own = is_by_pair(norm)
     Options = make_query(real).Options
     options_of_pair = make_pair_options(real, width, norm).options_of_pair
     options_of_rows = make_pair_options(real, width, norm).options_of_rows
@@ -277,7 +277,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                 open = first_lanes(block)
                 own = options_of_rows(options, pairs, rows, first_corners, second_corners)
                 answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
-            elif wp.static(not is_thick):
+            elif wp.static(not has_own):
                 answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
             for lane in range(block):
                 if is_set(answer.free, lane):
@@ -393,7 +393,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                 open = first_lanes(block)
                 own = options_of_rows(options, pairs, rows, first_corners, second_corners)
                 answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
-            elif wp.static(not is_thick):
+            elif wp.static(not has_own):
                 answer = first_rounds(kind, points_a, points_b, options, cap, least)
             for lane in range(block):
                 t_reached = lane_of(answer.t, lane)
@@ -432,7 +432,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
         real=real,
         norm=norm,
         chunk=PAIRS_OF_AN_ITEM if width > 1 else 1,
-        points_toi=None if is_thick else points_toi,  # points that belong to no mesh have no radii
+        points_toi=None if has_own else points_toi,  # points that belong to no mesh have no radii
         solve_pairs=solve_pairs,
         pairs_bound=pairs_bound,
     )

@@ -220,6 +220,15 @@ def lowest(n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec
 
 
 @wp.func
+def bound_along(
+    n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d, size: wp.vec3d, norm: wp.float64
+) -> wp.float64:
+    """A lower bound of the distance of the patch in the norm dual to that of n, rounding included (step 15)."""
+    along = wp.dot(n, lowest(n, w00, w01, w10, w11)) - (_PROJECTION * wp.dot(wp.abs(n), size) + _TINY)
+    return along / norm * _DOWN
+
+
+@wp.func
 def without(d: wp.vec3d, a: wp.vec3d) -> wp.vec3d:
     """The part of d across a; a second time, after the cancellation."""
     squared = wp.dot(a, a)

@@ -1,10 +1,14 @@
-"""The options of single pairs: with radii each has a distance of its own, otherwise they are those of the query."""
+"""The options of single pairs: with radii, and where pairs are held, each has a distance of its own.
+
+Otherwise they are those of the query.
+"""
 
 from types import SimpleNamespace
 
 import warp as wp
 
-from .norm import THICK_NORM
+from .hold import MARGIN, held_at
+from .norm import is_by_pair
 from .once import once
 from .pair_key import pair_of
 from .query import make_query
@@ -19,8 +23,9 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
     Lanes = make_simd(wp.float64, width).Lanes
     Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
     lanes = wp.constant(width)
+    infinite = wp.constant(wp.float64(float("inf")))
 
-    if norm != THICK_NORM:
+    if not is_by_pair(norm):
 
         @wp.func
         def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
@@ -41,23 +46,22 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
         return SimpleNamespace(LaneOptions=Options, options_of_pair=options_of_pair, options_of_rows=options_of_rows)
 
     @wp.func
-    def of_key(
-        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
-    ) -> wp.float64:
-        """Distance of a pair; the key of an open pair is its complement."""
-        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
-        return distance_of(options.minimum_separation, options.radius, first_corners[pair[0]], second_corners[pair[1]])
-
-    @wp.func
-    def with_distance(options: Options, distance: wp.float64) -> Options:
-        """The options of a query with a distance of its own."""
-        options.minimum_separation = distance
+    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
+        """The options of a pair, given by the vertices of its primitives."""
+        options.minimum_separation = distance_of(options.minimum_separation, options.radius, first, second)
+        held = held_at(options.hold, first, second)
+        if held < infinite:
+            options.minimum_separation = wp.min(options.minimum_separation, held)
+            options.margin = MARGIN
         return options
 
     @wp.func
-    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
-        """The options of a pair, given by the vertices of its primitives."""
-        return with_distance(options, distance_of(options.minimum_separation, options.radius, first, second))
+    def of_key(
+        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
+    ) -> Options:
+        """The options of a pair; the key of an open pair is its complement."""
+        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
+        return options_of_pair(options, first_corners[pair[0]], second_corners[pair[1]])
 
     if width == 1:
         LaneOptions = Options
@@ -71,7 +75,7 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
             second_corners: wp.array[wp.vec3i],
         ) -> LaneOptions:
             """The options of a pair, given by its place in the list of keys."""
-            return with_distance(options, of_key(pairs[row], first_corners, second_corners, options))
+            return of_key(pairs[row], first_corners, second_corners, options)
 
     else:
 
@@ -81,6 +85,7 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
 
             tolerance: wp.float64
             minimum_separation: Lanes
+            margin: Lanes
             start_gap_fraction: wp.float64
             length_scale: wp.float64
             t_end: real
@@ -98,9 +103,13 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
             own = LaneOptions()
             own.tolerance = options.tolerance
             distances = Lanes()
+            margins = Lanes()
             for k in range(lanes):
-                distances[k] = of_key(pairs[rows[k]], first_corners, second_corners, options)
+                of_pair = of_key(pairs[rows[k]], first_corners, second_corners, options)
+                distances[k] = of_pair.minimum_separation
+                margins[k] = of_pair.margin
             own.minimum_separation = distances
+            own.margin = margins
             own.start_gap_fraction = options.start_gap_fraction
             own.length_scale = options.length_scale
             own.t_end = options.t_end

@@ -7,9 +7,10 @@ import warp as wp
 from .atomics import claim_int
 from .contact_normal import ContactGap, contact_at
 from .contacts import ContactList
+from .hold import held_at, is_lost
 from .lane_solver import make_lane_solver
 from .minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, Minima, flag_world, lower_pair
-from .norm import MAXIMUM_NORM, THICK_NORM
+from .norm import MAXIMUM_NORM, is_ball, is_by_pair
 from .once import once
 from .pair_options import make_pair_options
 from .points import Points, points_of, relative_motion
@@ -33,8 +34,8 @@ _ONE = wp.constant(wp.uint32(1))
 @once
 def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """Functions for a floating-point type of the iteration and a number of lanes; ``on_warp`` as for `make_solver`."""
-    is_thick = norm == THICK_NORM
-    is_euclidean = wp.constant(norm != MAXIMUM_NORM)
+    has_own = is_by_pair(norm)
+    is_euclidean = wp.constant(is_ball(norm))
     least_tolerance = wp.constant(wp.float64(LEAST_TOLERANCE[real]))
     options_of_pair = make_pair_options(real, width, norm).options_of_pair
     Options = make_query(real).Options
@@ -45,6 +46,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     solve = solver.solve
     closest_parameters = solver.closest_parameters
     LaneAnswer = make_lane_solver(real, width, norm).LaneAnswer
+    infinite = wp.constant(wp.float64(float("inf")))
     simd = make_simd(wp.float64, width)
     lane_of = simd.lane_of
     spread = simd.spread
@@ -79,7 +81,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     @wp.func
     def skips_first_rounds(options: Options) -> bool:
         """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
-        if wp.static(is_thick):
+        if wp.static(has_own):
             return True
         return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
 
@@ -138,7 +140,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     @wp.func
     def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
         """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
-        if wp.static(is_thick):
+        if wp.static(has_own):
             return answer.free
         if options.minimum_separation > wp.float64(0.0):
             return answer.free
@@ -181,6 +183,19 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         return relative_motion(points_of(kind, first, second, vertices_t0), points_of(kind, first, second, vertices_t1))
 
     @wp.func(inline=False)
+    def is_pressed(
+        kind: int,
+        first: wp.vec3i,
+        second: wp.vec3i,
+        toi: wp.float64,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+    ) -> bool:
+        """`is_lost` of a pair that is held."""
+        a = points_of(kind, first, second, vertices_t0)
+        return is_lost(kind, toi, a, points_of(kind, first, second, vertices_t1))
+
+    @wp.func(inline=False)
     def parameters_at(kind: int, t: wp.float64, a: Points, b: Points, options: Options) -> wp.vec2d:
         """Parameters of the closest point at a time: those of a contact within a separation."""
         return closest_parameters(kind, normalise(kind, a, b, options), real(t))
@@ -215,13 +230,21 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         contacts: ContactList,
     ):
         """Lower the minima, and append the contact to the list if there is capacity; ``options`` are of all pairs."""
+        is_held = bool(False)
+        if wp.static(has_own):
+            if held_at(options.hold, first, second) < infinite:
+                if is_pressed(kind, first, second, outcome.toi, vertices_t0, vertices_t1):
+                    is_held = True
+                    outcome.toi = wp.float64(0.0)
+                    if outcome.status == STATUS_COLLISION:
+                        outcome.status = STATUS_INITIAL_CONTACT
         toi = outcome.toi
         status = outcome.status
-        if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options):
+        if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options) and not is_held:
             status = status_of(kind, first, second, outcome, vertices_t0, options)
             if status == STATUS_ROUNDING_LIMIT:
                 flag_world(minima, first[0], ROUNDING_LIMIT)
-        if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI:
+        if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI and not is_held:
             motion = motion_of(kind, first, second, vertices_t0, vertices_t1)
             if gaps_moved * outcome.gap < motion:
                 toi = wp.max(toi, gaps_moved * outcome.gap / motion)

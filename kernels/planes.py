@@ -30,6 +30,13 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is
    0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
+6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`).
+   The change of f over the step is (x(1) - x(0))·n, with the error of step 2. If it is certainly not negative, the
+   vertex is free, also in the solid: a half-space has a side to leave by. Otherwise the vertex keeps h = F - E at the
+   start, less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter
+   the solid. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these roundings, and
+   toi is 0.
+
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.
 """
@@ -53,6 +60,7 @@ _UP = wp.constant(wp.float64(1.0 + 4.0 * _U))
 _DOWN = wp.constant(wp.float64(1.0 - 6.0 * _U))
 _GAP = wp.constant(wp.float64(8.0 * _U))
 _GAP_UP = wp.constant(wp.float64(1.0 + 32.0 * _U))
+_MARGIN = wp.constant(wp.float64(16.0))
 _LEAST_TOI = wp.constant(wp.float64(2.0**-1000))
 _LEAST_GAP = wp.constant(wp.float64(2.0**-1074))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -81,6 +89,7 @@ class PlaneQuery:
     distance: wp.float64  # at which they count as touching, a length
     is_euclidean: int  # 1: it is Euclidean, as radii are; 0: in the maximum norm
     start_gap_fraction: wp.float64  # 0: the distance applies to every pair
+    holds: int  # 1: a vertex that starts within its distance may part and slide
     t_max: wp.float64
     most_gap: wp.float64  # beyond the distance at toi 0, above which rounding hides whether there is one, a length
 
@@ -180,6 +189,14 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
     a = start.f - (start.error + reach) * _UP
     b = end.f - (end.error + reach) * _UP
+    if query.holds != 0 and not a > _ZERO:
+        change = value_of(x1, x0, n, is_exact, lost)
+        if change.f >= change.error:
+            return meeting
+        reach = wp.min(reach, wp.max(start.f - start.error - _MARGIN * (start.error + end.error), _ZERO))
+        b = end.f - (end.error + reach) * _UP
+        if b > _ZERO and start.f - (start.error + reach) * _UP > _ZERO:
+            return meeting
     if a > _ZERO and b > _ZERO:
         return meeting
     t = _ZERO

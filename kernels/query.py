@@ -20,7 +20,7 @@ def make_query(real) -> SimpleNamespace:
         """Options of a query."""
 
         tolerance: wp.float64
-        minimum_separation: wp.float64  # a multiple of the length scale; in the Euclidean norm a length
+        minimum_separation: wp.float64  # a multiple of the length scale; a length if Euclidean, or of each pair
         start_gap_fraction: wp.float64  # 0: the minimum separation applies to every pair
         length_scale: wp.float64  # 0: the length scale of each pair itself
         t_max: wp.float64
@@ -31,6 +31,8 @@ def make_query(real) -> SimpleNamespace:
         method: int
         stop: wp.array[wp.int32]  # set when the host wants the kernel to end
         radius: wp.array[wp.float64]  # of each vertex of a mesh; empty without (`thickness`)
+        hold: wp.array[wp.float64]  # how near each vertex was to anything at the start; empty: nothing is held (`hold`)
+        margin: wp.float64  # of a pair that is held: what its distance is reduced by, a share of its size
 
     @wp.func
     def share_of_work(options: Options, num_open: wp.int64) -> int:

@@ -23,7 +23,7 @@ from .contacts import ContactList
 from .lane_rows import make_lane_rows
 from .lane_solver import make_lane_solver
 from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
-from .norm import MAXIMUM_NORM, THICK_NORM
+from .norm import MAXIMUM_NORM, is_by_pair
 from .once import once
 from .pair_key import pair_of
 from .pair_options import make_pair_options
@@ -106,7 +106,7 @@ def turns_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Tur
 @once
 def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
     """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
-    is_thick = norm == THICK_NORM
+    has_own = is_by_pair(norm)
     Options = make_query(real).Options
     options_of_rows = make_pair_options(real, 1, norm).options_of_rows
     Outcome = make_solver(real, True, norm).Outcome
@@ -416,7 +416,7 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
         return pairs_bound
 
     return SimpleNamespace(
-        points_toi=[] if is_thick else [make_points_toi(stage) for stage in STAGES],  # points have no radii
+        points_toi=[] if has_own else [make_points_toi(stage) for stage in STAGES],  # points have no radii
         solve_pairs=[make_solve_pairs(stage) for stage in STAGES],
         pairs_bound=[make_pairs_bound(stage) for stage in STAGES],
     )

@@ -14,7 +14,7 @@ from .ball import make_ball
 from .bisection import make_bisection
 from .closest_point import make_closest_point
 from .facets import make_facets
-from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, make_norm
+from .norm import EUCLIDEAN_NORM, MAXIMUM_NORM, is_ball, is_by_pair, make_norm
 from .once import once
 from .pair_kind import VERTEX_FACE
 from .patch import make_patch
@@ -53,7 +53,8 @@ def make_solver(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespac
 
     With ``on_warp`` all threads of a warp of CUDA call `solve` for the same pair.
     """
-    is_euclidean = norm != MAXIMUM_NORM
+    is_euclidean = is_ball(norm)
+    has_own = is_by_pair(norm)
     vec3 = wp.types.vector(length=3, dtype=real)
     types = make_sub_patch(real)
     Patch = types.Patch
@@ -155,6 +156,10 @@ def make_solver(real, on_warp: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespac
                 # a length, and one scale for all axes, so that the ball stays a ball
                 separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
                 reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
+            if wp.static(has_own):
+                separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+                size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
+                separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
             s = vec3d()
             is_cut = bool(False)
             for k in range(3):

@@ -287,7 +287,7 @@ def test_both_drivers_say_the_same_of_a_scene_with_bodies_and_planes(device):
         np.testing.assert_array_equal(of_device, getattr(contacts, name))
     by_toi = launched.contacts.order_by_toi().numpy()[: len(contacts)]
     np.testing.assert_array_equal(launched.contacts.primitives.numpy()[by_toi], contacts.sorted_by_toi().primitives)
-    assert ccd.collision_free_step(mesh, start, end, **options) == expected.toi
+    assert ccd.collision_free_step(mesh, start, end, **options, start_gap_fraction=None) == expected.toi
     for b, k in enumerate(expected.body_contact):
         assert contacts.toi[k] == expected.body_toi[b] and b in contacts.bodies[k]
     for v in np.flatnonzero(np.isfinite(expected.vertex_toi)):
@@ -342,16 +342,18 @@ def test_line_searches_stop_at_the_ground(per):
 
 @pytest.mark.parametrize("per", ["body", "vertex"])
 def test_what_rests_on_the_ground_may_stay_while_the_rest_moves(per):
-    """A stationary pair may touch; one that starts in contact and moves is stopped, and named."""
+    """A stationary pair may touch; a strict search stops and names one that starts in contact and moves."""
     rest, rising, far = np.array([[0, 0, 0.0]]), np.array([[2.0, 0, 0]]), np.array([[4.0, 0, 1]])
     mesh = ccd.CollisionMesh.from_arrays([(rest, NO_FACES), (rising, NO_FACES), (far, NO_FACES), GROUND])
     start = np.concatenate([rest, rising, far])
     end = start + [[0, 0, 0], [0, 0, 1], [0, 0, -0.5]]
-    found = ccd.line_search(mesh, start, end, per=per, device="cpu")
+    assert ccd.line_search(mesh, start, end, per=per, device="cpu").vertex_fraction.tolist() == [1, 1, 1]
+    strict = {"start_gap_fraction": None, "device": "cpu"}
+    found = ccd.line_search(mesh, start, end, per=per, **strict)
     assert found.vertex_fraction.tolist() == [1, 0, 1] or found.vertex_fraction.tolist() == [0, 0, 1]
     assert found.touching.primitives.tolist() == [[0, 0], [1, 0]]
     launched = on_device(end)
-    ccd.CollisionPipeline(mesh, device="cpu").launch_line_search(on_device(start), launched, per=per)
+    ccd.CollisionPipeline(mesh, **strict).launch_line_search(on_device(start), launched, per=per)
     assert launched.numpy().tolist() == [start[0].tolist(), start[1].tolist(), end[2].tolist()]
 
 

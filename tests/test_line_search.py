@@ -387,7 +387,8 @@ def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
     for _ in range(60):
         mesh, wished = _random_scene(rng)
         options = {"minimum_separation": rng.choice([0, 1e-6, 1e-3, 0.05]), "device": device}
-        pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, **options, max_pairs=int(rng.choice([5, 100_000])))
+        capacity = {"max_pairs": int(rng.choice([5, 100_000]))}
+        pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, start_gap_fraction=None, **options, **capacity)
         real = np.float64 if dtype is wp.vec3d else np.float32
         vertices_t0, vertices_t1 = (
             wp.array(x.astype(real), dtype=dtype, device=device) for x in (mesh.vertices, wished)

@@ -323,7 +323,7 @@ def test_scene_without_a_distance_compiles_nothing_of_it(monkeypatch):
         mesh, start, end = crowd_of_all_kinds(83)
         ccd.mesh_ccd(mesh, start, end, device="cpu", **options)
         ccd.collision_free_step(mesh, start, end, device="cpu", **options)
-    assert set(norms) == {"maximum"}
+    assert set(norms) <= {"maximum", "own_box"} and "maximum" in norms
     kernels = [make(wp.float64, 1).solve_pairs, make(wp.float64, 1, "euclidean").solve_pairs]
     assert "euclidean" not in kernels[0].module.name and "euclidean" in kernels[1].module.name
 

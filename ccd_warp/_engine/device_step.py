@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
+from ccd_warp._engine.device_hold import DeviceHold
 from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
@@ -32,7 +33,7 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step, thickness
 from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
-from ccd_warp.kernels.norm import MAXIMUM_NORM
+from ccd_warp.kernels.norm import is_ball
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -199,6 +200,9 @@ class DeviceStep:
             else:
                 tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
+        keeps_distance = separation > 0.0 or radius is not None
+        self._may_hold = options.holds and keeps_distance and self._has_narrow_phase
+        self._hold: DeviceHold | None = None  # made for the first line search
         self.result = self._new_result(capacities.max_contacts)
         result = self.result
         self.contact_arrays = ContactArrays(topology, execution, vars(result.contacts))
@@ -240,7 +244,7 @@ class DeviceStep:
             queue=new_queue(capacities.max_pairs, topology.device)
             if execution.is_cuda and self._has_narrow_phase
             else None,
-            plane_query=plane_query(options, length_scale, is_euclidean=norm != MAXIMUM_NORM) if has_planes else None,
+            plane_query=self._plane_query() if has_planes else None,
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
@@ -387,25 +391,26 @@ class DeviceStep:
         by_scene = int(line_search.per == "scene" or not _worlds_are_apart(self._mesh))
         touched = [self._touched, self._is_any_touched]
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=touched)
+        if self._may_hold and self._hold is None:
+            self._hold = DeviceHold(
+                topology, self._options, self._stages, self.result.contacts, self._flag, self._radius
+            )
         stages = line_search.stages()
         for number, (per, share) in enumerate(stages):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and stages[1][0] == per
-            self._record_reset(recording, _KEPT_FLAGS if number > 0 else 0)
-            if number > 0:
-                self._stages.reset_vertices(recording)
+            gaps_moved = _GAPS_MOVED if may_cut else 0.0
+            if number == 0:
+                self._record_reset(recording)
+                self._record_first_pass(recording, form, by_scene, gaps_moved)
+            else:
+                self._record_reset_of_pass(recording)
             # where nothing was touched in the pass before, there is nothing else to do
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
-                self._record_step(recording, form, is_first=number == 0, gaps_moved=_GAPS_MOVED if may_cut else 0.0)
+                if number > 0:
+                    self._record_step(recording, form, is_first=False)
                 if number < len(stages) - 1:
-                    # a world found free of contacts stays so until something in it is shortened
-                    recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=touched)
-                    recording.launch(
-                        device_step.keep_touched,
-                        len(topology.moving_vertices),
-                        inputs=[topology.moving_vertices, by_scene, self._stages.minima],
-                        outputs=touched,
-                    )
+                    self._record_touched(recording, by_scene)
                 recording.launch(
                     device_step.make_input(form.real, self._mesh.dimension).shorten,
                     len(topology.moving_vertices),
@@ -421,30 +426,73 @@ class DeviceStep:
                     outputs=[Slot("vertices_t1")],
                 )
 
+    def _record_first_pass(self, recording: Recording, form: _Form, by_scene: int, gaps_moved: float) -> None:
+        """Record the first pass of a line search, and another one for what starts within its distance."""
+        hold = self._hold
+        if hold is None:
+            self._record_step(recording, form, gaps_moved=gaps_moved)
+            return
+        hold.record_begin(recording)
+        stages = self._record_step(recording, form)
+        hold.record_near(recording, stages)
+        with recording.only_if(hold.is_near):
+            self._record_touched(recording, by_scene)
+            self._record_reset_of_pass(recording)
+            hold.record_holds(recording, stages, lambda of_start, near: self._record_search(recording, of_start, near))
+            self._record_reset_of_pass(recording)
+            self._record_step(recording, form, is_first=False, gaps_moved=gaps_moved)
+
+    def _record_touched(self, recording: Recording, by_scene: int) -> None:
+        """Record which bodies are searched again: a world found free stays so until something in it is shortened."""
+        moving, touched = self.topology.moving_vertices, [self._touched, self._is_any_touched]
+        recording.launch(device_step.set_active, self._mesh.num_bodies, inputs=[0], outputs=touched)
+        inputs = [moving, by_scene, self._stages.minima]
+        recording.launch(device_step.keep_touched, len(moving), inputs=inputs, outputs=touched)
+
+    def _record_reset_of_pass(self, recording: Recording) -> None:
+        """Record the reset before a pass that is not the first."""
+        self._record_reset(recording, _KEPT_FLAGS)
+        self._stages.reset_vertices(recording)
+
     def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
         """Record the launch that resets the results of the last step, or of the last pass."""
         self._stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
 
     def _record_step(
         self, recording: Recording, form: _Form, *, is_first: bool = True, gaps_moved: float = 0.0
-    ) -> None:
-        """Record the launches of one pass over a step after the reset.
+    ) -> Stages:
+        """Record the launches of one pass over a step after the reset; returns their stages.
 
         Only the first pass reads the positions of static bodies, and may meet coordinates that are not finite; no later
         one changes either.
         """
         is_line_search = form.line_search is not None
         stages = self._record_pairs(recording, form, is_first)
+        if is_line_search and self._options.holds:
+            stages = self._with_hold(stages)
         if stages.plane_query is not None:
             active = self._touched if is_line_search else self._active
             stages.meet_planes(recording, active, only_moving=is_line_search, gaps_moved=gaps_moved)
         stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
         with recording.only_if(self._is_open):
             stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
+        return stages
+
+    def _with_hold(self, stages: Stages) -> Stages:
+        """The stages of a line search in which what starts within its distance may part and slide."""
+        if stages.plane_query is not None:
+            stages = replace(stages, plane_query=self._plane_query(holds=True))
+        return stages if self._hold is None else self._hold.stages(stages)
+
+    def _plane_query(self, *, holds: bool = False) -> Any:
+        """What vertices and planes are asked for."""
+        norm = norm_of(self._mesh, self._options, may_change=True)
+        length_scale = length_scale_of(self._mesh, self._options)
+        return plane_query(self._options, length_scale, is_euclidean=is_ball(norm), holds=holds)
 
     def _record_pairs(self, recording: Recording, form: _Form, is_first: bool = True) -> Stages:
         """Record the launches from the input to the pairs that the cull leaves; returns their stages."""
-        mesh, topology = self._mesh, self.topology
+        mesh = self._mesh
         start: Any = Slot("vertices_t0")
         end: Any = Slot("vertices_t1")
         is_copied = self._is_copied(form)
@@ -454,9 +502,13 @@ class DeviceStep:
             start, end = self._start, self._end
         stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
         self._record_input(recording, form, stages, is_copied, is_first)
-        active = self._active if form.line_search is None else self._touched
+        self._record_search(recording, stages, self._active if form.line_search is None else self._touched)
+        return stages
+
+    def _record_search(self, recording: Recording, stages: Stages, active: wp.array) -> None:
+        """Record the boxes of the bodies that are active, and the search."""
         if self._moving_trees:
-            stages.fill_vertex_aabbs(recording, topology.moving_vertices, active)
+            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, active)
         self._fill(stages, recording, self._moving_trees)
         with recording.at_once():
             for tree_pair in stages.tree_pairs:
@@ -467,7 +519,6 @@ class DeviceStep:
             with recording.only_if(self._is_any_unlisted):
                 for tree_pair in stages.tree_pairs:
                     stages.cull_the_rest(recording, tree_pair, marks_overflow=True)
-        return stages
 
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         """Record the launches that read positions and, in the first pass, reset the vertices."""

@@ -30,16 +30,16 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
-from ccd_warp.kernels.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.norm import EUCLIDEAN_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
     from ccd_warp._input.options import Options
 
 # What a call looks for: all contacts, the least toi alone, candidate pairs; or at one time what intersects, what
-# is near, or how far vertices may move.
-Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities", "displacements"]
-_AT_ONE_TIME = ("proximities", "displacements")
+# is near, how far vertices may move, or how near they are to anything.
+Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities", "displacements", "holds"]
+_AT_ONE_TIME = ("proximities", "displacements", "holds")
 # The least capacity for pairs of a kind, and how much more than what was found the next one is.
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
@@ -103,16 +103,16 @@ class HostPlan:
     """
 
     @staticmethod
-    def of(workspace: "Workspace", options: "Options", goal: Goal) -> "HostPlan":
-        """The plan of a workspace for such calls."""
-        key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase)
+    def of(workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False) -> "HostPlan":
+        """The plan of a workspace for such calls; ``is_held`` is whether some pairs start within their distance."""
+        key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase, is_held)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal)
+            workspace.plans[key] = HostPlan(workspace, options, goal, is_held)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool = False) -> None:
         self._workspace = workspace
         self._buffers = workspace.buffers
         self._boxes = workspace.boxes
@@ -138,7 +138,9 @@ class HostPlan:
         self._capacities = dict.fromkeys(self._searched_kinds, 0)
         self._keys_base: wp.array | None = None  # the array that is divided among the kinds
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
-        self._norm = EUCLIDEAN_NORM if goal in _AT_ONE_TIME else norm_of(mesh, options)
+        self._norm = norm_of(mesh, options, is_held=is_held)
+        if goal in ("proximities", "displacements"):
+            self._norm = EUCLIDEAN_NORM
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
         self._keeps_toi = goal == "bound"
@@ -530,6 +532,11 @@ class HostPlan:
     def list_proximities(self) -> None:
         """List the pairs of a batch that are near."""
         self.play("distances", lambda stages, recording: stages.list_proximities(recording))
+
+    def lower_holds(self) -> None:
+        """Lower the holds of the vertices of the pairs of a batch."""
+        is_euclidean = is_ball(self._norm)
+        self.play("distances", lambda stages, recording: stages.lower_holds(recording, is_euclidean=is_euclidean))
 
     def bound_displacements(self) -> None:
         """Lower the bounds of the vertices of the pairs of a batch."""

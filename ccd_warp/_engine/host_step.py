@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 import warp as wp
@@ -42,6 +42,8 @@ _MANY_PAIRS_EACH = 16
 # Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
 _MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
+# A motion below this fraction of the size of a scene is none where pairs are held, and press (`kernels.hold`).
+_LOST = 2.0**-30
 
 _T = TypeVar("_T")
 
@@ -83,12 +85,27 @@ class Step:
         self.counts = Counts()
         self._num_active_bodies = self.mesh.num_bodies
         self.is_warned = False
+        self.holds = self.is_held = False
         workspace.progress.show = show
+
+    def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
+        """The same step, in which what starts within its distance may part and slide.
+
+        Args:
+            hold: How near each vertex was to anything at the start (`HoldStep`); None as long as it is not known that a
+                pair of surfaces starts within its distance. The pairs are then solved in float64, as the margin of
+                float32 would be lost anew in each step.
+        """
+        self.holds, self.is_held = True, hold is not None
+        if hold is not None:
+            self.options = replace(self.options, precision="float64")
+            self.workspace.hold.assign(hold)
+        return self
 
     def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
         """Compute the boxes over [0, t_end]; a body that none comes near costs only its own box."""
         with self.timed("input"):
-            self.plan = plan = HostPlan.of(self.workspace, self.options, goal)
+            self.plan = plan = HostPlan.of(self.workspace, self.options, goal, is_held=self.is_held)
             self.execution = plan.execution
             plan.begin_counts()
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
@@ -245,11 +262,11 @@ class Step:
         """
         best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
-        plan.set_options(self.workspace.packed(self.options, self.length_scale))
+        plan.set_options(self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries else (False,)
         if plan.has_planes:
             with self.timed("planes"):
-                plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
+                plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
                 plan.set_least(best)
                 plan.bound_by_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
@@ -319,6 +336,18 @@ class Step:
             bound = plan.least()
         return bound
 
+    def held_toi(self) -> float:
+        """Earliest toi where some pairs are held; 0 where nothing moves until then by more than rounding."""
+        toi = self.least_toi()
+        start, end = self.positions
+        with np.errstate(over="ignore"):
+            motion = self.most_of_all(float(np.abs(end - start).max(initial=0.0)))
+            return 0.0 if toi * motion <= _LOST * self.mesh.length_scale else toi
+
+    def most_of_all(self, value: float) -> float:
+        """The largest value of all processes that share the step; here of this one."""
+        return value
+
     def least_of_all(self, toi: float) -> float:
         """The least toi of all processes that share the step; here of this one."""
         return toi
@@ -339,7 +368,7 @@ class Step:
             store = self.workspace.contacts
             store.begin(self.execution, self.largest_contacts())
             plan.reset_minima(store.count)
-            plan.set_options(self.workspace.packed(self.options, self.length_scale))
+            plan.set_options(self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
             plan.set_search(t_max, self.inflation, self.separation)
             batches = plan.batches(self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
         survivors: Counter[PairKind] = Counter()
@@ -397,7 +426,7 @@ class Step:
     def _meet_planes(self, plan: HostPlan) -> int:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
         store = self.workspace.contacts
-        plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale))
+        plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
         expected = store.num_with_planes
         while True:
             plan.set_contacts(store.begin_batch(expected))

@@ -44,13 +44,14 @@ class LineSearchResult:
             vertices.
         fraction: The least fraction of the vertices of moving bodies.
         touching: Pairs that keep their vertices from moving, in the order of :class:`ccd_warp.Contacts`, each once;
-            none of their vertices moves. Such a pair touches at the start, or comes within the minimum separation, or
+            none of their vertices moves. Such a pair touches at the start, or presses on from within its distance, or
             its gap is too small for the precision over any step however short, or the rest of the step is lost in the
             rounding of positions. Each pair is reported as found in the last round in which one of its vertices was
             still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
             long stops a world, these are all pairs of this world that touched in its last step, so that their toi may
             be above 0.
-        num_rounds: Number of calls of ``mesh_ccd``.
+        num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
+            something starts within its distance counts once.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
@@ -90,6 +91,25 @@ def validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
     )
 
 
+@dataclass(frozen=True)
+class Solver:
+    """The steps that a line search takes.
+
+    Attributes:
+        strict: All contacts between two positions.
+        holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
+            as long as these are not known to matter.
+        worlds_near: Which worlds have a contact that starts within its distance, given the start and all contacts; None
+            where pairs keep no distance.
+        find_holds: The hold of each vertex at the start (`HoldStep`).
+    """
+
+    strict: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult]
+    holding: Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None], MeshResult]
+    worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None
+    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
 class OneProcess:
     """What a line search asks of everything at once: here one process has it all."""
 
@@ -110,7 +130,7 @@ def search_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
-    solve: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult],
+    solver: Solver,
     *,
     per: str,
     safety: float,
@@ -118,7 +138,7 @@ def search_step(
     everywhere: OneProcess | None = None,
     begins_at_rest: bool = False,
 ) -> LineSearchResult:
-    """Shorten displacements until ``solve`` finds no contact of a vertex that moves, here and ``everywhere``.
+    """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``.
 
     With ``begins_at_rest`` a first round looks at the start alone, where everything may be in contact already.
     """
@@ -126,7 +146,7 @@ def search_step(
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = ~mesh.static[mesh.vertex_body]
     if begins_at_rest:
-        contacts = solve(start, start).contacts
+        contacts = solver.strict(start, start).contacts
         stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
         if everywhere.all(bool(stopped[moves].all())):
             return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False)
@@ -134,12 +154,21 @@ def search_step(
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
     is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
+    holds: NDArray[np.float64] | None = None
     at_start: NDArray[np.uint64] | None = None
     stopping: list[Contacts] = []
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
-        contacts = solve(start, vertices).contacts
+        result = solver.holding(start, vertices, holds)
+        if num_rounds == 0 and solver.worlds_near is not None and not everywhere.all(not len(result.contacts)):
+            # what starts within its distance has a contact, whichever way it moves
+            is_near = everywhere.least(np.where(solver.worlds_near(start, result.contacts), 0.0, 1.0)) == 0.0
+            if is_near.any():
+                holds = everywhere.least_of_vertices(solver.find_holds(start))
+                holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
+                result = solver.holding(start, vertices, holds)
+        contacts = result.contacts
         num_rounds += 1
         corners = contact_vertices(mesh, contacts)
         is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
@@ -151,7 +180,7 @@ def search_step(
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
-                at_start = _keys(solve(start, start).contacts)
+                at_start = _keys(solver.strict(start, start).contacts)
                 num_rounds += 1
             is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too

@@ -106,8 +106,11 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
     return planes
 
 
-def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool) -> Any:
-    """What vertices and planes are asked for, as the struct of the kernels."""
+def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, holds: bool = False) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels.
+
+    ``holds`` is whether what starts within its distance may part and slide.
+    """
     from ccd_warp.kernels.planes import PlaneQuery  # not before a scene needs it
     from ccd_warp.kernels.start_gap import LEAST_TOLERANCE
 
@@ -118,7 +121,8 @@ def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool) 
     query.distance = separation
     if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
         query.distance = next_above(separation)
-    query.start_gap_fraction = 0.0 if options.start_gap_fraction is None else options.start_gap_fraction
+    query.start_gap_fraction = options.start_gap_share
+    query.holds = int(holds)
     query.t_max = options.t_max
     query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
     return query

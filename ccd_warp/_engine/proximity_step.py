@@ -27,7 +27,7 @@ def largest_bound(search_radius: float, is_alone: bool) -> float:
     return search_radius if is_alone else 0.5 * search_radius
 
 
-class _StepAtOneTime(Step):
+class StepAtOneTime(Step):
     """A step with a workspace of its own, in which boxes have the size of its goal."""
 
     goal: Goal
@@ -50,7 +50,7 @@ class _StepAtOneTime(Step):
         self.counts = replace(self.counts, num_after_cull={kind: self.survivors[kind] for kind in plan.kinds})
 
 
-class ProximityStep(_StepAtOneTime):
+class ProximityStep(StepAtOneTime):
     """The pairs within a distance."""
 
     goal = "proximities"
@@ -95,7 +95,7 @@ class ProximityStep(_StepAtOneTime):
         return found
 
 
-class DisplacementStep(_StepAtOneTime):
+class DisplacementStep(StepAtOneTime):
     """How far vertices may move."""
 
     goal = "displacements"

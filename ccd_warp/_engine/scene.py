@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.norm import THICK_NORM
+from ccd_warp.kernels.norm import OWN_BOX_NORM, THICK_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -37,19 +37,22 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
     return tuple(kind for kind in options.kinds if possible[kind])
 
 
-def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False) -> str:
+def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False, is_held: bool = False) -> str:
     """The norm of separations (``kernels.norm``): with radii each pair has a distance of its own.
 
     Args:
         mesh: The bodies.
         options: The options of the call.
         may_change: Whether radii of 0 may be replaced by others, as on the device.
+        is_held: Whether what starts within its distance is held, so that each pair has a separation of its own.
 
     Raises:
         ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
     """
     if mesh.radius is None or not (may_change or mesh.is_thick):
-        return options.norm
+        if not is_held:
+            return options.norm
+        return THICK_NORM if is_ball(options.norm) else OWN_BOX_NORM
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "

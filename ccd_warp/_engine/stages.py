@@ -345,6 +345,12 @@ class Stages:
 
         self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
 
+    def lower_holds(self, launcher: Launcher, *, is_euclidean: bool) -> None:
+        """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
+        from ccd_warp.kernels.start_holds import make_holds  # not before something starts within its distance
+
+        self._at_one_time(launcher, make_holds(is_euclidean).lower_holds, [], [self.minima])
+
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""
         from ccd_warp.kernels.near_planes import list_near_planes

@@ -15,7 +15,7 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
 from ccd_warp.kernels import half_warp_tree, search_types
-from ccd_warp.kernels.norm import MAXIMUM_NORM
+from ccd_warp.kernels.norm import is_ball
 
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
@@ -191,7 +191,7 @@ def search_options(
     """What a step asks of the search, as the struct of the search_types; ``radii`` of vertices and of their boxes."""
     packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
-    packed.is_euclidean = int(norm != MAXIMUM_NORM)
+    packed.is_euclidean = int(is_ball(norm))
     packed.radius, packed.box_radius = radii
     packed.stop = flag.array
     return packed

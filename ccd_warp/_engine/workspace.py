@@ -18,7 +18,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.norm import MAXIMUM_NORM
+from ccd_warp.kernels.norm import is_ball
 
 _MOST_OPTIONS = 8
 
@@ -90,21 +90,31 @@ class Workspace:
         self._is_all_active = bodies is None
         return self._active
 
-    def packed(self, options: Options, length_scale: float) -> Any:
+    @lazy_property
+    def hold(self) -> wp.array:
+        """How near each vertex is to anything at the start of a step, float64, shape [V]."""
+        return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+
+    def packed(self, options: Options, length_scale: float, *, is_held: bool = False) -> Any:
         """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""
-        key = (options, length_scale)
+        key = (options, length_scale, is_held)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            self._packed[key] = options.for_kernel(length_scale, stop=self.flag.array, radius=self.topology.radius)
+            self._packed[key] = options.for_kernel(
+                length_scale,
+                stop=self.flag.array,
+                radius=self.topology.radius,
+                hold=self.hold if is_held else None,
+            )
         return self._packed[key]
 
-    def plane_query(self, options: Options, length_scale: float) -> Any:
+    def plane_query(self, options: Options, length_scale: float, *, holds: bool = False) -> Any:
         """What vertices and planes are asked for, as a struct of the kernels, packed once likewise."""
-        key = ("planes", options, length_scale)
+        key = ("planes", options, length_scale, holds)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            is_euclidean = norm_of(self.topology.mesh, options) != MAXIMUM_NORM
-            self._packed[key] = plane_query(options, length_scale, is_euclidean=is_euclidean)
+            is_euclidean = is_ball(norm_of(self.topology.mesh, options))
+            self._packed[key] = plane_query(options, length_scale, is_euclidean=is_euclidean, holds=holds)
         return self._packed[key]

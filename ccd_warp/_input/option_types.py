@@ -17,7 +17,7 @@ PairKindName = Literal["vertex_face", "edge_edge", "point_segment", "point_point
 class _Solver(TypedDict, total=False):
     tolerance: float
     minimum_separation: float
-    start_gap_fraction: float | None
+    start_gap_fraction: float | Literal["hold"] | None
     max_iterations: int
     length_scale: float | None
     precision: Precision
@@ -66,10 +66,15 @@ class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Place, tot
             at least 0. Unlike ``minimum_separation`` it is the same in every direction, so turning a scene changes
             nothing, and ``length_scale`` plays no part. Only one of the two can be above 0. The radii of a mesh, which
             are distances, too, are added to it. Default: ``0.0``.
-        start_gap_fraction: In (0, 1), or None. The separation of a pair, in either norm, is reduced to at most this
-            fraction of its gap at the start. The toi of a pair that starts closer than the minimum separation, or close
-            to it, is then positive, unless the pair touches at the start (``CCDStatus.INITIAL_CONTACT``), when there is
-            no positive step. Default: ``None``.
+        start_gap_fraction: What a pair keeps that starts within its distance, in either norm. With ``"hold"`` the calls
+            that shorten a step (line searches and :func:`collision_free_step`) let it part and slide, and come no
+            closer: a pair keeps the least of its distance and of how near its vertices were to anything at the start,
+            less 1.4e-14 of its size and motion. What tells collisions (:func:`mesh_ccd`,
+            :func:`is_step_collision_free`, ``launch`` and the pair functions) is strict all the same: such a pair has
+            toi 0. With None every call is strict. With a number in (0, 1) every call reduces the separation of a pair
+            to at most this fraction of its gap at the start; gaps then shrink by it each time. What touches at the
+            start, with a gap of 0, has no positive step in any case, but for a vertex over a half-space, which
+            ``"hold"`` lets leave. Default: ``"hold"``.
         t_max: End of the step that is checked, in [0, 1]. Default: ``1.0``.
         max_iterations: Limit of the work on a pair; at the limit its toi is early, never late, and its status says so.
             Default: ``10000``.

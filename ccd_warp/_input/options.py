@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import warp as wp
@@ -36,6 +36,8 @@ _FIELDS = (
     "max_work",
     "method",
 )
+# The value of ``start_gap_fraction`` with which what starts within its distance may part and slide.
+HOLD = "hold"
 # Values of these types are immutable; others may change, or be readable only once.
 _PLAIN = frozenset((float, int, str, type(None)))
 # Iterations of every pair in the first round of a step. A contact takes 2 on average; a box of the bisection is
@@ -50,7 +52,7 @@ class Options:
     tolerance: float = 1e-6
     minimum_separation: float = 0.0
     minimum_distance: float = 0.0
-    start_gap_fraction: float | None = None
+    start_gap_fraction: float | Literal["hold"] | None = "hold"
     t_max: float = 1.0
     max_iterations: int = 10_000
     max_work: int = 5_000_000
@@ -72,7 +74,9 @@ class Options:
                 f"minimum_distance is {shown(self.minimum_distance)} and minimum_separation is "
                 f"{shown(self.minimum_separation)}; expected one of them only, or 0 for the other"
             )
-        self._keep_real("start_gap_fraction", "a number between 0 and 1, or None", lambda x: 0 < x < 1)
+        if not (isinstance(self.start_gap_fraction, str) and self.start_gap_fraction == HOLD):
+            expected = f"{HOLD!r}, a number between 0 and 1, or None"
+            self._keep_real("start_gap_fraction", expected, lambda x: 0 < x < 1)
         self._keep_real("t_max", "a number in [0, 1]", lambda x: 0 <= x <= 1)
         check_count("max_iterations", self.max_iterations, 2**31 - 1)
         check_count("max_work", self.max_work, 2**63 - 1)
@@ -91,7 +95,7 @@ class Options:
     def _keep_real(self, name: str, expected: str, is_valid: Callable[[float], bool]) -> None:
         """Check a number and store it as a float; None is kept where it is the default."""
         value = getattr(self, name)
-        if value is not None or getattr(type(self), name) is not None:
+        if value is not None or isinstance(getattr(type(self), name), float):
             object.__setattr__(self, name, check_real(name, value, expected, is_valid))
 
     @property
@@ -105,6 +109,16 @@ class Options:
     def real(self) -> Any:
         """Warp scalar type of the iteration."""
         return _PRECISIONS[self.precision]
+
+    @property
+    def holds(self) -> bool:
+        """Whether what starts within its distance may part and slide, in the calls that shorten a step."""
+        return self.start_gap_fraction == HOLD
+
+    @property
+    def start_gap_share(self) -> float:
+        """The fraction of its gap at the start that a pair keeps at most; 0 where it keeps its separation."""
+        return 0.0 if self.start_gap_fraction is None or self.holds else float(self.start_gap_fraction)
 
     @property
     def norm(self) -> str:
@@ -141,6 +155,7 @@ class Options:
         max_iterations: int | None = None,
         stop: wp.array | None = None,
         radius: wp.array | None = None,
+        hold: wp.array | None = None,
     ) -> Any:
         """The options as the struct that the kernels take.
 
@@ -149,11 +164,15 @@ class Options:
             max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
             radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
+            hold: How near each vertex was to anything at the start, likewise, where pairs are held.
         """
+        separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
+        if hold is not None and length_scale is not None:
+            separation = self.separation(length_scale)  # each pair has a length of its own
         values = (
             self.tolerance,
-            self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation,
-            0.0 if self.start_gap_fraction is None else self.start_gap_fraction,
+            separation,
+            self.start_gap_share,
             0.0 if length_scale is None else length_scale,
             self.t_max,
             self.rounded_up(self.t_max),
@@ -167,6 +186,8 @@ class Options:
         packed = _packed(self.real, values, stop)
         if radius is not None:
             packed.radius = radius
+        if hold is not None:
+            packed.hold = hold
         return packed
 
     @property

@@ -1,5 +1,6 @@
-"""What is near at one time, and how far vertices may move, on one rank."""
+"""What is near at one time, how near each vertex is to anything, and how far it may move, on one rank."""
 
+from ccd_warp._engine.hold_step import HoldStep
 from ccd_warp._engine.proximity_step import DisplacementStep, ProximityStep
 from ccd_warp.distributed._part_step import StepTogether
 
@@ -10,3 +11,7 @@ class PartProximityStep(StepTogether, ProximityStep):
 
 class PartDisplacementStep(StepTogether, DisplacementStep):
     """How far the vertices of a part may move, as far as its own pairs tell."""
+
+
+class PartHoldStep(StepTogether, HoldStep):
+    """How near the vertices of a part are to anything, as far as its own pairs tell."""

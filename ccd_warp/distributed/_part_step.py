@@ -106,6 +106,11 @@ class PartStep(StepTogether):
         with self.timed("reductions"):
             return self.ranks.agree(toi)[0]
 
+    def most_of_all(self, value: float) -> float:
+        """The largest value of all ranks."""
+        with self.timed("reductions"):
+            return -self.ranks.agree(-value)[0]
+
     def open_in_all(self, num_open: dict[PairKind, int]) -> dict[PairKind, int]:
         """How many pairs of each kind are open on all ranks."""
         mine = np.array([num_open.get(kind, 0) for kind in PairKind], dtype=np.int64)

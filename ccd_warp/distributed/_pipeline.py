@@ -12,11 +12,13 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.candidates import validated_inflation
+from ccd_warp._engine.hold_step import hold_distance, holds_pairs
 from ccd_warp._engine.lengths import half_up, length_scale_of, sum_up
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     Per,
+    Solver,
     check_step_is_whole,
     moved,
     search_step,
@@ -28,10 +30,11 @@ from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._pipeline import validated_distance, validated_search_radius
-from ccd_warp._results import MeshResult
+from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._intersections import DistributedIntersections, intersections_of
 from ccd_warp.distributed._mesh import DistributedMesh
+from ccd_warp.distributed._part_proximity import PartHoldStep
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._plan import in_space, is_within
@@ -114,7 +117,7 @@ class DistributedPipeline:
 
     def _check_same_options(self) -> None:
         o = self._options
-        numbers = [o.tolerance, o.minimum_separation, o.minimum_distance, o.start_gap_fraction or 0.0, o.t_max]
+        numbers = [o.tolerance, o.minimum_separation, o.minimum_distance, o.start_gap_share, o.holds, o.t_max]
         numbers += [o.max_iterations, o.max_work, o.length_scale or 0.0, o.precision == "float32"]
         numbers += [o.method == "bisection", o.broad_phase == "hash", *(kind in o.kinds for kind in PairKind)]
         values = np.array(numbers, dtype=np.float64)
@@ -195,14 +198,26 @@ class DistributedPipeline:
         return self._least_toi(vertices_t0, vertices_t1, any_suffices=True) == np.inf
 
     def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, any_suffices: bool = False) -> float:
+        holds = self._options.holds and not any_suffices
+
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
             plan = self._planned
-            toi: float = self._run(plan.start, plan.end, lambda step: step.least_toi(any_suffices=any_suffices))
+
+            def least(step: PartStep) -> float:
+                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
+
+            toi = self._run(plan.start, plan.end, least)
+            if holds and toi < np.inf and self._holds_pairs:
+                everywhere = AcrossRanks(plan.together)
+                of_vertices = everywhere.least_of_vertices(self._holds(plan.start))
+                if not everywhere.all(not np.isfinite(of_vertices).any()):
+                    toi = self._run(plan.start, plan.end, lambda step: step.holding(of_vertices).held_toi())
             self._finished()
             return toi
 
         with self._together("is_step_collision_free" if any_suffices else "collision_free_step"):
-            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+            inflation = self._holding_inflation if holds else self._inflation
+            return self._collectively(vertices_t0, vertices_t1, inflation, work)
 
     def find_candidates(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
@@ -370,7 +385,7 @@ class DistributedPipeline:
                 plan.part.mesh,
                 plan.start,
                 plan.end,
-                lambda x, y: self._run(x, y, PartStep.contacts),
+                self._solver,
                 per=per,
                 safety=safety,
                 max_rounds=max_rounds,
@@ -394,7 +409,47 @@ class DistributedPipeline:
                 per, safety = validated_line_search(per, safety)
                 max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
-            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+            return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work)
+
+    @property
+    def _solver(self) -> Solver:
+        """The steps of a line search."""
+
+        def strict(start: NDArray[np.float64], end: NDArray[np.float64]) -> MeshResult:
+            return self._run(start, end, PartStep.contacts)
+
+        if not self._options.holds:
+            return Solver(strict, lambda start, end, holds: strict(start, end), None, self._holds)
+        return Solver(
+            strict,
+            lambda start, end, holds: self._run(start, end, lambda step: step.holding(holds).contacts()),
+            self._worlds_near if self._holds_pairs else None,
+            self._holds,
+        )
+
+    @property
+    def _holds_pairs(self) -> bool:
+        """Whether pairs keep a distance within which they may start."""
+        return holds_pairs(self.mesh, self._options)
+
+    def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
+        return self._run(start, start, lambda step: step.find_holds(self._hold_distance), PartHoldStep)
+
+    def _worlds_near(self, start: NDArray[np.float64], contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact, of those of this part, that starts within its distance."""
+        return self._run(start, start, lambda step: step.worlds_near(contacts, self._hold_distance), PartHoldStep)
+
+    @property
+    def _hold_distance(self) -> float:
+        return hold_distance(self.mesh, self._options, self.mesh.body_radius)
+
+    @property
+    def _holding_inflation(self) -> float:
+        """That of the boxes of calls that let what starts within its distance part and slide."""
+        if not self._holds_pairs:
+            return self._inflation
+        return half_up(self._hold_distance)
 
     def _together(self, call: str) -> AbstractContextManager[None]:
         return self._ranks.together(self._named(call))

@@ -56,6 +56,19 @@ def with_radii(case: StepCase, precision: str) -> Outputs:
     return found | _with_little_capacity(pipeline, t0, t1)
 
 
+def line_searches_with_radii(case: StepCase, precision: str) -> Outputs:
+    """Line searches in which pairs start within their distances, on the host and on the device."""
+    mesh, start, end = case.make()
+    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, precision=precision, **case.options)
+    found: Outputs = {}
+    for per in ("world", "vertex"):
+        found |= outputs_of(pipeline.line_search(start, end, per=per), f"line_search {per}")
+        t0, t1 = _on_device(start, "float64"), _on_device(end, "float64")
+        launched = pipeline.launch_line_search(t0, t1, per=per)
+        found |= outputs_of({"positions": t1, "flags": launched.flags}, f"launch_line_search {per}")
+    return found
+
+
 def searches_with_radii(case: StepCase, precision: str) -> Outputs:
     """The searches that a mesh with radii has of its own, one of which culls where it finds."""
     mesh, start, end = case.make()

@@ -25,6 +25,7 @@ _PLAN = {
     "at_one_time": ("worlds in one place", "excluded pairs", "spatial hash", "half-spaces"),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
     "with_radii": ("radii",),
+    "line_searches_with_radii": ("radii",),
     "searches_with_radii": ("radii, spatial hash, excluded pairs",),
 }
 
@@ -79,6 +80,8 @@ RUN_ELSEWHERE = {
         for name in ("solve_pairs", "pairs_bound")
         for stage in STAGES
     },
+    "own_box": "boxes are those of the maximum norm, and a separation of each pair is that of radii",
+    "holds box": "that of a ball, but for the distance of a pair",
     "half_warp_search boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
     "half_warp_search cull True thick": "likewise",
     "half_warp_grid_search boxes False thick": "likewise, the other way round",
