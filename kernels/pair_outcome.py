@@ -50,10 +50,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
     simd = make_simd(wp.float64, width)
     lane_of = simd.lane_of
     spread = simd.spread
-    both = simd.both
     is_at_most = simd.is_at_most
-    is_less = simd.is_less
-    mask_of = simd.mask_of
     bits_of = simd.bits_of
 
     @wp.func
@@ -117,12 +114,12 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
             return wp.float64(wp.inf)
         return wp.float64(2.0) * wp.max(options.tolerance, least_tolerance) * options.length_scale
 
-    @wp.func
-    def status_at_start(kind: int, outcome: Outcome, a: Points, options: Options) -> int:
-        """The status of an outcome, given the points of the pair at the start."""
+    @wp.func(inline=False)
+    def status_at_start(kind: int, gap: wp.float64, a: Points, options: Options) -> int:
+        """The status of a contact at the start with this gap, given the points of the pair there."""
         most = most_gap(options)
-        if outcome.status != STATUS_INITIAL_CONTACT or outcome.gap <= most:
-            return outcome.status
+        if gap <= most:
+            return STATUS_INITIAL_CONTACT
         separation = options.minimum_separation
         if wp.static(norm == MAXIMUM_NORM):
             separation *= options.length_scale
@@ -131,11 +128,9 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         return STATUS_ROUNDING_LIMIT
 
     @wp.func
-    def hidden_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
-        """The contacts at the start whose gap the tolerance does not explain."""
-        is_at_start = is_at_most(answer.t, spread(wp.float64(0.0)))
-        is_more = is_less(spread(most_gap(options)), answer.gap)
-        return bits_of(both(mask_of(answer.contact), both(is_at_start, is_more)))
+    def lanes_at_start(answer: LaneAnswer) -> wp.uint32:
+        """The lanes that have reached no time."""
+        return bits_of(is_at_most(answer.t, spread(wp.float64(0.0))))
 
     @wp.func
     def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
@@ -144,7 +139,10 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
             return answer.free
         if options.minimum_separation > wp.float64(0.0):
             return answer.free
-        return answer.free | (answer.contact & ~hidden_lanes(answer, options))
+        finished = answer.free | answer.contact
+        if answer.contact != _NONE and options.length_scale > wp.float64(0.0):
+            finished = finished & ~(answer.contact & lanes_at_start(answer))
+        return finished
 
     @wp.func
     def rest_of(
@@ -157,9 +155,11 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         used = wp.int32(lane_of(answer.iterations, lane))
         found = finished(kind, lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
         if is_contact:
-            outcome.parameters = found.parameters
+            if options.minimum_separation > wp.float64(0.0):
+                outcome.parameters = found.parameters
             found = outcome
-        found.status = status_at_start(kind, found, a, options)
+        if found.status == STATUS_INITIAL_CONTACT:
+            found.status = status_at_start(kind, found.gap, a, options)
         return found
 
     @wp.func(inline=False)
@@ -167,13 +167,13 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         kind: int,
         first: wp.vec3i,
         second: wp.vec3i,
-        outcome: Outcome,
+        gap: wp.float64,
         vertices_t0: wp.array[wp.vec3d],
         options: Options,
     ) -> int:
         """`status_at_start` of a pair of primitives."""
         own = options_of_pair(options, first, second)
-        return status_at_start(kind, outcome, points_of(kind, first, second, vertices_t0), own)
+        return status_at_start(kind, gap, points_of(kind, first, second, vertices_t0), own)
 
     @wp.func(inline=False)
     def motion_of(
@@ -241,7 +241,7 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         toi = outcome.toi
         status = outcome.status
         if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options) and not is_held:
-            status = status_of(kind, first, second, outcome, vertices_t0, options)
+            status = status_of(kind, first, second, outcome.gap, vertices_t0, options)
             if status == STATUS_ROUNDING_LIMIT:
                 flag_world(minima, first[0], ROUNDING_LIMIT)
         if gaps_moved > wp.float64(0.0) and toi < _LOST_TOI and not is_held:

@@ -32,7 +32,7 @@ from .points import is_stationary, row_points
 from .query import CLIPPING, make_query
 from .simd import fingerprint
 from .solver import make_solver
-from .status import STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from .status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
@@ -216,7 +216,9 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 if not turns.writes:
                     continue
                 toi[i] = outcome.toi
-                status[i] = status_at_start(kind, outcome, a, options)
+                status[i] = outcome.status
+                if outcome.status == STATUS_INITIAL_CONTACT:
+                    status[i] = status_at_start(kind, outcome.gap, a, options)
                 parameters[i] = outcome.parameters
                 gap[i] = outcome.gap
                 width_of[i] = outcome.width
