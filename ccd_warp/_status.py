@@ -70,3 +70,9 @@ class LaunchFlag(IntFlag):
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
     """A coordinate is not finite, and every toi of its world is 0."""
+
+    STATIC_MOVED = int(minima.STATIC_MOVED)
+    """An end position of a static body differs from its start position, and every toi of its world is 0."""
+
+    STRUCK = int(minima.STRUCK)
+    """A kinematic body strikes vertices that a line search has stopped; the pairs are among the contacts."""

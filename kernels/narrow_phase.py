@@ -323,6 +323,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                         outcome,
                         vertices_t0,
                         vertices_t1,
+                        only_moving,
                         gaps_moved,
                         minima,
                         contacts,

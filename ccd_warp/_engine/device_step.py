@@ -16,7 +16,7 @@ from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
+from ccd_warp._engine.scene import is_free_alone, norm_of, possible_kinds
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
@@ -39,8 +39,9 @@ _LEAST_CAPACITY = 1 << 12
 _NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
 _PLAY = "step"
-# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed.
-_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
+# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed, and
+# what has been stopped and is struck stays so.
+_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT | LaunchFlag.STATIC_MOVED | LaunchFlag.STRUCK)
 _PER = {
     "scene": int(device_step.PER_SCENE),
     "world": int(device_step.PER_WORLD),
@@ -151,7 +152,7 @@ class DeviceStep:
         self.topology = topology
         self._mesh = mesh = topology.mesh
         self._has_static = len(mesh.moving_vertices) < mesh.num_vertices
-        _ = topology.corners, topology.collision_filter  # computed now, not during a capture
+        _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
         self._options = options
         self._flag = StopFlag(topology.device)
         self._execution = execution = Execution(topology.device, options.threads, self._flag)
@@ -180,7 +181,7 @@ class DeviceStep:
         quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
         self._has_grids = options.broad_phase == "hash"
         make = Grid if self._has_grids else Tree
-        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), moves_alone(mesh), {}, make)
+        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), is_free_alone(mesh), {}, make)
         if self._has_grids:
             tree_pairs = with_reverses(tree_pairs)
         trees = trees_of(tree_pairs)
@@ -382,6 +383,7 @@ class DeviceStep:
         touched = [self._touched, self._is_any_touched]
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=touched)
         stages = line_search.stages()
+        has_kinematic = bool(self._mesh.kinematic.any())
         for number, (per, share) in enumerate(stages):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and stages[1][0] == per
@@ -391,7 +393,7 @@ class DeviceStep:
             # where nothing was touched in the pass before, there is nothing else to do
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 self._record_step(recording, form, is_first=number == 0, gaps_moved=_GAPS_MOVED if may_cut else 0.0)
-                if number < len(stages) - 1:
+                if number < len(stages) - 1 or has_kinematic:
                     # a world found free of contacts stays so until something in it is shortened
                     recording.launch(device_step.set_active, num_bodies, inputs=[0], outputs=touched)
                     recording.launch(
@@ -414,10 +416,15 @@ class DeviceStep:
                     ],
                     outputs=[Slot("vertices_t1")],
                 )
+        if has_kinematic:  # which may strike what the last pass has stopped
+            self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
+            with recording.only_if(self._is_any_touched):
+                self._record_step(recording, form, is_first=False)
 
-    def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
+    def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
         """Record the launch that resets the results of the last step, or of the last pass."""
-        self._stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
+        num_contacts, stop = self.result.contacts.count, self._flag.array
+        self._stages.reset(recording, num_contacts, stop, kept_flags, keeps_toi=keeps_toi)
 
     def _record_step(
         self, recording: Recording, form: _Form, *, is_first: bool = True, gaps_moved: float = 0.0
@@ -474,6 +481,25 @@ class DeviceStep:
                 inputs=[topology.static_vertices, Slot("vertices_t0"), self._chunk],
                 outputs=[self._start, self._end, self._is_moved, minima],
                 grain=64,
+            )
+        if is_first and form.t1_by_vertex and self._has_static:
+            values = recording.values
+            recording.launch(
+                read.check_static,
+                count := -(-len(topology.static_vertices) // self._chunk),
+                inputs=[
+                    topology.static_vertices,
+                    Slot("vertices_t0"),
+                    Slot("vertices_t1"),
+                    int(form.t0_by_vertex),
+                    int(form.is_displacement),
+                    self._chunk,
+                    self._start,
+                ],
+                outputs=[minima],
+                grain=64,
+                # rows that are the same memory do not differ
+                num_needed=lambda: count if values["vertices_t0"].ptr != values["vertices_t1"].ptr else 0,
             )
         by_vertex = [int(form.t0_by_vertex), int(form.t1_by_vertex)]
         recording.launch(

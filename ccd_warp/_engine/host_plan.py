@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.grids import Grid
-from ccd_warp._engine.scene import moves_alone, norm_of, possible_kinds
+from ccd_warp._engine.scene import is_free_alone, norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
@@ -118,7 +118,7 @@ class HostPlan:
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
-        sought = topology, self.kinds, moves_alone(mesh)
+        sought = topology, self.kinds, is_free_alone(mesh)
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
         self.tree_pairs = tree_pairs_of(*sought, *kept)

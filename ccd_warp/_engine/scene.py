@@ -37,10 +37,15 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
     return tuple(kind for kind in options.kinds if possible[kind])
 
 
+def is_free_alone(mesh: "CollisionMesh") -> bool:
+    """Whether exactly one body is free, and it does not collide with itself."""
+    free = mesh.self_collision[mesh._is_free]
+    return len(free) == 1 and not free.any()
+
+
 def moves_alone(mesh: "CollisionMesh") -> bool:
     """Whether exactly one body moves, and it does not collide with itself."""
-    moving = mesh.self_collision[~mesh.static]
-    return len(moving) == 1 and not moving.any()
+    return is_free_alone(mesh) and not mesh.kinematic.any()
 
 
 def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False) -> str:

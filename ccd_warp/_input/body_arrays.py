@@ -10,6 +10,7 @@ from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
 from ccd_warp._input.foreign import on_host
+from ccd_warp._input.half_spaces import vector_of
 from ccd_warp._input.names import body_label
 
 
@@ -104,7 +105,7 @@ class JoinedBodies(NamedTuple):
         vertices: Positions, float64, shape [V, 3], or [V, 2] in the plane.
         faces: Indices into these, int32, shape [F, 3].
         edges: The given edges likewise, int32, shape [E, 2].
-        offsets: Body b has the vertices offsets[b] … offsets[b + 1] - 1; a half-space has none.
+        offsets: Body b has the vertices offsets[b] … offsets[b + 1] - 1; a static half-space has none.
         consists_of_points: Bodies in the plane without edges, bool, shape [B].
         dimension: Number of coordinates.
     """
@@ -117,8 +118,10 @@ class JoinedBodies(NamedTuple):
     dimension: int
 
 
-def joined_bodies(bodies: Sequence[Any], names: Sequence[str]) -> JoinedBodies:
+def joined_bodies(bodies: Sequence[Any], names: Sequence[str], kinematic: NDArray[np.bool_]) -> JoinedBodies:
     """Check and join the arrays of bodies, at least one of which is no half-space.
+
+    A half-space that is kinematic has one vertex, its point.
 
     Raises:
         ValueError: If an array is not as :meth:`ccd_warp.CollisionMesh.from_arrays` expects.
@@ -146,6 +149,9 @@ def joined_bodies(bodies: Sequence[Any], names: Sequence[str]) -> JoinedBodies:
             all_edges += [validated_indices(each, 2, len(vertices), f"edges of {label}") + begin for each in edges]
             consists_of_points[b] = dimension == 2 and len(all_edges[-1]) == 0
             begin += len(vertices)
+        elif kinematic[b]:
+            all_vertices.append(vector_of(bodies[b].point, f"point of {body_label(b, names)}", dimension)[None])
+            begin += 1
         offsets.append(begin)
     num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
     if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:
