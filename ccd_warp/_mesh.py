@@ -564,8 +564,8 @@ class CollisionMesh:
         moving = self.moving_vertices
         if len(end) == self.num_vertices:
             if end is not start:
-                self._check_static_stay(start, end)
                 check_finite(end, "vertices_t1", where=self._where)
+                self._check_static_stay(start, end)
             return start, end  # nothing to copy
         if len(end) != len(moving):
             raise ValueError(
@@ -578,7 +578,7 @@ class CollisionMesh:
         return start, full
 
     def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Check that the rows of static bodies are the same at both ends; no row that is not finite is."""
+        """Check that the rows of static bodies, which are finite, are the same at both ends."""
         for low, high in self.static_vertex_ranges:
             if not np.array_equal(start[low:high], end[low:high]):
                 raise ValueError(static_moves(self, range(low, high), start[low:high], end[low:high]))
@@ -599,9 +599,9 @@ def static_moves(
     mesh: CollisionMesh, vertices: Sequence[int], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> str:
     """What the error says where rows of static bodies differ at both ends of a step: which vertex moves the most."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore"):
         length = np.linalg.norm(end - start, axis=1)
-    row = int(np.argmax(np.where(np.isnan(length), np.inf, length)))
+    row = int(np.argmax(length))
     vertex = int(vertices[row])
     body = int(mesh.vertex_body[vertex])
     own = vertex - int(mesh.body_vertex_range[body])

@@ -72,6 +72,11 @@ def sheet(n, size=1.0):
     return vertices, faces
 
 
+def with_static_at_rest(mesh, start, end):
+    """The end positions, with static bodies where they start."""
+    return np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+
+
 def sheet_over_ball():
     """A sheet that falls through a static ball: mesh, start and end positions."""
     vertices, faces = sheet(12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from launches import CAPACITIES, check_same, on_device
 from oracles import brute_force, check_candidates, exact_pairs
-from scenes import cables_and_particles, single, stacked
+from scenes import cables_and_particles, single, stacked, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.contact_corners import contact_vertices
@@ -30,7 +30,7 @@ def crowd_of_all_kinds(rng, count=8, **options):
     start[in_plane, 2] = end[in_plane, 2] = 0.5
     a, b, *_ = particles[: len(particles) // 4 * 4].reshape(-1, 4).T
     end[a], end[b] = start[b], start[a]
-    return mesh, start, end
+    return mesh, start, with_static_at_rest(mesh, start, end)
 
 
 def some_pairs(rng, mesh, key, share=0.4):
