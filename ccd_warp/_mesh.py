@@ -17,7 +17,7 @@ from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
-from ccd_warp._input.half_spaces import planes_of
+from ccd_warp._input.half_spaces import planes_of, points_of
 from ccd_warp._input.mesh_checks import (
     find_codimensional_points,
     validated_body_pairs,
@@ -326,7 +326,11 @@ class CollisionMesh:
         if is_half_space.all():
             raise ValueError("bodies holds half-spaces alone; expected at least one body with vertices")
         static_bodies, kinematic_bodies = validated_static(static, kinematic, names)
-        joined = joined_bodies(bodies, names, kinematic_bodies)
+        joined = joined_bodies(
+            bodies,
+            names,
+            lambda b, columns: points_of(bodies[b], body_label(b, names), columns, is_kinematic=kinematic_bodies[b]),
+        )
         offsets = joined.offsets
         if half_spaces and offsets[-1] > MOST_WITH_PLANES:
             raise ValueError(

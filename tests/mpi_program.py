@@ -351,6 +351,7 @@ def planes_and_nothing_else():
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False, vertex_world=world)
     end = points - [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
     start = points * [1, 1, 0.3] + [0, 0, 0.12]
+    end = scenes.with_static_at_rest(mesh, start, end)
     check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world", "displacement_bounds"])
 
 

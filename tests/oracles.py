@@ -119,6 +119,12 @@ def exact_pairs(mesh, start, end):
     return found
 
 
+def rows(contacts):
+    """Contacts as a mapping from kind and primitives to toi."""
+    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
+    return dict(zip(map(tuple, keys), contacts.toi.tolist(), strict=True))
+
+
 def check_candidates(mesh, start, end, inflation=0.0, device=None, num_threads=1):
     """Assert equality with brute force, order included; returns the number of pairs."""
     found = ccd.find_candidates(mesh, start, end, inflation, device=device, num_threads=num_threads).sorted()

@@ -8,9 +8,8 @@ import trimesh
 import warp as wp
 from exact_proximity import check_proximities, exact_bounds
 from launches import CAPACITIES, check_same, on_device
-from oracles import brute_force, check_candidates, exact_pairs
-from scenes import FACE, TRIANGLE, cables_and_particles, sheet
-from test_excluded_pairs import crowd_of_all_kinds, rows
+from oracles import brute_force, check_candidates, exact_pairs, rows
+from scenes import FACE, TRIANGLE, cables_and_particles, crowd_of_all_kinds, sheet
 
 import ccd_warp as ccd
 

@@ -10,7 +10,6 @@ from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
 from ccd_warp._input.foreign import on_host
-from ccd_warp._input.half_spaces import vector_of
 from ccd_warp._input.names import body_label
 
 
@@ -118,10 +117,12 @@ class JoinedBodies(NamedTuple):
     dimension: int
 
 
-def joined_bodies(bodies: Sequence[Any], names: Sequence[str], kinematic: NDArray[np.bool_]) -> JoinedBodies:
+def joined_bodies(
+    bodies: Sequence[Any], names: Sequence[str], points_of: Callable[[int, int], NDArray[np.float64]]
+) -> JoinedBodies:
     """Check and join the arrays of bodies, at least one of which is no half-space.
 
-    A half-space that is kinematic has one vertex, its point.
+    The vertices of a half-space, at most one, are given by ``points_of`` for its body and a number of coordinates.
 
     Raises:
         ValueError: If an array is not as :meth:`ccd_warp.CollisionMesh.from_arrays` expects.
@@ -149,9 +150,9 @@ def joined_bodies(bodies: Sequence[Any], names: Sequence[str], kinematic: NDArra
             all_edges += [validated_indices(each, 2, len(vertices), f"edges of {label}") + begin for each in edges]
             consists_of_points[b] = dimension == 2 and len(all_edges[-1]) == 0
             begin += len(vertices)
-        elif kinematic[b]:
-            all_vertices.append(vector_of(bodies[b].point, f"point of {body_label(b, names)}", dimension)[None])
-            begin += 1
+        else:
+            all_vertices.append(points_of(b, dimension))
+            begin += len(all_vertices[-1])
         offsets.append(begin)
     num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
     if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:

@@ -26,8 +26,8 @@ def planes_of(
     """
     points, normals, bodies, vertices = [], [], [], []
     for body, label, half_space in half_spaces:
-        points.append(vector_of(half_space.point, f"point of {label}", dimension))
-        normal = vector_of(half_space.normal, f"normal of {label}", dimension)
+        points.append(_vector(half_space.point, f"point of {label}", dimension))
+        normal = _vector(half_space.normal, f"normal of {label}", dimension)
         if not normal.any():
             raise ValueError(f"normal of {label} is {normal.tolist()}; expected a direction, which 0 is not")
         normals.append(normal)
@@ -41,6 +41,11 @@ def planes_of(
         np.array(bodies, dtype=np.int32),
         np.array(vertices, dtype=np.int32),
     )
+
+
+def points_of(half_space: HalfSpace, label: str, dimension: int, *, is_kinematic: bool) -> NDArray[np.float64]:
+    """The vertices of a half-space: its point if it is kinematic, shape [1, d], and none otherwise, shape [0, d]."""
+    return _vector(half_space.point, f"point of {label}", dimension)[None][: int(is_kinematic)]
 
 
 def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
@@ -62,7 +67,7 @@ def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
     return dict(sorted(found.items()))
 
 
-def vector_of(values: Any, name: str, dimension: int) -> NDArray[np.float64]:
+def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:
     """As many finite float64 numbers as there are coordinates, or a ValueError."""
     array = as_array(on_host(values, name), name, f"{dimension} numbers")
     if array.shape != (dimension,):

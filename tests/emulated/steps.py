@@ -105,7 +105,8 @@ def _with_a_giant(**arguments: Any) -> Made:
     mesh, start, end = _crowd(120)
     giant = 1000 * scenes.TRIANGLE + [0.1, 0.2, 0.5]
     both = ccd.CollisionMesh.from_arrays([(start, mesh.faces), (giant, scenes.FACE)], **arguments)
-    return both, both.vertices, np.concatenate([end, giant + [0, 0, 0.01]])
+    end = np.concatenate([end, giant + [0, 0, 0.01]])
+    return both, both.vertices, scenes.with_static_at_rest(both, both.vertices, end)
 
 
 def _bodies_far_apart() -> Made:
