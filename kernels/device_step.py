@@ -251,12 +251,22 @@ def make_input(real, dimension: int) -> SimpleNamespace:
         if not (is_finite(a) and is_finite(b)):
             flag_world(m, v, INVALID_INPUT)
 
+    @wp.func
+    def stays(a: vec, b: vec, is_displacement: int) -> bool:
+        """Whether a vertex at a ends there, given its end position or its displacement."""
+        if is_displacement != 0:
+            return b == vec()
+        return a == b
+
     @wp.kernel(module=module)
     def read_static(
         begin: int,
         # in
         vertices: wp.array[wp.int32],
         vertices_t0: wp.array[vec],
+        vertices_t1: wp.array[vec],
+        t1_by_vertex: int,  # 0: it has no rows of static vertices
+        is_displacement: int,
         chunk: int,  # vertices of an item, as above
         # out
         start: wp.array[wp.vec3d],
@@ -266,6 +276,8 @@ def make_input(real, dimension: int) -> SimpleNamespace:
     ):
         """Read the positions of a chunk of static vertices, and set ``is_moved`` if one of them has changed.
 
+        A vertex that does not end where it starts flags its world.
+
         A vertex with a coordinate that is not finite keeps its last position, since later launches may not read it.
         """
         first = (begin + wp.tid()) * chunk
@@ -274,40 +286,36 @@ def make_input(real, dimension: int) -> SimpleNamespace:
             a = in_space(vertices_t0[v])
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
-            elif not (a == start[v]):
+                continue
+            if not (a == start[v]):
                 is_moved[0] = 1  # until `settle`, when all boxes are up to date
                 start[v] = a
                 end[v] = a
+            if t1_by_vertex != 0:
+                if not stays(vertices_t0[v], vertices_t1[v], is_displacement):
+                    flag_world(m, v, STATIC_MOVED)
 
     @wp.kernel(module=module)
     def check_static(
         begin: int,
         # in
         vertices: wp.array[wp.int32],
-        vertices_t0: wp.array[vec],
         vertices_t1: wp.array[vec],
-        t0_by_vertex: int,  # 0: static vertices are where they were
         is_displacement: int,
         chunk: int,  # vertices of an item, as above
         start: wp.array[wp.vec3d],
         # out
         m: Minima,
     ):
-        """Flag the worlds in which a vertex of a chunk of static vertices does not end where it starts."""
+        """Flag the worlds in which a static vertex of a chunk, which is where it was, does not end there."""
         first = (begin + wp.tid()) * chunk
         for k in range(first, wp.min(first + chunk, vertices.shape[0])):
             v = vertices[k]
-            b = vertices_t1[v]
             a = vec()
-            if is_displacement == 0:
-                if t0_by_vertex != 0:
-                    a = vertices_t0[v]
-                else:
-                    for i in range(wp.static(dimension)):
-                        a[i] = real(start[v][i])
-            if not (b == a):
-                if is_finite(in_space(a)):  # otherwise that has its own flag
-                    flag_world(m, v, STATIC_MOVED)
+            for i in range(wp.static(dimension)):
+                a[i] = real(start[v][i])
+            if not stays(a, vertices_t1[v], is_displacement):
+                flag_world(m, v, STATIC_MOVED)
 
     @wp.kernel(module=module)
     def shorten(

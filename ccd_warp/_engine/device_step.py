@@ -478,28 +478,30 @@ class DeviceStep:
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // self._chunk),
-                inputs=[topology.static_vertices, Slot("vertices_t0"), self._chunk],
-                outputs=[self._start, self._end, self._is_moved, minima],
-                grain=64,
-            )
-        if is_first and form.t1_by_vertex and self._has_static:
-            values = recording.values
-            recording.launch(
-                read.check_static,
-                count := -(-len(topology.static_vertices) // self._chunk),
                 inputs=[
                     topology.static_vertices,
                     Slot("vertices_t0"),
                     Slot("vertices_t1"),
-                    int(form.t0_by_vertex),
+                    int(form.t1_by_vertex),
+                    int(form.is_displacement),
+                    self._chunk,
+                ],
+                outputs=[self._start, self._end, self._is_moved, minima],
+                grain=64,
+            )
+        elif is_first and form.t1_by_vertex and self._has_static:
+            recording.launch(
+                read.check_static,
+                -(-len(topology.static_vertices) // self._chunk),
+                inputs=[
+                    topology.static_vertices,
+                    Slot("vertices_t1"),
                     int(form.is_displacement),
                     self._chunk,
                     self._start,
                 ],
                 outputs=[minima],
                 grain=64,
-                # rows that are the same memory do not differ
-                num_needed=lambda: count if values["vertices_t0"].ptr != values["vertices_t1"].ptr else 0,
             )
         by_vertex = [int(form.t0_by_vertex), int(form.t1_by_vertex)]
         recording.launch(
