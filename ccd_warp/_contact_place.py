@@ -166,8 +166,13 @@ def _at_planes(
     x = (1.0 - t) * start.take(vertices, axis=0) + t * end.take(vertices, axis=0)
     columns = x.shape[1]
     # of a mesh in the plane the positions of a picture have three coordinates
-    point, unit = (mesh._in_space(a)[:, :columns] for a in (mesh.planes.points, unit_normals(mesh.planes.normals)))
-    half, normal = 0.5 * x - 0.5 * point[number], unit[number]
+    points, unit = (mesh._in_space(a)[:, :columns] for a in (mesh.planes.points, unit_normals(mesh.planes.normals)))
+    point = points[number]
+    moves = mesh.planes.vertices[number] >= 0
+    if moves.any():
+        of_point = mesh.planes.vertices[number[moves]]
+        point[moves] = (1.0 - t[moves]) * start[of_point] + t[moves] * end[of_point]
+    half, normal = 0.5 * x - 0.5 * point, unit[number]
     depth = half[:, 0] * normal[:, 0] + half[:, 1] * normal[:, 1]
     if columns == 3:
         depth += half[:, 2] * normal[:, 2]

@@ -43,6 +43,7 @@ def read_frames(
     end_path: str | Path,
     *,
     static: Iterable[str | Path] = (),
+    kinematic: Iterable[int | str] = (),
     self_collision: bool | Sequence[bool] = True,
     max_bytes: int = MAX_BYTES,
 ) -> Frames:
@@ -60,6 +61,8 @@ def read_frames(
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces in the same order.
         static: Mesh files of bodies that do not move.
+        kinematic: Indices or names of the bodies that move as they are told, as of
+            :meth:`ccd_warp.CollisionMesh.from_arrays`.
         self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
         max_bytes: Limit on the unpacked size of an archive.
 
@@ -80,6 +83,7 @@ def read_frames(
     mesh = CollisionMesh.from_arrays(
         [(body.vertices_t0, body.faces) for body in bodies],
         static=[b for b, body in enumerate(bodies) if body.is_static],
+        kinematic=kinematic,
         self_collision=self_collision,
         names=distinct_names([body.name for body in bodies]),
     )

@@ -1,4 +1,4 @@
-"""Half-spaces: static bodies that are all of space on one side of a plane."""
+"""Half-spaces: bodies that are all of space on one side of a plane."""
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
@@ -11,12 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """A static half-space, such as the ground: a body of a :class:`ccd_warp.CollisionMesh` without a mesh.
+    """A half-space, such as the ground: a body of a :class:`ccd_warp.CollisionMesh` without a mesh.
 
-    It stands in the list of bodies beside the others, has an index and a name as they have, and does not move. All
-    vertices of bodies that move meet its plane, those of every world; edges and faces meet it with a vertex first. A
-    vertex that is in the solid at the start is in contact with it, toi 0, wherever it moves. Of a mesh in the plane it
-    is a half-plane.
+    It stands in the list of bodies beside the others, has an index and a name as they have, and is static. All vertices
+    of bodies that are free meet its plane, those of every world; edges and faces meet it with a vertex first. A vertex
+    that is in the solid at the start is in contact with it, toi 0, wherever it moves. Of a mesh in the plane it is a
+    half-plane.
+
+    Among the ``kinematic`` bodies of the mesh it moves as it is told, a piston or a floor that rises: its point is then
+    a vertex of the mesh, one row in all positions, and its normal stays. It is met by the vertices of that vertex's
+    world.
 
     Attributes:
         point: A point of the plane, in the caller's length unit, shape [3], or [2] in the plane.
@@ -40,11 +44,13 @@ class Planes:
         points: A point of each plane, as given, float64, shape [H, 3], or [H, 2] in the plane.
         normals: Normal of each plane, as given, likewise.
         bodies: Body of each plane, int32, shape [H].
+        vertices: The vertex that is the point of a kinematic one, -1 of a static one, int32, shape [H].
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     bodies: NDArray[np.int32]
+    vertices: NDArray[np.int32]
 
     def __post_init__(self) -> None:
         for array in vars(self).values():

@@ -17,7 +17,7 @@ from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
-from ccd_warp._input.half_spaces import planes_of
+from ccd_warp._input.half_spaces import planes_of, points_of
 from ccd_warp._input.mesh_checks import (
     find_codimensional_points,
     validated_body_pairs,
@@ -57,6 +57,11 @@ class CollisionMesh:
     A body may also be a **half-space** (:class:`ccd_warp.HalfSpace`), such as the ground: static, without vertices, and
     met by the vertices of all bodies that move.
 
+    A **kinematic** body moves as it is told, by its rows in the positions: a scripted wall, a gripper, an animated
+    character. No line search shortens its motion. It is tested against bodies that are free, over the whole step, and
+    not against itself, another kinematic body or a static one. A kinematic half-space has one vertex, the point of its
+    plane, with a row in the positions as every vertex; its normal stays.
+
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
@@ -72,6 +77,7 @@ class CollisionMesh:
         body_vertex_range: Body b consists of the vertices body_vertex_range[b] … body_vertex_range[b + 1] - 1, int32,
             shape [B + 1].
         static: Bodies that do not move, bool, shape [B].
+        kinematic: Bodies that move as they are told, bool, shape [B]; none of them is static.
         self_collision: Bodies whose primitives may collide with each other, bool, shape [B].
         moving_vertices: Indices of the vertices of bodies that move, ascending, int32, shape [V_moving].
         body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; None if all may.
@@ -87,7 +93,8 @@ class CollisionMesh:
             ``minimum_distance`` plus the radii of its primitives. In the unit of the positions, float64, shape [V];
             None if none was given.
         planes: The planes of half-spaces in the order of their bodies: ``planes.points`` and ``planes.normals`` as
-            given, float64, shape [H, 3], or [H, 2] in the plane; ``planes.bodies``, int32, shape [H].
+            given, float64, shape [H, 3], or [H, 2] in the plane; ``planes.bodies``, int32, shape [H];
+            ``planes.vertices``, the vertex that is the point of a kinematic one, -1 of a static one, int32, shape [H].
 
     A mesh can be copied and pickled at any time. What earlier calls have left on a device stays behind.
     """
@@ -102,6 +109,7 @@ class CollisionMesh:
     face_body: NDArray[np.int32] = field(init=False)
     body_vertex_range: NDArray[np.int32]
     static: NDArray[np.bool_]
+    kinematic: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
     moving_vertices: NDArray[np.int32] = field(init=False)
     body_pairs: NDArray[np.bool_] | None
@@ -166,10 +174,13 @@ class CollisionMesh:
     def _repr_html_(self) -> str:
         counts = [np.bincount(body, minlength=self.num_bodies) for body in (self.vertex_body, self.face_body)]
         rows = [
-            (name, "static" if is_static else "moving", *(f"{of_body[b]:,}" for of_body in counts))
-            for b, (name, is_static) in enumerate(zip(self.names, self.static, strict=True))
+            (name, self._kind_of_body(b), *(f"{of_body[b]:,}" for of_body in counts))
+            for b, name in enumerate(self.names)
         ]
         return html_table(repr(self), ("body", "", "vertices", "faces"), rows)
+
+    def _kind_of_body(self, body: int) -> str:
+        return "static" if self.static[body] else "kinematic" if self.kinematic[body] else "moving"
 
     def _sizes(self) -> list[tuple[str, int]]:
         """What the mesh is made of: the numbers that its text shows, codimensional primitives where there are any."""
@@ -189,6 +200,7 @@ class CollisionMesh:
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
+        kinematic: Iterable[int | str] = (),
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -204,10 +216,12 @@ class CollisionMesh:
                 (``trimesh.PointCloud``), which become codimensional points; a scene (``trimesh.Scene``), which is
                 one body for each node that has a geometry, placed by the node's transformation and called by its name;
                 or a :class:`ccd_warp.HalfSpace`.
-            static: Indices or names of the bodies that do not move.
+            static: Indices or names of the bodies that do not move; their end positions are their start positions.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
                 one flag for all bodies or one for each. The points of a point cloud always are.
+            kinematic: Indices or names of the bodies that move as they are told: no line search shortens their motion,
+                and they are tested against bodies that are neither static nor kinematic, alone.
             names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
                 own. By default those of a scene's nodes, and "body 0", "body 1" and so on.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
@@ -245,6 +259,7 @@ class CollisionMesh:
             static,
             self_collision,
             with_points,
+            kinematic=kinematic,
             names=names,
             body_pairs=body_pairs,
             exclusion_rings=exclusion_rings,
@@ -261,6 +276,7 @@ class CollisionMesh:
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
+        kinematic: Iterable[int | str] = (),
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -276,10 +292,13 @@ class CollisionMesh:
                 into these vertices, shape [E_b, 2]. Or (vertices, edges) for each body of a mesh in the plane, with
                 vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points. In place of
                 a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices.
-            static: Indices or names of the bodies that do not move.
+            static: Indices or names of the bodies that do not move; their end positions are their start positions.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
                 one flag for all bodies or one for each.
+            kinematic: Indices or names of the bodies that move as they are told: no line search shortens their motion,
+                and they are tested against bodies that are neither static nor kinematic, alone. A half-space among them
+                has one vertex, the point of its plane.
             names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
                 own. By default "body 0", "body 1" and so on.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
@@ -315,24 +334,29 @@ class CollisionMesh:
         names = validated_names(names, len(bodies))
         with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         half_spaces = [(b, body_label(b, names), body) for b, body in enumerate(bodies) if isinstance(body, HalfSpace)]
-        if len(half_spaces) == len(bodies):
+        is_half_space = np.isin(np.arange(len(bodies)), [b for b, _, _ in half_spaces])
+        if is_half_space.all():
             raise ValueError("bodies holds half-spaces alone; expected at least one body with vertices")
-        joined = joined_bodies(bodies, names)
+        static_bodies, kinematic_bodies = validated_static(static, kinematic, names)
+        joined = joined_bodies(
+            bodies,
+            names,
+            lambda b, columns: points_of(bodies[b], body_label(b, names), columns, is_kinematic=kinematic_bodies[b]),
+        )
         offsets = joined.offsets
         if half_spaces and offsets[-1] > MOST_WITH_PLANES:
             raise ValueError(
                 f"bodies hold {offsets[-1]} vertices; expected at most {MOST_WITH_PLANES} with half-spaces"
             )
-        static_bodies = validated_static(static, names)
-        static_bodies[[b for b, _, _ in half_spaces]] = True
         mesh = cls(
             vertices=joined.vertices,
             faces=joined.faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
-            static=static_bodies,
+            static=static_bodies | (is_half_space & ~kinematic_bodies),
+            kinematic=kinematic_bodies,
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=joined.edges,
-            with_codimensional_points=with_points | joined.consists_of_points,
+            with_codimensional_points=(with_points | joined.consists_of_points) & ~is_half_space,
             body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
             vertex_world=validated_worlds(
@@ -349,7 +373,7 @@ class CollisionMesh:
                 lambda vertex: of_body(bisect_right(offsets, vertex) - 1, names),
                 {b: label for b, label, _ in half_spaces},
             ),
-            planes=planes_of(half_spaces, joined.dimension),
+            planes=planes_of(half_spaces, joined.dimension, joined.offsets),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
 
@@ -393,8 +417,9 @@ class CollisionMesh:
         Returns:
             A mesh with ``count`` times as many bodies, vertices and worlds, copy after copy. The bodies of copy w are
             called ``name[w]``. Wherever positions are taken, those of all copies may be given as one array of shape
-            [count, V, 3], with the vertices of this mesh in each copy, also where it has several worlds. Half-spaces
-            are not copied: each stays one body, after those of all copies, with its own name, and all worlds share it.
+            [count, V, 3], with the vertices of this mesh in each copy, also where it has several worlds. Static
+            half-spaces are not copied: each stays one body, after those of all copies, with its own name, and all
+            worlds share it.
 
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
@@ -436,13 +461,22 @@ class CollisionMesh:
         )
 
     @lazy_property
+    def _is_free_alone(self) -> bool:
+        """The same, of bodies whose motion is not prescribed."""
+        return move_alone(
+            self._is_free, self.self_collision, *worlds_of_bodies(self.vertex_body, self.vertex_world, self.num_bodies)
+        )
+
+    @lazy_property
     def length_scale(self) -> float:
         """Longest side of the box around ``vertices``, 1 if it has none.
 
-        It is the default unit of tolerance and separation in every step.
+        It is the default unit of tolerance and separation in every step. Points of half-spaces are not in the box.
         """
+        points = self.planes.vertices[self.planes.vertices >= 0]
+        vertices = np.delete(self.vertices, points, axis=0) if len(points) else self.vertices
         with np.errstate(over="ignore"):
-            side = float(np.ptp(self.vertices, axis=0).max()) if self.num_vertices else 0.0
+            side = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         return min(side, float(np.finfo(np.float64).max)) or 1.0
 
     @property
@@ -535,16 +569,17 @@ class CollisionMesh:
 
         Args:
             vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
-            vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
-                vertices only, in the order of ``moving_vertices``, shape [V_moving, 3]. Of a mesh whose worlds have
-                equally many of them, either may have an axis of worlds before the others.
+            vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the
+                moving vertices only, in the order of ``moving_vertices``, shape [V_moving, 3]. Of a mesh whose worlds
+                have equally many of them, either may have an axis of worlds before the others.
 
         Returns:
             Start and end positions, float64, C order, shape [V, 3]; rows of static vertices are the same in both. An
             array that already has this form is returned as it is; otherwise the returned array is new, or a view.
 
         Raises:
-            ValueError: If a shape does not match or a value that is read is not finite.
+            ValueError: If a shape does not match, a value is not finite, or a row of a static body differs from that
+                in ``vertices_t0``; the sign of a zero is no difference.
         """
         start = self.frame(vertices_t0, "vertices_t0")
         by_world = self.rows_by_world
@@ -555,13 +590,12 @@ class CollisionMesh:
             )
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, by_world=by_world)
         moving = self.moving_vertices
-        ranges = self.static_vertex_ranges
-        if len(end) == len(start) and all(np.array_equal(start[low:high], end[low:high]) for low, high in ranges):
-            check_finite(end, "vertices_t1", where=self._where)
-            return start, end  # nothing to copy
         if len(end) == self.num_vertices:
-            end = end[moving]
-        elif len(end) != len(moving):
+            if end is not start:
+                check_finite(end, "vertices_t1", where=self._where)
+                self._check_static_stay(start, end)
+            return start, end  # nothing to copy
+        if len(end) != len(moving):
             raise ValueError(
                 f"vertices_t1 has shape {end.shape}; expected {start.shape} like vertices_t0 "
                 f"or {(len(moving), self.dimension)}, the moving vertices alone"
@@ -570,3 +604,38 @@ class CollisionMesh:
         full = start.copy()
         full[moving] = end
         return start, full
+
+    def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+        """Check that the rows of static bodies, which are finite, are the same at both ends."""
+        for low, high in self.static_vertex_ranges:
+            if not np.array_equal(start[low:high], end[low:high]):
+                raise ValueError(static_moves(self, range(low, high), start[low:high], end[low:high]))
+
+    @lazy_property
+    def _is_free(self) -> NDArray[np.bool_]:
+        """Bodies whose motion is not prescribed: neither static nor kinematic, shape [B]."""
+        free: NDArray[np.bool_] = ~(self.static | self.kinematic)
+        return free
+
+    @lazy_property
+    def _moves_planes(self) -> bool:
+        """Whether a half-space is kinematic."""
+        return bool((self.planes.vertices >= 0).any())
+
+
+def static_moves(
+    mesh: CollisionMesh, vertices: Sequence[int], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> str:
+    """What the error says where rows of static bodies differ at both ends of a step: which vertex moves the most."""
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(end - start, axis=1)
+    row = int(np.argmax(length))
+    vertex = int(vertices[row])
+    body = int(mesh.vertex_body[vertex])
+    own = vertex - int(mesh.body_vertex_range[body])
+    name = repr(mesh.names[body])
+    return (
+        f"vertices_t1 moves vertex {own} of {body_label(body, mesh.names)}, which is static, by {length[row]:.6g} "
+        f"(row {vertex}); expected its position in vertices_t0, or kinematic=[{name}] in place of static=[{name}] for "
+        f"a body that moves as it is told"
+    )

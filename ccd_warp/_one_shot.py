@@ -37,8 +37,8 @@ def find_candidates(
     The box of a primitive encloses its vertices at both ends of the step, is enlarged by ``inflation`` on every side,
     rounded outward, and is closed: boxes that only touch overlap. Where the mesh has radii, the box of each vertex also
     grows by the largest radius of the primitives that contain it. The collision filter of the mesh excludes pairs that
-    share a vertex, pairs of two static bodies, pairs within a body whose self-collision is off, and pairs excluded by
-    ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
+    share a vertex, pairs of bodies that are all static or kinematic, pairs within a body whose self-collision is off,
+    and pairs excluded by ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
 
     Four kinds of pair suffice: vertex-face, edge-edge, codimensional point with codimensional edge, and two
     codimensional points. The sets that collide are faces, codimensional edges and codimensional points. All are convex.
@@ -60,7 +60,7 @@ def find_candidates(
     Args:
         mesh: The bodies.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
-        vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
+        vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
         **options: Options of :class:`ccd_warp.CandidateOptions`.
@@ -71,8 +71,8 @@ def find_candidates(
         :meth:`ccd_warp.Candidates.sorted` gives in any case.
 
     Raises:
-        ValueError: If the positions do not match the mesh, a value that is read is not finite, or ``inflation`` or an
-            option is out of its range.
+        ValueError: If the positions do not match the mesh or are not finite, a static body moves, or ``inflation`` or
+            an option is out of its range.
         TypeError: If there is no such option.
 
     References:
@@ -184,9 +184,10 @@ def displacement_bounds(
 
     A pair shares what is between its primitives: the bound of a vertex is half the distance from one of its primitives
     to the nearest primitive outside its filter, less ``minimum_distance`` and radii, and all of it where the other one
-    is static. What is farther away than ``search_radius`` counts as just that far, so no bound is above half of it; it
-    is the whole of it where a single body moves, or one in each world, and does not collide with itself. One call
-    serves several iterations of a solver, until a vertex reaches its bound.
+    is static. A kinematic body counts as one that moves: its vertices have bounds as well, within which its motion has
+    to stay, or nothing is certain. What is farther away than ``search_radius`` counts as just that far, so no bound is
+    above half of it; it is the whole of it where a single body moves, or one in each world, and does not collide with
+    itself. One call serves several iterations of a solver, until a vertex reaches its bound.
 
     Args:
         mesh: The bodies.
@@ -229,7 +230,7 @@ def mesh_ccd(
     Args:
         mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
-        vertices_t1: End positions, shape [V, 3], whose rows of static bodies are ignored; or those of the moving
+        vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
@@ -242,8 +243,8 @@ def mesh_ccd(
         edge through the inside of a face, there is no contact: ``check_start``, or :func:`find_intersections`, tells.
 
     Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
-            ``memory_limit`` is too small; the message then says the least that suffices.
+        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
+            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
         TypeError: If there is no such option.
 
     References:
@@ -282,8 +283,8 @@ def collision_free_step(
         at the start, or approach each other from within their distance.
 
     Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
-            ``memory_limit`` is too small; the message then says the least that suffices.
+        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
+            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
         TypeError: If there is no such option.
 
     References:
@@ -324,8 +325,8 @@ def is_step_collision_free(
         comes so close that this cannot be excluded; with ``check_start`` also if surfaces cross at the start.
 
     Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or
-            ``memory_limit`` is too small; the message then says the least that suffices.
+        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
+            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
         TypeError: If there is no such option.
 
     References:
@@ -367,6 +368,10 @@ def line_search(
     times the gap, repeatedly, until the gap is resolved or 2⁻³⁰ of the displacement is left. Steps without a toi of 0
     need no additional round.
 
+    Kinematic bodies move as they are told. What one of them hits is shortened as others are, and stopped where the body
+    would hit it even at rest, which another round finds out. Then the body passes through it, and the pairs are
+    returned as ``struck``.
+
     Args:
         mesh: The bodies.
         vertices_t0: Start positions, as in :func:`mesh_ccd`.
@@ -374,8 +379,9 @@ def line_search(
         per: Which vertices share one fraction of their displacements. ``"scene"``: all vertices; ``"world"`` and
             ``"body"``: those of each world or body; ``"vertex"``: each vertex has its own fraction.
         safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
-        max_rounds: Largest number of calls of :func:`mesh_ccd`, at least 3. Where they do not suffice, all vertices of
-            a world move by one fraction, or not at all, and ``is_limited`` is set. Bodies and vertices with toi 0 are
+        max_rounds: Largest number of calls of :func:`mesh_ccd`, at least 3; with kinematic bodies there may be one
+            more. Where they do not suffice, all vertices of a world move by one fraction, or not at all, and
+            ``is_limited`` is set. Bodies and vertices with toi 0 are
             stopped at once where fewer than 6 rounds are left.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
@@ -385,7 +391,8 @@ def line_search(
         The end positions of the shortened step, and the fractions by which the vertices move.
 
     Raises:
-        ValueError: If an option is out of its range, or the positions do not match the mesh or are not finite.
+        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, or a static
+            body moves.
         TypeError: If there is no such option.
 
     References:
@@ -394,9 +401,10 @@ def line_search(
     Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
     that passes the mesh's filter touches, or comes within its distance, or, where one of its vertices was closer than
     that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair); except pairs
-    of ``touching``, whose vertices do not move. Proof: the last round checked exactly these rounded positions, and
-    every pair with a vertex that moves had toi ``inf`` there, which is certain. (After that round at most whole worlds
-    were moved back to their start.)
+    of ``touching``, whose vertices do not move, and of ``struck``, of which the kinematic side alone does. Where
+    ``struck`` is empty, no kinematic body passes through anything. Proof: the last round checked exactly these rounded
+    positions, and every pair with a free vertex that moves had toi ``inf`` there, which is certain. (After that round
+    at most whole worlds were moved back to their start, and with kinematic bodies one more finds what these strike.)
     """
     others = ["per", "safety", "max_rounds", "check_start"]
     chosen = options_of("line_search", LineSearchOptions, options, others=others)

@@ -286,7 +286,8 @@ class CollisionPipeline:
                 rows of the moving vertices only, if the static bodies stay where they were. Of a mesh whose W worlds
                 have equally many vertices, n each, also of shape [W, n] or [W, n, 3]. Of a mesh in the plane vec2f or
                 vec2d, and 2 in place of 3.
-            vertices_t1: End positions of the same type. Rows of static bodies are ignored.
+            vertices_t1: End positions of the same type; or rows of the moving vertices only. A static body whose rows
+                differ from those of its start has moved: its world has toi 0 and ``LaunchFlag.STATIC_MOVED``.
             displacements: Displacements in place of end positions; they are added to the start positions in float64. A
                 solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
                 of the motion.
@@ -303,8 +304,8 @@ class CollisionPipeline:
             As for :func:`ccd_warp.mesh_ccd`.
 
         Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the scene and for each world, body and vertex, whatever the
-        flags. A pair that exceeds the capacity counts with toi 0, and a world with a coordinate that is not finite has
-        toi 0.
+        flags. A pair that exceeds the capacity counts with toi 0, and a world with a coordinate that is not finite, or
+        a static body that moves, has toi 0.
         """
         if (vertices_t1 is None) == (displacements is None):
             given = "both" if vertices_t1 is not None else "neither"
@@ -341,19 +342,22 @@ class CollisionPipeline:
         Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
         pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
 
-        Stationary pairs are ignored: primitives whose vertices all stay where they are may touch.
+        Stationary pairs are ignored: primitives whose vertices all stay where they are may touch. Kinematic bodies move
+        as they are told. Where one meets vertices that stay, it passes through them: its world and the scene have
+        ``LaunchFlag.STRUCK``, and no toi is lowered by such a pair. With kinematic bodies one more pass, which shortens
+        nothing and keeps every toi, follows the others, and ``contacts`` are these pairs.
 
         Args:
             vertices_t0: Start positions, as in :meth:`launch`.
             vertices_t1: Desired end positions, of the same type; they are overwritten with those of the shortened step.
-                Rows of static bodies are neither read nor written.
+                Those of static and kinematic bodies are not written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
             num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
 
         Returns:
             The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
-            this pass had to stop is finite. The flags for pair overflow and invalid input cover all passes.
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts.
 
         Raises:
             ValueError: As in :meth:`launch`, or if an option is out of its range.
@@ -364,8 +368,9 @@ class CollisionPipeline:
 
         Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a
         vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
-        the start (as in :func:`ccd_warp.line_search`), whatever the flags. Proof: the final pass
-        checked exactly these rounded positions, and where its toi was not inf the vertices do not move.
+        the start (as in :func:`ccd_warp.line_search`), whatever the flags; but for pairs of which what is kinematic
+        alone moves, and then ``LaunchFlag.STRUCK`` is set, or a flag for what was not checked. Proof: the final pass
+        checked exactly these rounded positions, and where its toi was not inf free vertices do not move.
         """
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):

@@ -80,3 +80,8 @@ class LaunchFlag(IntFlag):
     ROUNDING_LIMIT = int(minima.ROUNDING_LIMIT)
     """Rounding hides the gap of a pair at the start, with ``CCDStatus.ROUNDING_LIMIT``; of a line search in its last
     pass."""
+    STATIC_MOVED = int(minima.STATIC_MOVED)
+    """An end position of a static body differs from its start position, and every toi of its world is 0."""
+
+    STRUCK = int(minima.STRUCK)
+    """A kinematic body strikes vertices that a line search has stopped; the pairs are among the contacts."""

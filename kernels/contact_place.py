@@ -159,6 +159,7 @@ def make_contact_points(real, dimension: int) -> SimpleNamespace:
         moving_row: wp.array[wp.int32],  # the place of each vertex among the moving ones; -1: it is static
         t1_by_vertex: int,  # 0: the rows are the moving vertices only
         plane_point: wp.array[wp.vec3d],
+        plane_vertex: wp.array[wp.int32],  # the vertex that is the point of one that moves, or -1; empty: none moves
         plane_unit: wp.array[wp.vec3d],  # their unit normals
         # out
         points: wp.array[wp.vec3d],
@@ -195,7 +196,13 @@ def make_contact_points(real, dimension: int) -> SimpleNamespace:
         points[n] = _HALF * first + _HALF * second
         if kind == VERTEX_PLANE:
             k = contacts.primitives[n][1]
-            h = _HALF * first - _HALF * plane_point[k]
+            p = plane_point[k]
+            if plane_vertex.shape[0] > 0:
+                if plane_vertex[k] >= 0:
+                    a = in_space(vertices_t0[plane_vertex[k]])
+                    row = wp.where(t1_by_vertex != 0, plane_vertex[k], moving_row[plane_vertex[k]])
+                    p = position(a, in_space(vertices_t1[row]), contacts.toi[n])
+            h = _HALF * first - _HALF * p
             unit = plane_unit[k]
             points[n] = first - (h[0] * unit[0] + h[1] * unit[1] + h[2] * unit[2]) * unit
 

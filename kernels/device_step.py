@@ -11,7 +11,7 @@ import warp as wp
 from .atomics import atomic_min_int64
 from .box_tree import WIDTH, BoxTree, Quantization, fill_block, unite_from, vertex_aabb, write_vertex_aabb
 from .in_space import make_in_space
-from .minima import INVALID_INPUT, Minima, flag_world, world_of
+from .minima import INVALID_INPUT, STATIC_MOVED, STRUCK, Minima, flag_world, is_kinematic, world_of
 from .once import once
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -34,6 +34,7 @@ def reset(
     begin: int,
     # in
     kept_flags: int,
+    keeps_toi: int,  # 1: every toi stays
     # out
     m: Minima,
     counts: wp.array2d[wp.int64],
@@ -42,13 +43,16 @@ def reset(
 ):
     """Set the toi of bodies, worlds and scene to infinity, counts to 0; clear all flags but those in ``kept_flags``."""
     i = begin + wp.tid()
-    if i < m.body.shape[0]:
-        m.body[i] = _INFINITY_BITS
     if i < m.world.shape[0]:
-        m.world[i] = _INFINITY_BITS
         m.world_flags[i] = m.world_flags[i] & kept_flags
+    if keeps_toi == 0:
+        if i < m.body.shape[0]:
+            m.body[i] = _INFINITY_BITS
+        if i < m.world.shape[0]:
+            m.world[i] = _INFINITY_BITS
+        if i == 0:
+            m.scene[0] = _INFINITY_BITS
     if i == 0:
-        m.scene[0] = _INFINITY_BITS
         if m.world.shape[0] > 1:  # otherwise the scene and its only world share their flags
             m.flags[0] = m.flags[0] & kept_flags
         num_contacts[0] = 0
@@ -64,13 +68,14 @@ def reset_vertices(
     # out
     m: Minima,
 ):
-    """Set the toi of each vertex to infinity, or to 0 in a world with a coordinate that is not finite.
+    """Set the toi of each vertex to infinity, or to 0 in a world whose input is not as it has to be.
 
-    The contacts of such a coordinate are unknown, so its whole world counts as touching. Runs after all input is read.
+    Of a coordinate that is not finite, or a static body that moves, contacts are unknown, so the whole world counts as
+    touching. Runs after all input is read.
     """
     v = begin + wp.tid()
     bits = _INFINITY_BITS
-    if (m.world_flags[world_of(m, v)] & INVALID_INPUT) != 0:
+    if (m.world_flags[world_of(m, v)] & (INVALID_INPUT | STATIC_MOVED)) != 0:
         bits = _ZERO_BITS
         atomic_min_int64(m.body, m.vertex_body[v], bits)
         atomic_min_int64(m.world, world_of(m, v), bits)
@@ -108,13 +113,16 @@ def keep_touched(
     """Activate the bodies of the worlds in which a contact was found, where the motion is about to be shortened.
 
     The other worlds are known to be free of contact and are not searched again. With ``by_scene``, a contact shortens
-    the motion in all worlds: then any contact activates all bodies.
+    the motion in all worlds: then any contact activates all bodies. What a kinematic body strikes is to be found again,
+    so that the last pass lists it.
     """
     v = vertices[begin + wp.tid()]
     bits = m.world[world_of(m, v)]
+    flags = m.world_flags[world_of(m, v)]
     if by_scene != 0:
         bits = m.scene[0]
-    if bits < _INFINITY_BITS:
+        flags = m.flags[0]
+    if bits < _INFINITY_BITS or (flags & STRUCK) != 0:
         body_active[m.vertex_body[v]] = 1
         is_any_active[0] = 1
 
@@ -243,12 +251,22 @@ def make_input(real, dimension: int) -> SimpleNamespace:
         if not (is_finite(a) and is_finite(b)):
             flag_world(m, v, INVALID_INPUT)
 
+    @wp.func
+    def stays(a: vec, b: vec, is_displacement: int) -> bool:
+        """Whether a vertex at a ends there, given its end position or its displacement."""
+        if is_displacement != 0:
+            return b == vec()
+        return a == b
+
     @wp.kernel(module=module)
     def read_static(
         begin: int,
         # in
         vertices: wp.array[wp.int32],
         vertices_t0: wp.array[vec],
+        vertices_t1: wp.array[vec],
+        t1_by_vertex: int,  # 0: it has no rows of static vertices
+        is_displacement: int,
         chunk: int,  # vertices of an item, as above
         # out
         start: wp.array[wp.vec3d],
@@ -258,6 +276,8 @@ def make_input(real, dimension: int) -> SimpleNamespace:
     ):
         """Read the positions of a chunk of static vertices, and set ``is_moved`` if one of them has changed.
 
+        A vertex that does not end where it starts flags its world.
+
         A vertex with a coordinate that is not finite keeps its last position, since later launches may not read it.
         """
         first = (begin + wp.tid()) * chunk
@@ -266,10 +286,36 @@ def make_input(real, dimension: int) -> SimpleNamespace:
             a = in_space(vertices_t0[v])
             if not is_finite(a):
                 flag_world(m, v, INVALID_INPUT)
-            elif not (a == start[v]):
+                continue
+            if not (a == start[v]):
                 is_moved[0] = 1  # until `settle`, when all boxes are up to date
                 start[v] = a
                 end[v] = a
+            if t1_by_vertex != 0:
+                if not stays(vertices_t0[v], vertices_t1[v], is_displacement):
+                    flag_world(m, v, STATIC_MOVED)
+
+    @wp.kernel(module=module)
+    def check_static(
+        begin: int,
+        # in
+        vertices: wp.array[wp.int32],
+        vertices_t1: wp.array[vec],
+        is_displacement: int,
+        chunk: int,  # vertices of an item, as above
+        start: wp.array[wp.vec3d],
+        # out
+        m: Minima,
+    ):
+        """Flag the worlds in which a static vertex of a chunk, which is where it was, does not end there."""
+        first = (begin + wp.tid()) * chunk
+        for k in range(first, wp.min(first + chunk, vertices.shape[0])):
+            v = vertices[k]
+            a = vec()
+            for i in range(wp.static(dimension)):
+                a[i] = real(start[v][i])
+            if not stays(a, vertices_t1[v], is_displacement):
+                flag_world(m, v, STATIC_MOVED)
 
     @wp.kernel(module=module)
     def shorten(
@@ -285,12 +331,14 @@ def make_input(real, dimension: int) -> SimpleNamespace:
         # in and out
         vertices_t1: wp.array[vec],
     ):
-        """Shorten the motion of a vertex to the share ``safety`` of the toi of the part that it moves with.
+        """Shorten the motion of a free vertex to the share ``safety`` of the toi of the part that it moves with.
 
         A share of 0 moves it back to exactly its start.
         """
         k = begin + wp.tid()
         v = vertices[k]
+        if is_kinematic(m, v):
+            return
         bits = m.scene[0]
         if per == PER_WORLD:
             bits = m.world[world_of(m, v)]
@@ -310,4 +358,4 @@ def make_input(real, dimension: int) -> SimpleNamespace:
                         x[i] = real((wp.float64(1.0) - f) * wp.float64(x[i]) + f * wp.float64(y[i]))
             vertices_t1[row] = x
 
-    return SimpleNamespace(read_moving=read_moving, read_static=read_static, shorten=shorten)
+    return SimpleNamespace(read_moving=read_moving, read_static=read_static, check_static=check_static, shorten=shorten)

@@ -4,10 +4,10 @@ import warp as wp
 
 from .atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
 from .contacts import ContactList
-from .minima import CONTACTS_OVERFLOW, FOUND, ROUNDING_LIMIT, Minima, flag_world, lower_primitive, world_of
+from .minima import CONTACTS_OVERFLOW, FOUND, ROUNDING_LIMIT, STRUCK, Minima, flag_world, lower_primitive, world_of
 from .pair_key import pair_key
 from .pair_kind import VERTEX_PLANE
-from .planes import PlaneQuery, Planes, meeting_of
+from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
 from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -46,14 +46,14 @@ def meet_planes(
     active: wp.array[wp.int32],  # by body: 0, its vertices are left out; empty, none is
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
-    only_moving: int,  # 1: a vertex that does not move is left out, so it may touch
+    only_moving: int,  # 1: a vertex that does not move is left out, so it may touch; planes that move strike it
     gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the vertex moves by this many gaps
     # out
     counts: wp.array2d[wp.int64],
     minima: Minima,
     contacts: ContactList,
 ):
-    """Meet every plane with a vertex that moves; lower the minima, list the contacts."""
+    """Meet every plane with a vertex that is free; lower the minima, list the contacts."""
     v = vertices[begin + wp.tid()]
     body = vertex_body[v]
     if active.shape[0] > 0:
@@ -61,26 +61,34 @@ def meet_planes(
             return
     x0 = vertices_t0[v]
     x1 = vertices_t1[v]
-    if only_moving != 0 and x0 == x1:
+    is_struck = only_moving != 0 and x0 == x1
+    if is_struck and planes.vertex.shape[0] == 0:
         return
     radius = _ZERO
     if box_radius.shape[0] > 0:
         radius = box_radius[v]
-    for k in range(planes.point.shape[0]):
-        if planes.meets[k, body] != wp.uint8(0):
-            meeting = meeting_of(x0, x1, radius, planes, k, query)
+    world = world_of(minima, v)
+    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
+        k = nth_plane(planes, i)
+        p0 = point_of(planes, k, vertices_t0)
+        p1 = point_of(planes, k, vertices_t1)
+        if planes.meets[k, body] != wp.uint8(0) and not (is_struck and p0 == p1):
+            meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
                     toi = meeting.toi
                     if gaps_moved > _ZERO and toi < _LOST_TOI:
-                        motion = wp.max(wp.abs(x1 - x0))
+                        motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
                         if gaps_moved * meeting.gap < motion:
                             toi = wp.max(toi, gaps_moved * meeting.gap / motion)
                     bits = wp.cast(toi, wp.int64)
-                    lower_primitive(minima, wp.vec3i(v, v, v), bits)
-                    atomic_min_int64(minima.body, planes.body[k], bits)
-                    atomic_min_int64(minima.world, world_of(minima, v), bits)
-                    atomic_min_int64(minima.scene, 0, bits)
+                    if is_struck:
+                        flag_world(minima, v, STRUCK)
+                    else:
+                        lower_primitive(minima, wp.vec3i(v, v, v), bits)
+                        atomic_min_int64(minima.body, planes.body[k], bits)
+                        atomic_min_int64(minima.world, world, bits)
+                        atomic_min_int64(minima.scene, 0, bits)
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     status = STATUS_COLLISION
                     if meeting.toi == _ZERO:
@@ -110,6 +118,7 @@ def bound_by_planes(
     planes: Planes,
     query: PlaneQuery,
     vertex_body: wp.array[wp.int32],
+    vertex_world: wp.array[wp.int32],  # empty where there is one world
     box_radius: wp.array[wp.float64],
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
@@ -123,9 +132,15 @@ def bound_by_planes(
     radius = _ZERO
     if box_radius.shape[0] > 0:
         radius = box_radius[v]
-    for k in range(planes.point.shape[0]):
+    world = int(0)
+    if vertex_world.shape[0] > 0:
+        world = vertex_world[v]
+    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
+        k = nth_plane(planes, i)
         if planes.meets[k, body] != wp.uint8(0):
-            meeting = meeting_of(vertices_t0[v], vertices_t1[v], radius, planes, k, query)
+            p0 = point_of(planes, k, vertices_t0)
+            p1 = point_of(planes, k, vertices_t1)
+            meeting = meeting_of(vertices_t0[v], vertices_t1[v], p0, p1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)

@@ -8,7 +8,9 @@ from .atomics import atomic_min_int64, set_bits
 PAIRS_OVERFLOW = wp.constant(1)
 CONTACTS_OVERFLOW = wp.constant(2)
 INVALID_INPUT = wp.constant(4)
-ROUNDING_LIMIT = wp.constant(8)
+STATIC_MOVED = wp.constant(8)
+STRUCK = wp.constant(16)
+ROUNDING_LIMIT = wp.constant(32)
 
 # Columns of the counts of a pair kind: pairs that the search found, those of them that the first round of the narrow
 # phase leaves open, and pairs whose boxes overlap. A row fills a cache line, so that rows do not share one.
@@ -32,6 +34,7 @@ class Minima:
 
     vertex_body: wp.array[wp.int32]
     vertex_world: wp.array[wp.int32]  # empty where there is one world
+    body_kinematic: wp.array[wp.int32]  # empty where no body is kinematic
     vertex: wp.array[wp.int64]
     body: wp.array[wp.int64]
     world: wp.array[wp.int64]
@@ -46,6 +49,14 @@ def world_of(m: Minima, v: int) -> int:
     if m.vertex_world.shape[0] > 0:
         return m.vertex_world[v]
     return 0
+
+
+@wp.func
+def is_kinematic(m: Minima, v: int) -> bool:
+    """Whether the body of a vertex is kinematic."""
+    if m.body_kinematic.shape[0] > 0:
+        return m.body_kinematic[m.vertex_body[v]] != 0
+    return False
 
 
 @wp.func

@@ -324,6 +324,7 @@ def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNames
                         vertices_t0,
                         vertices_t1,
                         options,
+                        only_moving,
                         gaps_moved,
                         minima,
                         contacts,

@@ -9,10 +9,10 @@ import warp as wp
 
 from .atomics import atomic_min_int64, claim
 from .meet_planes import is_pair_excluded
-from .minima import FOUND, Minima
+from .minima import FOUND, Minima, world_of
 from .pair_distance import UNDERFLOW, PairDistance
 from .pair_kind import VERTEX_PLANE
-from .planes import Planes, is_finite, scale_of, value_of
+from .planes import Planes, end_of_planes, first_plane, is_finite, nth_plane, point_of, scale_of, value_of
 from .proximity import ProximityList, Reach, record_proximity
 from .rounding import RELATIVE, UNIT_ROUNDOFF
 from .thickness import radius_of, sum_up
@@ -21,6 +21,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
+_HALF = wp.constant(wp.float64(0.5))
 _DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 # The length of a normal is rounded up by this.
 _LENGTH_UP = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
@@ -28,9 +29,8 @@ _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 
 
 @wp.func
-def plane_distance(x: wp.vec3d, planes: Planes, k: int) -> PairDistance:
-    """Distance of a point and a half-space; invariant: no point of the solid is closer than ``least``."""
-    p = planes.point[k]
+def plane_distance(x: wp.vec3d, p: wp.vec3d, planes: Planes, k: int) -> PairDistance:
+    """Distance of a point and a half-space with its plane at p; invariant: no solid is closer than ``least``."""
     s = scale_of(wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(p))))
     lost = planes.lost[k]
     value = value_of(s * x, s * p, planes.normal[k], s >= _ONE and lost == _ZERO, lost)
@@ -69,9 +69,12 @@ def list_near_planes(
     v = vertices[begin + wp.tid()]
     if not is_finite(x[v]):
         return
-    for k in range(planes.point.shape[0]):
-        if planes.meets[k, vertex_body[v]] != wp.uint8(0):
-            found = plane_distance(x[v], planes, k)
+    world = world_of(minima, v)
+    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
+        k = nth_plane(planes, i)
+        p = point_of(planes, k, x)
+        if planes.meets[k, vertex_body[v]] != wp.uint8(0) and is_finite(p):
+            found = plane_distance(x[v], p, planes, k)
             if found.least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
@@ -96,13 +99,21 @@ def bound_by_half_spaces(
     v = vertices[begin + wp.tid()]
     if not is_finite(x[v]):
         return
-    for k in range(planes.point.shape[0]):
-        if planes.meets[k, vertex_body[v]] != wp.uint8(0):
-            least = plane_distance(x[v], planes, k).least
+    world = world_of(minima, v)
+    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
+        k = nth_plane(planes, i)
+        p = point_of(planes, k, x)
+        if planes.meets[k, vertex_body[v]] != wp.uint8(0) and is_finite(p):
+            least = plane_distance(x[v], p, planes, k).least
             if least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
                     if not gap > _ZERO:
                         gap = _ZERO
+                    if planes.vertex.shape[0] > 0:
+                        point = planes.vertex[k]
+                        if point >= 0:  # the plane may move as well: each takes a half
+                            gap = wp.max(_HALF * gap - UNDERFLOW, _ZERO)
+                            atomic_min_int64(minima.vertex, point, wp.cast(gap, wp.int64))
                     atomic_min_int64(minima.vertex, v, wp.cast(gap, wp.int64))

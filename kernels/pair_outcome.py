@@ -9,7 +9,7 @@ from .contact_normal import ContactGap, contact_at
 from .contacts import ContactList
 from .hold import held_at, is_lost
 from .lane_solver import make_lane_solver
-from .minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, Minima, flag_world, lower_pair
+from .minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, STRUCK, Minima, flag_world, is_kinematic, lower_pair
 from .norm import MAXIMUM_NORM, is_ball, is_by_pair
 from .once import once
 from .pair_options import make_pair_options
@@ -214,6 +214,25 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         """`contact_at`."""
         return contact_at(kind, first, second, vertices_t0, vertices_t1, t, uv)
 
+    @wp.func(inline=False)
+    def is_struck(
+        first: wp.vec3i,
+        second: wp.vec3i,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        minima: Minima,
+    ) -> bool:
+        """Whether of a pair only what is kinematic moves."""
+        free = first
+        if is_kinematic(minima, first[0]):
+            free = second
+        elif not is_kinematic(minima, second[0]):
+            return False
+        for k in range(3):
+            if not (vertices_t0[free[k]] == vertices_t1[free[k]]):
+                return False
+        return True
+
     @wp.func(inline=True)
     def record_contact(
         kind: int,
@@ -224,12 +243,16 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
         options: Options,
+        only_moving: int,
         gaps_moved: wp.float64,
         # out
         minima: Minima,
         contacts: ContactList,
     ):
-        """Lower the minima, and append the contact to the list if there is capacity; ``options`` are of all pairs."""
+        """Lower the minima, and append the contact to the list if there is capacity; ``options`` are of all pairs.
+
+        With ``only_moving`` a pair of which only what is kinematic moves sets a flag in place of lowering the minima.
+        """
         is_held = bool(False)
         if wp.static(has_own):
             if held_at(options.hold, first, second) < infinite:
@@ -248,7 +271,10 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
             motion = motion_of(kind, first, second, vertices_t0, vertices_t1)
             if gaps_moved * outcome.gap < motion:
                 toi = wp.max(toi, gaps_moved * outcome.gap / motion)
-        lower_pair(minima, first, second, wp.cast(toi, wp.int64))
+        if only_moving != 0 and is_struck(first, second, vertices_t0, vertices_t1, minima):
+            flag_world(minima, first[0], STRUCK)
+        else:
+            lower_pair(minima, first, second, wp.cast(toi, wp.int64))
         n = claim_int(contacts.count, 0)
         if n < contacts.toi.shape[0]:
             contacts.kind[n] = kind

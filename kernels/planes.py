@@ -4,12 +4,17 @@ The solid is where (x - p)·n < 0. A vertex moves on a straight line, so f(t) = 
 ends of the step says all: edges and faces are hulls of their vertices, and meet the plane with one of these first.
 There is nothing to iterate, so the tolerance plays no part.
 
+The point of a plane may move, too, on a straight line from p0 to p1, while its normal stays. Then x(t) - p(t) is linear
+in t, and f(t) = (x(t) - p(t))·n is, so all of the following holds with p0 for p at the start and p1 at the end: each
+difference is formed of two given numbers.
+
 Rounding, with u = 2^-53. All numbers of the input are exact, those of the normal and the point too.
 
-1. **Scale.** Coordinates are multiplied by 2^-16 if one exceeds 2^1000, so that nothing overflows, and by 2^600 if all
-   are below 2^-400, so that no product is subnormal: exact, but for 2^-1075 where small ones lose bits beside those
-   above 2^1000. The normal is multiplied by the power of two with which its largest component is in [1, 2): exact, but
-   for 2^-1075 where a component becomes subnormal. ``lost`` is then 2^-1070, and 0 for all other normals.
+1. **Scale.** Coordinates, those of the vertex and of the point at both ends, are multiplied by 2^-16 if one exceeds
+   2^1000, so that nothing overflows, and by 2^600 if all are below 2^-400, so that no product is subnormal: exact, but
+   for 2^-1075 where small ones lose bits beside those above 2^1000. The normal is multiplied by the power of two with
+   which its largest component is in [1, 2): exact, but for 2^-1075 where a component becomes subnormal. ``lost`` is
+   then 2^-1070, and 0 for all other normals.
 2. **Value.** F = fl(Σ n_k (x_k - p_k)): each term has the roundings of a difference, a product and two sums, so |F -
    f| ≤ 4.01u Σ|n_k (x_k - p_k)|. S, that sum as it is computed, is at most 4.01u less, so E = 4.5u S covers the error.
    What step 1 and products lose by underflow is covered by ABSOLUTE = 2^-1000, and where a component of the normal has
@@ -31,8 +36,9 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
 6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`).
-   The change of f over the step is (x(1) - x(0))·n, with the error of step 2. If it is certainly not negative, the
-   vertex is free, also in the solid: a half-space has a side to leave by. Otherwise the vertex keeps h = F - E at the
+   The change of f over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25 times both cover
+   their difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a
+   side to leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the
    start, less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter
    the solid. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these roundings, and
    toi is 0.
@@ -61,6 +67,7 @@ _DOWN = wp.constant(wp.float64(1.0 - 6.0 * _U))
 _GAP = wp.constant(wp.float64(8.0 * _U))
 _GAP_UP = wp.constant(wp.float64(1.0 + 32.0 * _U))
 _MARGIN = wp.constant(wp.float64(16.0))
+_SURE = wp.constant(wp.float64(1.25))
 _LEAST_TOI = wp.constant(wp.float64(2.0**-1000))
 _LEAST_GAP = wp.constant(wp.float64(2.0**-1074))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -71,7 +78,10 @@ _ONE = wp.constant(wp.float64(1.0))
 class Planes:
     """The planes of all half-spaces, in space; those of a mesh in the plane have z = 0."""
 
-    point: wp.array[wp.vec3d]
+    point: wp.array[wp.vec3d]  # of those that do not move
+    vertex: wp.array[wp.int32]  # the vertex that is the point of one that moves, or -1; empty: none moves
+    world_begin: wp.array[wp.int32]  # first entry of each world in the next array, and the end; empty: all meet all
+    of_world: wp.array[wp.int32]  # the planes that the vertices of each world meet
     normal: wp.array[wp.vec3d]  # times a power of two: the largest component is in [1, 2)
     lost: wp.array[wp.float64]  # step 1
     length: wp.array[wp.float64]  # of the normal, Euclidean, rounded up
@@ -156,14 +166,56 @@ def is_clear(x: wp.vec3d, p: wp.vec3d, n: wp.vec3d, reach: wp.float64) -> bool:
 
 
 @wp.func
-def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k: int, query: PlaneQuery) -> Meeting:
+def point_of(planes: Planes, k: int, x: wp.array[wp.vec3d]) -> wp.vec3d:
+    """A point of a plane, where vertices are at positions ``x``."""
+    if planes.vertex.shape[0] > 0:
+        v = planes.vertex[k]
+        if v >= 0:
+            return x[v]
+    return planes.point[k]
+
+
+@wp.func
+def first_plane(planes: Planes, world: int) -> int:
+    """The first of the planes that the vertices of a world meet, as a number for `nth_plane`."""
+    if planes.world_begin.shape[0] > 0:
+        return planes.world_begin[world]
+    return 0
+
+
+@wp.func
+def end_of_planes(planes: Planes, world: int) -> int:
+    """The end of these numbers."""
+    if planes.world_begin.shape[0] > 0:
+        return planes.world_begin[world + 1]
+    return planes.body.shape[0]
+
+
+@wp.func
+def nth_plane(planes: Planes, n: int) -> int:
+    """The plane of such a number."""
+    if planes.world_begin.shape[0] > 0:
+        return planes.of_world[n]
+    return n
+
+
+@wp.func
+def meeting_of(
+    x0: wp.vec3d,
+    x1: wp.vec3d,
+    p0: wp.vec3d,
+    p1: wp.vec3d,
+    radius: wp.float64,
+    planes: Planes,
+    k: int,
+    query: PlaneQuery,
+) -> Meeting:
     """When a vertex that moves from x0 to x1 comes within its distance of a half-space; its toi is never late.
 
-    A position that is not finite meets nothing: its world has toi 0 for that.
+    The point of plane k moves from p0 to p1. A position that is not finite meets nothing: its world has toi 0 for that.
     """
     meeting = Meeting()
     meeting.toi = wp.float64(wp.inf)
-    p = planes.point[k]
     n = planes.normal[k]
     size = planes.sum[k]
     if query.is_euclidean != 0:
@@ -172,18 +224,21 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k
     distance = query.distance + radius
     if lost == _ZERO:
         reach = distance * size * _UP
-        if is_clear(x0, p, n, reach) and is_clear(x1, p, n, reach):
+        if is_clear(x0, p0, n, reach) and is_clear(x1, p1, n, reach):
             return meeting
-    if not (is_finite(x0) and is_finite(x1)):
+    if not (is_finite(x0) and is_finite(x1) and is_finite(p0) and is_finite(p1)):
         return meeting
-    s = scale_of(wp.max(wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1))), wp.max(wp.abs(p))))
+    largest_x = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
+    largest_p = wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1)))
+    s = scale_of(wp.max(largest_x, largest_p))
     if s != _ONE:
         x0 = s * x0
         x1 = s * x1
-        p = s * p
+        p0 = s * p0
+        p1 = s * p1
     is_exact = s >= _ONE and lost == _ZERO
-    start = value_of(x0, p, n, is_exact, lost)
-    end = value_of(x1, p, n, is_exact, lost)
+    start = value_of(x0, p0, n, is_exact, lost)
+    end = value_of(x1, p1, n, is_exact, lost)
     reach = wp.min(distance * s * size * _UP, _FAR)
     if query.start_gap_fraction > _ZERO:
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
@@ -191,7 +246,8 @@ def meeting_of(x0: wp.vec3d, x1: wp.vec3d, radius: wp.float64, planes: Planes, k
     b = end.f - (end.error + reach) * _UP
     if query.holds != 0 and not a > _ZERO:
         change = value_of(x1, x0, n, is_exact, lost)
-        if change.f >= change.error:
+        of_plane = value_of(p1, p0, n, is_exact, lost)
+        if change.f - of_plane.f >= _SURE * (change.error + of_plane.error):
             return meeting
         reach = wp.min(reach, wp.max(start.f - start.error - _MARGIN * (start.error + end.error), _ZERO))
         b = end.f - (end.error + reach) * _UP

@@ -319,7 +319,18 @@ def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
                 first = first_corners[pair[0]]
                 second = second_corners[pair[1]]
                 record_contact(
-                    kind, pair, first, second, outcome, vertices_t0, vertices_t1, options, gaps_moved, minima, contacts
+                    kind,
+                    pair,
+                    first,
+                    second,
+                    outcome,
+                    vertices_t0,
+                    vertices_t1,
+                    options,
+                    only_moving,
+                    gaps_moved,
+                    minima,
+                    contacts,
                 )
 
         return solve_pairs

@@ -86,14 +86,15 @@ def exact_planes(mesh, x):
     """The same for vertices and half-spaces, whatever their distance."""
     found = {}
     is_allowed = listing(mesh)
-    for k, (point, normal, body) in enumerate(zip(*vars(mesh.planes).values(), strict=True)):
+    for k, (point, normal, body, vertex) in enumerate(zip(*vars(mesh.planes).values(), strict=True)):
+        point = point if vertex < 0 else x[vertex]
         squared = sum(Fraction(n) ** 2 for n in normal.tolist())
         length = (Decimal(squared.numerator) / Decimal(squared.denominator)).sqrt()
-        for v in mesh.moving_vertices.tolist():
+        for v in np.flatnonzero(~(mesh.static | mesh.kinematic)[mesh.vertex_body]).tolist():
             if mesh.body_pairs is not None and not mesh.body_pairs[mesh.vertex_body[v], body]:
                 continue
             if is_allowed(ccd.PairKind.VERTEX_PLANE, (v, k)):
-                f = plane_value(mesh, k, x[v])
+                f = plane_value(mesh, k, x[v], x)
                 exact = float(Decimal(f.numerator) / Decimal(f.denominator) / length)
                 radius = 0.0 if mesh.radius is None else mesh.radius[v]
                 found[(int(ccd.PairKind.VERTEX_PLANE), v, k)] = exact, radius, np.linalg.norm(x[v] - point)
@@ -122,14 +123,18 @@ def exact_bounds(mesh, x, search_radius, kept=0.0):
     moving = ~mesh.static[mesh.vertex_body]
     bodies = np.flatnonzero(~mesh.static)  # each in a single world
     worlds = mesh.vertex_world[mesh.body_vertex_range[bodies]]
-    is_alone = not mesh.self_collision[bodies].any() and 0 < len({*worlds.tolist()}) == len(bodies)
+    collides = (mesh.self_collision | mesh.kinematic)[bodies].any()
+    is_alone = not collides and 0 < len({*worlds.tolist()}) == len(bodies)
     bounds = np.where(moving, search_radius if is_alone else 0.5 * search_radius, 0.0)
     largest = 0.0
     for (kind, *pair), (exact, radii, size) in exact_proximities(mesh, x, search_radius + kept).items():
         is_plane = kind == ccd.PairKind.VERTEX_PLANE
         corners = np.array(pair[:1]) if is_plane else corners_of(mesh, kind, [pair])[0]
+        is_static_plane = is_plane and mesh.planes.vertices[pair[1]] < 0
+        if is_plane and not is_static_plane:
+            corners = np.append(corners, mesh.planes.vertices[pair[1]])
         gap = max(exact - kept - radii, 0.0)
-        share = gap if is_plane or not moving[corners].all() else 0.5 * gap
+        share = gap if is_static_plane or not moving[corners].all() else 0.5 * gap
         chosen = corners[moving[corners]]
         bounds[chosen] = np.minimum(bounds[chosen], share)
         largest = max(largest, size)

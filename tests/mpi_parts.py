@@ -30,10 +30,10 @@ def whole_mesh(mesh):
     is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
     with_points = np.zeros(mesh.num_bodies, dtype=bool)
     with_points[mesh.vertex_body[mesh.codimensional_points]] = True
-    state = {name: getattr(mesh, name) for name in ("vertices", "body_vertex_range", "static", "self_collision")}
+    state = {name: getattr(mesh, name) for name in ("vertices", "body_vertex_range", "static", "kinematic")}
     state |= {
         name: getattr(mesh, name)
-        for name in ("body_pairs", "exclusion_rings", "vertex_world", "names", "radius", "planes")
+        for name in ("self_collision", "body_pairs", "exclusion_rings", "vertex_world", "names", "radius", "planes")
     }
     return ccd.CollisionMesh(
         faces=mesh.faces[order[is_first]],
@@ -81,6 +81,7 @@ class Cut:
             edges=place[edges],
             bodies=mesh.vertex_body[self.rows],
             static=np.setdiff1d(np.flatnonzero(mesh.static), mesh.planes.bodies).tolist(),
+            kinematic=np.flatnonzero(mesh.kinematic).tolist(),
             self_collision=mesh.self_collision,
             codimensional_points=with_points,
             body_pairs=mesh.body_pairs,
@@ -172,9 +173,10 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
         assert_same_bits("vertex_fraction", found.vertex_fraction, expected.vertex_fraction[cut.rows])
         assert (found.fraction, found.num_rounds) == (expected.fraction, expected.num_rounds)
         assert found.is_limited == expected.is_limited
-        every = found.touching.to_root()
-        if is_root:
-            compare_contacts(every, expected.touching)
+        for name in ("touching", "struck"):
+            every = getattr(found, name).to_root()
+            if is_root:
+                compare_contacts(every, getattr(expected, name))
     else:
         found = getattr(pipeline, call)(*here)
         expected = comm.bcast(getattr(one, call)(start, end) if is_root else None)

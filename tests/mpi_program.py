@@ -68,6 +68,7 @@ def pile():
     )
     speed = 0.8 * rng.standard_normal((27, 3))
     calls = [*ALL_CALLS, "line_search body", "displacement_bounds"]
+    speed[[0, 13]] = 0.0
     check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
 
 
@@ -282,7 +283,8 @@ def random_scenes(alone=14, meshes=6, worlds=6):
             bodies, static=static, codimensional_points=k % 3 == 0, vertex_world=np.array(world)
         )
         calls = [["mesh_ccd"], ["collision_free_step"], ["find_candidates"], ["line_search vertex"]][k % 4]
-        scene = mesh, mesh.vertices, np.concatenate(ends)
+        end = scenes.with_static_at_rest(mesh, mesh.vertices, np.concatenate(ends))
+        scene = mesh, mesh.vertices, end
         check(scene, lambda mesh, k=k: interleaved(mesh, k), calls, with_owners=k % 5 == 0)
 
 
@@ -327,6 +329,20 @@ def half_spaces():
     assert (ccd.find_intersections(mesh, deep).kind == ccd.IntersectionKind.VERTEX_PLANE).any()
 
 
+def kinematic_bodies():
+    """Bodies that move as they are told, through what is in their way, beside static ones and a ground."""
+    rng = np.random.default_rng(9)
+    boxes = trimesh.creation.box(extents=(0.4, 0.4, 0.4)).subdivide()
+    places = np.array([[i, j, 0.0] for i in range(3) for j in range(3)])
+    bodies = [(boxes.vertices + 0.5 * place, boxes.faces) for place in places]
+    bodies.append(ccd.HalfSpace([0, 0, -0.25], [0, 0.1, 1]))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], kinematic=[1, 4, 7], self_collision=False)
+    speed = 0.3 * rng.standard_normal((10, 3))
+    speed[0] = 0.0
+    calls = [*ALL_CALLS, *SEARCHES, "find_proximity", "find_intersections", "displacement_bounds"]
+    check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
+
+
 def planes_and_nothing_else():
     """Particles that meet a ground alone, in worlds; some of them are static."""
     points = np.random.default_rng(6).random((60, 3))
@@ -335,6 +351,7 @@ def planes_and_nothing_else():
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False, vertex_world=world)
     end = points - [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
     start = points * [1, 1, 0.3] + [0, 0, 0.12]
+    end = scenes.with_static_at_rest(mesh, start, end)
     check((mesh, start, end), interleaved, [*ALL_CALLS, "line_search world", "displacement_bounds"])
 
 
@@ -508,6 +525,7 @@ CASES = [
     work_that_open_pairs_share,
     radii,
     half_spaces,
+    kinematic_bodies,
     planes_and_nothing_else,
     copies_of_a_body_that_moves_alone,
     in_the_plane,

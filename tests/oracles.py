@@ -31,7 +31,7 @@ def boxes_of(primitives, frames, inflation):
 
 def brute_force(mesh, start, end, inflation=0.0):
     """All candidates of each kind, as sorted lists of tuples."""
-    end = np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+    prescribed = mesh.static | mesh.kinematic
     vertices = np.arange(mesh.num_vertices)
     ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
     ids |= {"p": mesh.codimensional_points, "s": mesh.codimensional_edges}
@@ -49,7 +49,8 @@ def brute_force(mesh, start, end, inflation=0.0):
         for i in range(len(lower_i)):
             overlap = ((lower_i[i] <= upper_j) & (lower_j <= upper_i[i])).all(axis=1)
             overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
-            overlap &= ~(mesh.static[body[first][i]] & mesh.static[body[second]])
+            overlap &= ~(prescribed[body[first][i]] & prescribed[body[second]])
+            overlap &= not (first == "v" and i in mesh.planes.vertices)
             overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
             pairs += [
                 (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
@@ -60,19 +61,25 @@ def brute_force(mesh, start, end, inflation=0.0):
     return [[pair for pair in pairs if is_allowed(kind, pair)] for kind, pairs in enumerate(found)]
 
 
-def plane_value(mesh, plane, x):
-    """(x - point)·normal of a plane of a mesh, exactly."""
-    sides = (np.asarray(a).tolist() for a in (x, mesh.planes.points[plane], mesh.planes.normals[plane]))
+def plane_value(mesh, plane, x, positions=None):
+    """(x - point)·normal of a plane of a mesh, exactly; the point of one that moves is among the positions."""
+    vertex = mesh.planes.vertices[plane]
+    point = mesh.planes.points[plane] if vertex < 0 else positions[vertex]
+    sides = (np.asarray(a).tolist() for a in (x, point, mesh.planes.normals[plane]))
     return sum((Fraction(a) - Fraction(p)) * Fraction(n) for a, p, n in zip(*sides, strict=True))
 
 
 def near_planes(mesh, frames, inflation):
-    """Moving vertices whose boxes overlap half-spaces in a step, both enlarged, with the planes."""
+    """Free vertices whose boxes overlap half-spaces in a step, both enlarged, with the planes."""
     found = []
-    for vertex in mesh.moving_vertices.tolist():
+    is_free = ~(mesh.static | mesh.kinematic)[mesh.vertex_body]
+    for vertex in np.flatnonzero(is_free).tolist():
         for plane, normal in enumerate(mesh.planes.normals.tolist()):
+            point = mesh.planes.vertices[plane]
+            if point >= 0 and mesh.vertex_world[point] != mesh.vertex_world[vertex]:
+                continue
             reach = 2 * Fraction(inflation) * sum(abs(Fraction(n)) for n in normal)
-            if any(plane_value(mesh, plane, x[vertex]) <= reach for x in frames):
+            if any(plane_value(mesh, plane, x[vertex], x) <= reach for x in frames):
                 found.append((vertex, plane))
     return found
 
@@ -110,6 +117,12 @@ def exact_pairs(mesh, start, end):
             exact = exact_tois(kind.name.lower().replace("_", "-"), start[corners], end[corners])
             found |= {(int(kind), *pair): e for pair, e in zip(pairs, exact, strict=True) if e.hit}
     return found
+
+
+def rows(contacts):
+    """Contacts as a mapping from kind and primitives to toi."""
+    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
+    return dict(zip(map(tuple, keys), contacts.toi.tolist(), strict=True))
 
 
 def check_candidates(mesh, start, end, inflation=0.0, device=None, num_threads=1):

@@ -72,6 +72,28 @@ def sheet(n, size=1.0):
     return vertices, faces
 
 
+def with_static_at_rest(mesh, start, end):
+    """The end positions, with static bodies where they start."""
+    return np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+
+
+def crowd_of_all_kinds(rng, count=8, **options):
+    """Three bodies of faces, cables and particles, mixed, that move at random: mesh, start and end positions.
+
+    Cables and particles stay in one plane, where they meet, and some pairs of particles meet head-on.
+    """
+    bodies = [cables_and_particles(rng, count, 0.2) for _ in range(3)]
+    names = ["net", "rope", "dust"]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, names=names, **options)
+    start, particles = mesh.vertices.copy(), mesh.codimensional_points
+    end = start + 0.2 * rng.standard_normal(start.shape)
+    in_plane = np.append(mesh.edges[mesh.codimensional_edges], particles)
+    start[in_plane, 2] = end[in_plane, 2] = 0.5
+    a, b, *_ = particles[: len(particles) // 4 * 4].reshape(-1, 4).T
+    end[a], end[b] = start[b], start[a]
+    return mesh, start, with_static_at_rest(mesh, start, end)
+
+
 def sheet_over_ball():
     """A sheet that falls through a static ball: mesh, start and end positions."""
     vertices, faces = sheet(12)

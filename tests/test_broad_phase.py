@@ -21,6 +21,7 @@ from scenes import (
     single,
     soup,
     stacked,
+    with_static_at_rest,
 )
 
 import ccd_warp as ccd
@@ -203,7 +204,8 @@ def cables():
     mesh = ccd.CollisionMesh.from_arrays(
         [cables_and_particles(rng, 20, 0.15), cables_and_particles(rng, 10, 0.3)], codimensional_points=True, static=[1]
     )
-    return mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def worlds():
@@ -220,7 +222,8 @@ def in_the_plane():
         (segments.reshape(-1, 2) * 10, np.arange(120).reshape(-1, 2)),
     ]
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[2])
-    return mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def body_far_from_the_others():
@@ -361,7 +364,7 @@ def random_scene(seed):
     mesh_options = {"t_max": float(rng.choice([1.0, 1.0, 0.3]))}
     if rng.random() < 0.3:
         mesh_options["minimum_separation"] = float(rng.choice([1e-6, 0.01, 0.5]))
-    return mesh, start, end, mesh_options
+    return mesh, start, with_static_at_rest(mesh, start, end), mesh_options
 
 
 @pytest.mark.parametrize("block", range(20))

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from scenes import soup
+from scenes import soup, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp import CollisionMesh, CollisionPipeline, PairKind, find_candidates
@@ -16,7 +16,8 @@ NAMES = ("vertex_face", "edge_edge", "point_segment", "point_point")
 def three_bodies(rng, **options):
     """Three bodies in one place, moved."""
     mesh = CollisionMesh.from_arrays([soup(rng, n, 0.1) for n in (900, 300, 600)], **options)
-    return mesh, mesh.vertices, mesh.vertices + 0.05 * rng.standard_normal(mesh.vertices.shape)
+    end = mesh.vertices + 0.05 * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def worlds(rng):
@@ -46,7 +47,7 @@ def one_place(rng, num_faces=60, num_particles=200):
     particles = 0.01 * rng.standard_normal((num_particles, 3))
     cables = np.arange(num_particles // 2).reshape(-1, 2)
     mesh = CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
-    return mesh, mesh.vertices, -mesh.vertices
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
 
 
 SCENES = {
@@ -111,7 +112,9 @@ def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):
     start[1800:] = still.reshape(-1, 3, 3)[rng.permutation(600)].reshape(
         -1, 3
     )  # neighbours of the rest configuration are no longer near
-    near, far = (start + size * rng.standard_normal(start.shape) for size in (0.01, 0.1))
+    near, far = (
+        with_static_at_rest(mesh, start, start + size * rng.standard_normal(start.shape)) for size in (0.01, 0.1)
+    )
     expected = [CollisionPipeline(mesh, device=device).find_candidates(start, end) for end in (near, far)]
     assert len(expected[0].edge_edge) > 500
     pipeline = CollisionPipeline(mesh, device=device)

@@ -88,6 +88,16 @@ def test_quiet_prints_nothing(scene, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_kinematic_bodies_are_not_tested_with_static_ones(scene, capfd):
+    arguments = ("--static", scene / "floor.ply", "--kinematic", "start.ply")
+    assert _run(scene, *arguments, "--fail-on-contact") == 0
+    out = capfd.readouterr().out
+    assert "kinematic" in out and "pairs of static and kinematic bodies" in out
+    for name in ("wall", "floor.ply"):  # nobody, and one that does not move
+        message = _refused(capfd, "run", scene / "start.ply", scene / "end.ply", *arguments[:2], "--kinematic", name)
+        assert f"--kinematic {name}: no body that moves has this name; expected one of start.ply" in message
+
+
 def test_any_number_of_obstacles(scene, capfd):
     write_mesh(scene / "far.ply", np.eye(3) + 50.0, np.array([[0, 1, 2]]))
     """One a time, before the frames or after them; a second of the same name is told apart."""

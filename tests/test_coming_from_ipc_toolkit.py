@@ -109,6 +109,9 @@ def test_static_obstacles_are_left_out_alike():
     theirs.can_collide = ipctk.make_static_obstacle_filter(0)
     assert ipctk.compute_collision_free_stepsize(theirs, start, end) == 1.0
     both = ccd.CollisionMesh.from_arrays([(start[:3], FACES[:1]), (start[3:], FACES[:1])], static=[0, 1])
+    with pytest.raises(ValueError, match=r"which is static, by .* kinematic="):
+        ccd.collision_free_step(both, start, end)
+    both = ccd.CollisionMesh.from_arrays([(start[:3], FACES[:1]), (start[3:], FACES[:1])], kinematic=[0, 1])
     assert ccd.collision_free_step(both, start, end) == 1.0
 
 

@@ -6,7 +6,14 @@ import pickle
 import numpy as np
 import pytest
 import warp as wp
-from scenes import FACE, NO_FACES, TRIANGLE, cloth_and_ball_in_worlds, named_cloth_and_ball
+from scenes import (
+    FACE,
+    NO_FACES,
+    TRIANGLE,
+    cloth_and_ball_in_worlds,
+    named_cloth_and_ball,
+    with_static_at_rest,
+)
 
 import ccd_warp as ccd
 from ccd_warp import viz
@@ -122,7 +129,7 @@ def test_results_are_copied_and_pickled_with_all_that_they_know(step, copied):
 def test_what_a_line_search_could_not_move_is_located():
     standing = np.array([[0.1, 0.2, 0.0], [0.2, 0.2, 1.0], [0.1, 0.3, 1.0]])  # on one vertex
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (standing, FACE)], static=["floor"], names=["floor", "leg"])
-    end = mesh.vertices - [0, 0, 0.5]
+    end = with_static_at_rest(mesh, mesh.vertices, mesh.vertices - [0, 0, 0.5])
     touching = ccd.line_search(mesh, mesh.vertices, end, per="vertex").touching
     (foot,) = touching[touching.kind == ccd.PairKind.VERTEX_FACE]
     assert (

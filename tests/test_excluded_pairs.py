@@ -6,31 +6,14 @@ import pickle
 import numpy as np
 import pytest
 from launches import CAPACITIES, check_same, on_device
-from oracles import brute_force, check_candidates, exact_pairs
-from scenes import cables_and_particles, single, stacked
+from oracles import brute_force, check_candidates, exact_pairs, rows
+from scenes import cables_and_particles, crowd_of_all_kinds, single, stacked
 
 import ccd_warp as ccd
 from ccd_warp._engine.contact_corners import contact_vertices
 
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point")
 PAIR_KEYS = KEYS[2:]
-
-
-def crowd_of_all_kinds(rng, count=8, **options):
-    """Three bodies of faces, cables and particles, mixed, that move at random: mesh, start and end positions.
-
-    Cables and particles stay in one plane, where they meet, and some pairs of particles meet head-on.
-    """
-    bodies = [cables_and_particles(rng, count, 0.2) for _ in range(3)]
-    names = ["net", "rope", "dust"]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, names=names, **options)
-    start, particles = mesh.vertices.copy(), mesh.codimensional_points
-    end = start + 0.2 * rng.standard_normal(start.shape)
-    in_plane = np.append(mesh.edges[mesh.codimensional_edges], particles)
-    start[in_plane, 2] = end[in_plane, 2] = 0.5
-    a, b, *_ = particles[: len(particles) // 4 * 4].reshape(-1, 4).T
-    end[a], end[b] = start[b], start[a]
-    return mesh, start, end
 
 
 def some_pairs(rng, mesh, key, share=0.4):
@@ -44,12 +27,6 @@ def some_pairs(rng, mesh, key, share=0.4):
     if key in ("edge_edge", "point_point"):
         pairs[::2] = pairs[::2, ::-1]
     return rng.permutation(pairs)
-
-
-def rows(contacts):
-    """Contacts as a mapping from kind and primitives to toi."""
-    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
-    return dict(zip(map(tuple, keys), contacts.toi.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])

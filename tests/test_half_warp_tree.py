@@ -59,7 +59,7 @@ def test_half_warps_fill_the_same_boxes(count, num_aabbs):
     topology = Topology(single(*soup(np.random.default_rng(count), count, 0.1)), DEVICE)
     aabbs = vertex_aabbs_of(topology, num_aabbs)
     for kind in ("vertex", "edge", "face"):
-        primitives = topology.primitives(kind, False)
+        primitives = topology.primitives(kind, "moving")
         order = rest_order(topology, primitives, Execution(DEVICE, 1))
         nodes = []
         for execution in executions():
@@ -74,7 +74,7 @@ def test_half_warps_fill_the_same_boxes(count, num_aabbs):
 def test_boxes_stay_where_the_flag_is_not_set():
     topology = Topology(single(*soup(np.random.default_rng(3), 300, 0.1)), DEVICE)
     aabbs = vertex_aabbs_of(topology, 2)
-    tree = Tree(topology.primitives("edge", False))
+    tree = Tree(topology.primitives("edge", "moving"))
     order = rest_order(topology, tree.primitives, Execution(DEVICE, 1))
     tree.lay_out(2, order, lambda n: wp.full(n, value=7.0, dtype=wp.float32))
     flag = wp.zeros(1, dtype=wp.int32)
@@ -100,7 +100,7 @@ def test_static_bodies_that_move_between_launches(monkeypatch):
 
 def blocks_of(mesh, kind, execution):
     """The primitives of each block."""
-    primitives = Topology(mesh, DEVICE).primitives(kind, False)
+    primitives = Topology(mesh, DEVICE).primitives(kind, "moving")
     order = order_at(Topology(mesh, DEVICE), mesh.vertices, primitives, execution)[0].numpy()
     assert np.array_equal(np.sort(order), np.arange(primitives.count))
     return [set(order[k : k + 16].tolist()) for k in range(0, primitives.count, 16)]
@@ -132,7 +132,7 @@ def test_an_order_of_equal_and_of_distant_places():
     mesh = single(np.round(5 * vertices) / 5, faces)
     topology = Topology(mesh, DEVICE)
     for kind in ("vertex", "edge", "face"):
-        primitives = topology.primitives(kind, False)
+        primitives = topology.primitives(kind, "moving")
         order, corners = order_at(topology, mesh.vertices, primitives, AsOnCuda(DEVICE, 1))
         assert np.array_equal(np.sort(order.numpy()), np.arange(primitives.count))
         placed = corners.numpy().reshape(-1, 3, 16).transpose(0, 2, 1).reshape(-1, 3)

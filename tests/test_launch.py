@@ -131,11 +131,13 @@ def test_capture_follows_a_static_body_that_is_moved(device):
         pipeline.launch(vertices_t0, vertices_t1)
     is_static = mesh.static[mesh.vertex_body]
     for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
-        a = start.copy()
+        a, b = start.copy(), end.copy()
         a[is_static, 0] += shift
-        vertices_t0.assign(a)  # rows of static bodies are not read from vertices_t1
+        b[is_static, 0] += shift
+        vertices_t0.assign(a)
+        vertices_t1.assign(b)
         wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, a, end, length_scale=1.0, device=device))
+        check_same(result, ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device=device))
 
 
 def test_nothing_is_allocated_copied_or_waited_for(device, monkeypatch):

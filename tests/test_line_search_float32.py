@@ -5,7 +5,7 @@ import pytest
 import trimesh
 import warp as wp
 from oracles import num_touching
-from scenes import FACE, TRIANGLE
+from scenes import FACE, TRIANGLE, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.contact_corners import contact_vertices
@@ -115,7 +115,7 @@ def test_a_step_that_is_lost_in_the_rounding_of_positions_says_what_stopped_it()
     mesh = ccd.CollisionMesh.from_arrays(
         [(TRIANGLE * 0.5 + [0, 0, at + above], FACE), (TRIANGLE + [0, 0, at], FACE)], static=[1]
     )
-    end = mesh.vertices - [0, 0, 1.0]
+    end = with_static_at_rest(mesh, mesh.vertices, mesh.vertices - [0, 0, 1.0])
     step = ccd.line_search(mesh, mesh.vertices, end, per="vertex")
     np.testing.assert_array_equal(step.vertices[:3], mesh.vertices[:3])
     assert set(range(3)) <= set(contact_vertices(mesh, step.touching).ravel())

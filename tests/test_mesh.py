@@ -193,7 +193,7 @@ def test_mesh_is_frozen():
     with pytest.raises(AttributeError):
         del mesh.faces
     arrays = [value for field in fields(mesh) if isinstance(value := getattr(mesh, field.name), np.ndarray)]
-    assert len(arrays) == 13
+    assert len(arrays) == 14
     for array in arrays:
         with pytest.raises(ValueError):
             array[...] = 0
@@ -337,13 +337,25 @@ def test_from_trimesh_names_what_is_not_a_mesh():
 def test_frames_of_static_bodies_rest():
     mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON, TRIANGLE], static=[1])
     start = np.arange(30.0).reshape(10, 3)
+    start[4] = 0.0
     end = start + 100
-    end[3:7] = np.nan
-    expected = start + 100
-    expected[3:7] = start[3:7]
-    for given in (end, end[mesh.moving_vertices]):
+    end[3:7] = start[3:7]
+    for given in (end, np.where(end == 0.0, -0.0, end), end[mesh.moving_vertices]):
         t0, t1 = mesh.frames(start, given)
-        assert np.array_equal(t0, start) and np.array_equal(t1, expected)
+        assert np.array_equal(t0, start) and np.array_equal(t1, end)
+
+
+def test_static_bodies_that_move_are_named():
+    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON, TRIANGLE], static=[1], names=["cloth", "wall", "sheet"])
+    end = np.ones((10, 3))
+    end[4] += 1e-9
+    end[5] -= [0, 3, 4]
+    where = r"vertex 2 of body 1 \(wall\), which is static, by 5 \(row 5\); .* kinematic=\['wall'\] in place of static"
+    with pytest.raises(ValueError, match=where):
+        mesh.frames(np.ones((10, 3)), end)
+    end[5] = np.nan
+    with pytest.raises(ValueError, match=r"vertices_t1 holds nan in row 5 \(vertex 2 of wall\)"):
+        mesh.frames(np.ones((10, 3)), end)
 
 
 def test_frame_takes_lists_and_float32():

@@ -34,6 +34,14 @@ def test_frames_hold_every_bit_of_the_file_and_go_to_every_function(files):
     assert repr(frames).startswith("Frames(CollisionMesh(3 bodies (start.ply, box.ply, box.ply (2)), 58 vertices")
 
 
+def test_bodies_of_frames_may_be_kinematic(files):
+    folder, *_ = files
+    paths = folder / "start.ply", folder / "end.ply"
+    frames = ccd.read_frames(*paths, static=[folder / "box.ply"], kinematic=["start.ply"])
+    assert frames.mesh.kinematic.tolist() == [True, False] and frames.mesh.static.tolist() == [False, True]
+    assert ccd.collision_free_step(frames.mesh, frames.vertices_t0, frames.vertices_t1) == 1.0
+
+
 def test_corners_of_stl_files_are_merged(files):
     folder, *_ = files
     frames = ccd.read_frames(str(folder / "start.stl"), str(folder / "end.stl"), self_collision=False)

@@ -14,7 +14,7 @@ from ccd_warp.benchmarks.gpu_check.steps import crowd as crowd_with_particles
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
 from oracles import brute_force, check_candidates, corners_of
-from scenes import crowd, leaning_stack, single, soup
+from scenes import crowd, leaning_stack, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine import host_step as ccd_step
@@ -231,13 +231,14 @@ def test_boxes_of_static_bodies_are_made_once():
     counts = []
     for k in range(4):
         start = mesh.vertices + 0.001 * k * (mesh.vertex_body == 0)[:, None]
-        result = pipeline.mesh_ccd(start, start + 0.01)
+        end = with_static_at_rest(mesh, start, start + 0.01)
+        result = pipeline.mesh_ccd(start, end)
         counts.append(result.counts.num_boxes)
-        assert as_bytes(result) == as_bytes(ccd.mesh_ccd(mesh, start, start + 0.01, length_scale=1.0, num_threads=1))
+        assert as_bytes(result) == as_bytes(ccd.mesh_ccd(mesh, start, end, length_scale=1.0, num_threads=1))
     assert counts == [every, every - static, every - static, every - static]
     start = mesh.vertices + 1e-3  # the static body was moved between two steps
     assert pipeline.mesh_ccd(start, start).counts.num_boxes == every
-    check_candidates(mesh, start, start + 0.1)
+    check_candidates(mesh, start, with_static_at_rest(mesh, start, start + 0.1))
 
 
 def test_bodies_that_nothing_comes_near_have_no_boxes_that_count():
@@ -264,9 +265,10 @@ def test_trees_that_do_not_meet_are_not_searched():
     mesh = ccd.CollisionMesh.from_trimesh([ball, ball], static=[1], self_collision=False)
     start = mesh.vertices + (mesh.vertex_body == 0)[:, None] * [5.0, 0, 0]
     pipeline = ccd.CollisionPipeline(mesh)
-    assert pipeline.collision_free_step(start, start + [0, 1.0, 0]) == 1.0
+    moves = (mesh.vertex_body == 0)[:, None]
+    assert pipeline.collision_free_step(start, start + [0, 1.0, 0] * moves) == 1.0
     assert not any(pipeline.counts.num_searches.values())
-    assert pipeline.collision_free_step(start, start - [3.5, 0, 0]) < 1.0
+    assert pipeline.collision_free_step(start, start - [3.5, 0, 0] * moves) < 1.0
     assert any(pipeline.counts.num_searches.values())
 
 
@@ -465,8 +467,8 @@ def test_body_inside_another_breaks_out():
     inner, outer = trimesh.creation.icosphere(radius=0.5), trimesh.creation.icosphere(radius=1.0)
     mesh = ccd.CollisionMesh.from_trimesh([inner, outer], static=[1])
     start = mesh.vertices
-    assert check_contacts(mesh, start, start * 2.5).toi < 1.0
-    assert ccd.collision_free_step(mesh, start, start * 1.9) == 1.0
+    assert check_contacts(mesh, start, with_static_at_rest(mesh, start, start * 2.5)).toi < 1.0
+    assert ccd.collision_free_step(mesh, start, with_static_at_rest(mesh, start, start * 1.9)) == 1.0
 
 
 def test_ten_faces_against_two_million():

@@ -163,7 +163,8 @@ def launch(step: Step, real: Any, options: dict[str, Any], how: str, device: str
     if how == "static body moved":
         pipeline.launch(start, end)
         is_static = np.asarray(step.mesh.static)[step.mesh.vertex_body]
-        moved = Step(step.name, step.mesh, step.start + 0.01 * is_static[:, None], step.end)
+        shift = 0.01 * is_static[:, None]
+        moved = Step(step.name, step.mesh, step.start + shift, step.end + shift)
         return launched(pipeline.launch(*positions(moved, real, device)))
     if how == "not a number":
         lost = step.end.copy()

@@ -73,6 +73,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         help="an obstacle that does not move; may be given several times",
     )
     parser.add_argument(
+        "--kinematic",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="a body that moves as it is told, as a scripted wall: it is tested against free bodies alone; may be "
+        "given several times",
+    )
+    parser.add_argument(
         "--half-space",
         metavar="[NAME=]X,Y,Z,NX,NY,NZ",
         action="append",

@@ -17,12 +17,19 @@ class FrameSequence:
     """The steps of a sequence: its bodies at both ends of each, and their mesh, which is kept while it is the same."""
 
     def __init__(
-        self, series: Sequence[Series], static: list[Body], *, self_collision: bool, radius: Sequence[str] = ()
+        self,
+        series: Sequence[Series],
+        static: list[Body],
+        *,
+        self_collision: bool,
+        radius: Sequence[str] = (),
+        kinematic: Sequence[str] = (),
     ) -> None:
         self.series = series
         self.static = static
         self.self_collision = self_collision
         self.radius = radius
+        self.kinematic = kinematic
         self.num_steps = len(series[0].labels) - 1
         self._read: dict[int, list[Mesh]] = {}
         self.first_bodies = self.bodies(0)
@@ -47,7 +54,7 @@ class FrameSequence:
         return self.first_mesh if same else self._make_mesh(bodies)
 
     def _make_mesh(self, bodies: list[Body]) -> CollisionMesh:
-        return make_mesh(bodies, self_collision=self.self_collision, radius=self.radius)
+        return make_mesh(bodies, self_collision=self.self_collision, radius=self.radius, kinematic=self.kinematic)
 
     def labels(self, k: int) -> tuple[str, str]:
         """Names of the frames at both ends of step ``k``, those of the first body, without control characters."""

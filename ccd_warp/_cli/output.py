@@ -122,6 +122,7 @@ def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
         "body_toi": np.asarray(result.body_toi),
         "body_name": np.array(mesh.names),
         "body_static": mesh.static,
+        "body_kinematic": mesh.kinematic,
         "body_first_vertex": mesh.body_vertex_range[:-1].astype(np.int64),
         "vertex_body": mesh.vertex_body,
         "vertex_source_index": np.concatenate([body.source_index for body in step.bodies]),
@@ -190,6 +191,7 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
             {
                 "name": name,
                 "static": body.is_static,
+                "kinematic": bool(mesh.kinematic[k]),
                 "first_vertex": int(mesh.body_vertex_range[k]),
                 "vertices": len(body.vertices_t0),
                 "faces": len(body.faces),

@@ -87,11 +87,11 @@ def body_rows(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[tuple[str, st
     return [
         (
             name,
-            "static" if body.is_static else "moving",
+            mesh._kind_of_body(b),
             f"{len(body.vertices_t0):,}",
             f"{len(body.faces):,}",
         )
-        for name, body in zip(mesh.names, bodies, strict=True)
+        for b, (name, body) in enumerate(zip(mesh.names, bodies, strict=True))
     ]
 
 

@@ -43,7 +43,12 @@ def run_step(arguments: argparse.Namespace) -> int:
     )
     self_collision = not arguments.no_self_collision
     step = solve_scene(
-        bodies, options, self_collision=self_collision, is_quiet=arguments.quiet, radius=arguments.radius
+        bodies,
+        options,
+        self_collision=self_collision,
+        is_quiet=arguments.quiet,
+        radius=arguments.radius,
+        kinematic=arguments.kinematic,
     )
     timings.update(step.timings)
     if not arguments.quiet:

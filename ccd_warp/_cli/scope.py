@@ -39,9 +39,11 @@ def left_out(mesh: CollisionMesh, options: Options) -> str:
     kinds: Sequence[PairKind] = possible_kinds(mesh, options)
     unasked = [kind for kind in possible_kinds(mesh, Options()) if kind not in kinds]
     parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in unasked]
-    if not mesh.self_collision[~mesh.static].all():
+    if not mesh.self_collision[mesh._is_free].all():
         parts.append("pairs within a body (--no-self-collision)")
-    if mesh.static.any():
+    if mesh.kinematic.any():
+        parts.append("pairs of static and kinematic bodies" if mesh.static.any() else "pairs of kinematic bodies")
+    elif mesh.static.any():
         parts.append("pairs of static bodies")
     return "; ".join([*parts, "pairs that share a vertex"])
 

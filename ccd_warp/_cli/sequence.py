@@ -104,7 +104,13 @@ def _open(arguments: argparse.Namespace) -> FrameSequence:
     series = find_series(arguments.frames, max_bytes=limit, displacement=arguments.displacement, faces=arguments.faces)
     static = [body for path in arguments.static for body in read_static(path, max_bytes=limit).split()]
     static += half_space_bodies(arguments.half_space)
-    return FrameSequence(series, static, self_collision=not arguments.no_self_collision, radius=arguments.radius)
+    return FrameSequence(
+        series,
+        static,
+        self_collision=not arguments.no_self_collision,
+        radius=arguments.radius,
+        kinematic=arguments.kinematic,
+    )
 
 
 def _solve_step(sequence: FrameSequence, k: int, options: Options, line: ItemsLine, *, is_quiet: bool) -> SolvedStep:
@@ -119,6 +125,7 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         "options": plain_options(options),
         "self_collision": sequence.self_collision,
         **({"radius": list(sequence.radius)} if sequence.radius else {}),
+        **({"kinematic": list(sequence.kinematic)} if sequence.kinematic else {}),
         **({"half_spaces": arguments.half_space} if arguments.half_space else {}),
         "displacement": arguments.displacement,
         "columns": COLUMNS,

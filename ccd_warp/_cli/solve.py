@@ -15,6 +15,7 @@ from ccd_warp._cli.progress import ProgressLine
 from ccd_warp._cli.radii import radii_of
 from ccd_warp._cli.scope import check_kinds
 from ccd_warp._files.frames import Body, make_body
+from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
 from ccd_warp._intersections import Intersections
@@ -47,16 +48,31 @@ class SolvedStep:
     timings: dict[str, float]
 
 
-def make_mesh(bodies: Sequence[Body], *, self_collision: bool, radius: Sequence[str] = ()) -> CollisionMesh:
-    """The bodies as one mesh, with the radii of the command line."""
+def make_mesh(
+    bodies: Sequence[Body], *, self_collision: bool, radius: Sequence[str] = (), kinematic: Sequence[str] = ()
+) -> CollisionMesh:
+    """The bodies as one mesh, with the radii and the kinematic bodies of the command line."""
     names = distinct_names([body.name for body in bodies])
     return CollisionMesh.from_arrays(
         [body.half_space or (body.vertices_t0, body.faces) for body in bodies],
         static=[k for k, body in enumerate(bodies) if body.is_static],
         self_collision=self_collision,
+        kinematic=_kinematic_bodies(kinematic, names, bodies),
         names=names,
         radius=radii_of(radius, names, [body.half_space is not None for body in bodies]),
     )
+
+
+def _kinematic_bodies(given: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -> list[int]:
+    """The bodies that ``--kinematic`` names, each of which moves."""
+    moving = [name for name, body in zip(names, bodies, strict=True) if not body.is_static]
+    for name in given:
+        if name not in moving:
+            known = ", ".join(map(printable, moving[:8])) + (", …" if len(moving) > 8 else "")
+            raise InputError(
+                f"--kinematic {printable(name)}: no body that moves has this name; expected one of {known}"
+            )
+    return [names.index(name) for name in given]
 
 
 def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -104,10 +120,11 @@ def solve_scene(
     self_collision: bool,
     is_quiet: bool,
     radius: Sequence[str] = (),
+    kinematic: Sequence[str] = (),
 ) -> SolvedStep:
     """Make the mesh of one step and run ``mesh_ccd``."""
     begin = time.perf_counter()
-    mesh = make_mesh(bodies, self_collision=self_collision, radius=radius)
+    mesh = make_mesh(bodies, self_collision=self_collision, radius=radius, kinematic=kinematic)
     build_seconds = time.perf_counter() - begin
     options, line = make_options(given, mesh), ProgressLine(is_quiet)
     try:

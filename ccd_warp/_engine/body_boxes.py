@@ -19,7 +19,9 @@ _LONG_SEARCH = 1 << 24
 
 
 def bodies_near(topology: Topology, positions: Positions, inflation: float, execution: Execution) -> NDArray[np.bool_]:
-    """Which moving bodies may collide: with themselves, or with another whose swept box meets theirs.
+    """Which bodies that move may collide: with themselves, or with another whose swept box meets theirs.
+
+    Those that are kinematic always may.
 
     Args:
         topology: The bodies.
@@ -35,8 +37,8 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
     """
     mesh = topology.mesh
     filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    if not (~mesh.static & ~mesh.self_collision)[filled].any():
-        return mesh.self_collision & ~mesh.static
+    if not (mesh._is_free & ~mesh.self_collision)[filled].any():
+        return (mesh.self_collision | mesh.kinematic) & ~mesh.static
     first = mesh.body_vertex_range[filled]
     radius = None if mesh.radius is None else np.maximum.reduceat(mesh.radius, first)
     return bodies_near_boxes(topology, filled, swept_boxes(positions, first), radius, inflation, execution)
@@ -52,7 +54,7 @@ def bodies_near_boxes(
 ) -> NDArray[np.bool_]:
     """The same, given the bodies with vertices, the boxes around their motion, and the largest radius of each."""
     mesh = topology.mesh
-    near = mesh.self_collision & ~mesh.static
+    near = (mesh.self_collision | mesh.kinematic) & ~mesh.static
     is_query = ~mesh.static[filled] & ~near[filled]
     if not is_query.any():
         return near

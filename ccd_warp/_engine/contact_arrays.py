@@ -54,7 +54,8 @@ class ContactArrays:
         dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
         num_vertices = self._topology.mesh.num_vertices
         inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
-        inputs += [self._topology.planes.point, self._topology.planes.unit]
+        planes = self._topology.planes
+        inputs += [planes.point, planes.vertex, planes.unit]
         return self._filled(name, wp.vec3d, kernels.make_contact_points(real, dimension).fill_points, *inputs)
 
     def order_by_toi(self) -> wp.array:

@@ -44,6 +44,7 @@ def new_minima(topology: Topology, **arrays: wp.array) -> Any:
     """The struct of atomic minima: toi as bits, which order like the non-negative numbers, and flags."""
     minima = Minima()
     minima.vertex_body, minima.vertex_world = topology.vertex_body, topology.vertex_world
+    minima.body_kinematic = topology.body_kinematic
     for name, array in arrays.items():
         setattr(minima, name, array if "flags" in name else array.view(wp.int64))
     return minima

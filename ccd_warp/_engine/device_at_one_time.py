@@ -158,8 +158,8 @@ class DeviceProximityStep(DeviceAtOneTime):
         positions: NDArray[np.float64] = last[0].numpy().reshape(-1, 3)[:, : self._mesh.dimension].copy()
         return positions
 
-    def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
-        self._stages.reset(recording, self._count, self._flag.array, kept_flags)
+    def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
+        self._stages.reset(recording, self._count, self._flag.array, kept_flags, keeps_toi=keeps_toi)
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:

@@ -41,8 +41,9 @@ _LEAST_CAPACITY = 1 << 12
 _NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
 _PLAY = "step"
-# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed.
-_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT)
+# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed, and
+# what has been stopped and is struck stays so.
+_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT | LaunchFlag.STATIC_MOVED | LaunchFlag.STRUCK)
 _PER = {
     "scene": int(device_step.PER_SCENE),
     "world": int(device_step.PER_WORLD),
@@ -158,7 +159,7 @@ class DeviceStep:
         self.topology = topology
         self._mesh = mesh = topology.mesh
         self._has_static = len(mesh.moving_vertices) < mesh.num_vertices
-        _ = topology.corners, topology.collision_filter  # computed now, not during a capture
+        _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
         self._options = options
         self._flag = StopFlag(topology.device)
         self._execution = execution = Execution(topology.device, options.threads, self._flag)
@@ -187,7 +188,7 @@ class DeviceStep:
         quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
         self._has_grids = options.broad_phase == "hash"
         make = Grid if self._has_grids else Tree
-        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), mesh._moves_alone, {}, make)
+        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), mesh._is_free_alone, {}, make)
         if self._has_grids:
             tree_pairs = with_reverses(tree_pairs)
         trees = trees_of(tree_pairs)
@@ -396,6 +397,7 @@ class DeviceStep:
                 topology, self._options, self._stages, self.result.contacts, self._flag, self._radius
             )
         stages = line_search.stages()
+        has_kinematic = bool(self._mesh.kinematic.any())
         for number, (per, share) in enumerate(stages):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and stages[1][0] == per
@@ -409,7 +411,7 @@ class DeviceStep:
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 if number > 0:
                     self._record_step(recording, form, is_first=False)
-                if number < len(stages) - 1:
+                if number < len(stages) - 1 or has_kinematic:
                     self._record_touched(recording, by_scene)
                 recording.launch(
                     device_step.make_input(form.real, self._mesh.dimension).shorten,
@@ -425,6 +427,10 @@ class DeviceStep:
                     ],
                     outputs=[Slot("vertices_t1")],
                 )
+        if has_kinematic:  # which may strike what the last pass has stopped
+            self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
+            with recording.only_if(self._is_any_touched):
+                self._record_step(recording, form, is_first=False)
 
     def _record_first_pass(self, recording: Recording, form: _Form, by_scene: int, gaps_moved: float) -> None:
         """Record the first pass of a line search, and another one for what starts within its distance."""
@@ -454,9 +460,10 @@ class DeviceStep:
         self._record_reset(recording, _KEPT_FLAGS)
         self._stages.reset_vertices(recording)
 
-    def _record_reset(self, recording: Recording, kept_flags: int = 0) -> None:
+    def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
         """Record the launch that resets the results of the last step, or of the last pass."""
-        self._stages.reset(recording, self.result.contacts.count, self._flag.array, kept_flags)
+        num_contacts, stop = self.result.contacts.count, self._flag.array
+        self._stages.reset(recording, num_contacts, stop, kept_flags, keeps_toi=keeps_toi)
 
     def _record_step(
         self, recording: Recording, form: _Form, *, is_first: bool = True, gaps_moved: float = 0.0
@@ -528,8 +535,29 @@ class DeviceStep:
             recording.launch(
                 read.read_static,
                 -(-len(topology.static_vertices) // self._chunk),
-                inputs=[topology.static_vertices, Slot("vertices_t0"), self._chunk],
+                inputs=[
+                    topology.static_vertices,
+                    Slot("vertices_t0"),
+                    Slot("vertices_t1"),
+                    int(form.t1_by_vertex),
+                    int(form.is_displacement),
+                    self._chunk,
+                ],
                 outputs=[self._start, self._end, self._is_moved, minima],
+                grain=64,
+            )
+        elif is_first and form.t1_by_vertex and self._has_static:
+            recording.launch(
+                read.check_static,
+                -(-len(topology.static_vertices) // self._chunk),
+                inputs=[
+                    topology.static_vertices,
+                    Slot("vertices_t1"),
+                    int(form.is_displacement),
+                    self._chunk,
+                    self._start,
+                ],
+                outputs=[minima],
                 grain=64,
             )
         by_vertex = [int(form.t0_by_vertex), int(form.t1_by_vertex)]

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.topology import PrimitiveSet, Topology
+from ccd_warp._engine.topology import PrimitiveSet, Role, Topology
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 
@@ -164,7 +164,7 @@ class MeshWithEdgePoints:
         is_close = np.bincount(owners[is_other], minlength=len(second)) == 0
         is_close &= (mesh.edges[first][:, :, None] != mesh.edges[second][:, None, :]).all(axis=(1, 2))
         body = mesh.edge_body[first]
-        is_close &= mesh.self_collision[body] & ~mesh.static[body]
+        is_close &= mesh.self_collision[body] & mesh._is_free[body]
         pairs = np.sort(np.stack([first, second], axis=1)[is_close], axis=1)
         return np.unique(pairs, axis=0).astype(np.int32) if len(pairs) else none
 
@@ -234,7 +234,7 @@ class EdgePointTopology(Topology):
         names = ("vertex", "edge", "face", "edge_or_vertex")
         return {name: self.array(self._corners_host(name), wp.vec3i) for name in names}
 
-    def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
+    def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
         mesh, array = self.mesh, _ARRAYS.get(kind, kind)
         corners = self._corners_host(array)
         chosen = {
@@ -243,7 +243,6 @@ class EdgePointTopology(Topology):
             "edge_without_face": mesh.tested_edges,
         }.get(kind, np.arange(len(corners), dtype=np.int32))
         body = mesh.vertex_body[corners[chosen, 0]] if len(chosen) else np.zeros(0, dtype=np.int32)
-        ids = chosen[mesh.static[body] == is_static].astype(np.int32)
-        name = f"{'static' if is_static else 'moving'} {kind}"
+        ids = chosen[self.bodies_of(role)[body]].astype(np.int32)
         of_set = self.corners[array] if len(ids) == len(corners) else self.array(corners[ids], wp.vec3i)
-        return PrimitiveSet(name, is_static, _NUM_CORNERS[array], self.array(ids), of_set)
+        return PrimitiveSet(f"{role} {kind}", role, _NUM_CORNERS[array], self.array(ids), of_set)

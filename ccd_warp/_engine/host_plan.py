@@ -120,7 +120,7 @@ class HostPlan:
         mesh = topology.mesh
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
-        sought = topology, self.kinds, mesh._moves_alone
+        sought = topology, self.kinds, mesh._is_free_alone
         self._has_grids = options.broad_phase == "hash" and goal != "intersections"
         kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
         self.tree_pairs = tree_pairs_of(*sought, *kept)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._engine.contact_corners import contact_bodies, contact_vertices
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
@@ -40,9 +40,9 @@ class LineSearchResult:
 
     Attributes:
         vertices: Positions at its end, a new array, float64, shape [V, 3], or [V, 2] in the plane.
-        vertex_fraction: Fraction of its displacement by which each vertex moves, in [0, 1], shape [V]; 1 for static
-            vertices.
-        fraction: The least fraction of the vertices of moving bodies.
+        vertex_fraction: Fraction of its displacement by which each vertex moves, in [0, 1], shape [V]; 1 for vertices
+            of static and kinematic bodies.
+        fraction: The least fraction of the vertices of free bodies.
         touching: Pairs that keep their vertices from moving, in the order of :class:`ccd_warp.Contacts`, each once;
             none of their vertices moves. Such a pair touches at the start, or presses on from within its distance, or
             its gap is too small for the precision over any step however short, or the rest of the step is lost in the
@@ -50,6 +50,10 @@ class LineSearchResult:
             still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
             long stops a world, these are all pairs of this world that touched in its last step, so that their toi may
             be above 0.
+        struck: Pairs of a kinematic body that moves and vertices that stay where they are and that it meets on its way,
+            in the order of :class:`ccd_warp.Contacts`; their toi is when. Empty: it passes through nothing. Otherwise
+            the end positions are those of vertices that it has passed through, so the whole step, the script too, has
+            to be cut to a little less than ``struck.toi.min()``, or the response has to move them out of its way.
         num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
             something starts within its distance counts once.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
@@ -63,11 +67,13 @@ class LineSearchResult:
     touching: Contacts
     num_rounds: int
     is_limited: bool
+    struck: Contacts
     start: Intersections | None = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
-        touching = f"{len(self.touching)} touching, {self.num_rounds} rounds{limited}"
+        struck = f", {len(self.struck)} struck" if len(self.struck) else ""
+        touching = f"{len(self.touching)} touching{struck}, {self.num_rounds} rounds{limited}"
         crossing = crossing_at_start(self.start)
         at_start = f";\n{crossing}" if crossing else ""
         return f"LineSearchResult(fraction={self.fraction!r} of {len(self.vertices):,} vertices, {touching}{at_start})"
@@ -144,12 +150,13 @@ def search_step(
     """
     everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
-    moves = ~mesh.static[mesh.vertex_body]
-    if begins_at_rest:
+    moves = mesh._is_free[mesh.vertex_body]
+    if begins_at_rest and not mesh.kinematic.any():
         contacts = solver.strict(start, start).contacts
         stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
         if everywhere.all(bool(stopped[moves].all())):
-            return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False)
+            return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False, contacts[:0])
+    driven = _Driven(mesh, start, end, lambda x, y: solver.holding(x, y, holds), everywhere)
     fraction = np.ones(mesh.num_vertices)
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
@@ -170,13 +177,15 @@ def search_step(
                 result = solver.holding(start, vertices, holds)
         contacts = result.contacts
         num_rounds += 1
-        corners = contact_vertices(mesh, contacts)
-        is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1)
+        corners = _vertices_of(mesh, contacts)
+        is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1) | driven.is_at_rest(contacts, corners)
         if everywhere.all(bool(is_stopped.all())):
             stopping.append(contacts)
             break
         contacts, corners = _chosen(contacts, ~is_stopped), corners[~is_stopped]
-        toi = contacts.toi
+        num_rounds += driven.look(contacts, has_time=max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN)
+        is_driven = driven.among(contacts)
+        toi = np.where(is_driven, 0.0, contacts.toi)
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
@@ -187,8 +196,10 @@ def search_step(
             can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
             if at_start is not None:
                 can_be_shorter &= ~np.isin(_keys(contacts), at_start)
+            can_be_shorter &= ~is_driven
             can_be_shorter &= (_least(toi, corners, mesh, per, everywhere)[corners] == 0).any(axis=1)
-            share = _resolved_share(contacts, start[corners], vertices[corners])
+            is_one = corners[:, 0] == corners[:, 3]
+            share = _resolved_share(contacts, start[corners], vertices[corners], is_one)
             toi = np.where(can_be_shorter, np.maximum(toi, share), toi)
         if num_rounds >= max_rounds - 1:
             toi = np.zeros(len(contacts))
@@ -213,26 +224,89 @@ def search_step(
         vertices = moved(start, end, fraction)
         stops = (moved(start[corners], end[corners], own) == start[corners]).all(axis=(1, 2))
         stopping.append(_chosen(contacts, stops))
+    else:
+        if driven.is_any:  # what the last round has stopped may be struck
+            contacts = solver.holding(start, vertices, holds).contacts
+            num_rounds += 1
+    is_at_start = (vertices == start).all(axis=1)
     return LineSearchResult(
         vertices=vertices,
         vertex_fraction=fraction,
         fraction=float(everywhere.least(fraction[moves].min(initial=1.0, keepdims=True))[0]),
-        touching=_stationary_contacts(mesh, stopping, (vertices == start).all(axis=1)),
+        touching=_stationary_contacts(mesh, stopping, is_at_start),
         num_rounds=num_rounds,
         is_limited=is_limited,
+        struck=_chosen(contacts, driven.is_any & ~is_at_start[_vertices_of(mesh, contacts)].all(axis=1)),
     )
 
 
-def _resolved_share(contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+class _Driven:
+    """The pairs of which a kinematic body meets one side even if that stays: a shorter step is of no use to these."""
+
+    def __init__(
+        self,
+        mesh: CollisionMesh,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        solve: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult],
+        everywhere: OneProcess,
+    ) -> None:
+        self.is_any = bool(mesh.kinematic.any())
+        self._mesh, self._start, self._end, self._solve, self._everywhere = mesh, start, end, solve, everywhere
+        self._keys: NDArray[np.uint64] | None = None
+
+    def look(self, contacts: Contacts, *, has_time: bool) -> int:
+        """Find them once a kinematic body is in contact, if there is time for a round; returns the rounds taken."""
+        if not self.is_any or not has_time or self._keys is not None:
+            return 0
+        mesh = self._mesh
+        if self._everywhere.all(not mesh.kinematic[contact_bodies(mesh, contacts)].any()):
+            return 0
+        stays = mesh._is_free[mesh.vertex_body]
+        self._keys = _keys(self._solve(self._start, np.where(stays[:, None], self._start, self._end)).contacts)
+        return 1
+
+    def is_at_rest(self, contacts: Contacts, corners: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which of the contacts are of a kinematic body and vertices that have no motion to shorten."""
+        if not self.is_any:
+            return np.zeros(len(contacts), dtype=bool)
+        is_still = (self._start[corners] == self._end[corners]).all(axis=2) | self._mesh.kinematic[
+            self._mesh.vertex_body[corners]
+        ]
+        found: NDArray[np.bool_] = is_still.all(axis=1)
+        return found & self._mesh.kinematic[contact_bodies(self._mesh, contacts)].any(axis=1)
+
+    def among(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which of the contacts are of such a pair."""
+        if self._keys is None:
+            return np.zeros(len(contacts), dtype=bool)
+        is_of_kinematic = self._mesh.kinematic[contact_bodies(self._mesh, contacts)].any(axis=1)
+        found: NDArray[np.bool_] = is_of_kinematic & np.isin(_keys(contacts), self._keys)
+        return found
+
+
+def _vertices_of(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
+    """The vertices of each contact, shape [m, 4]; that of a kinematic half-space, which moves as others do, too."""
+    corners = contact_vertices(mesh, contacts)
+    if mesh._moves_planes:
+        of_plane = np.flatnonzero(contacts.kind == int(PairKind.VERTEX_PLANE))
+        point = mesh.planes.vertices[contacts.primitives[of_plane, 1]]
+        corners[of_plane[point >= 0], 3] = point[point >= 0]
+    return corners
+
+
+def _resolved_share(
+    contacts: Contacts, start: NDArray[np.float64], end: NDArray[np.float64], is_one: NDArray[np.bool_]
+) -> NDArray[np.float64]:
     """Fraction of a contact's motion over which its gap is not lost in rounding, shape [m]; from its four vertices.
 
     The reported gap of a contact with toi 0 is no less than the gap at the start, so a pair that closes it head-on
     touches within a quarter of this motion, unless rounding makes up most of the gap; then the next round shortens the
-    motion again. The four vertices of a contact with a plane, which does not move, are one.
+    motion again. The vertices of a contact with a plane that does not move are one, and the plane moves by 0.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         motion = end - start
-        motion[contacts.kind == int(PairKind.VERTEX_PLANE), 1:] = 0.0
+        motion[(contacts.kind == int(PairKind.VERTEX_PLANE)) & is_one, 1:] = 0.0
         share = _GAPS * contacts.gap / np.ptp(motion, axis=1).max(axis=1, initial=0.0)
     return np.where(share < _LARGEST_CUT, share, _LARGEST_CUT)  # also where the share is NaN
 
@@ -249,7 +323,7 @@ def _keys(contacts: Contacts) -> NDArray[np.uint64]:
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
     """Contacts of all rounds whose vertices are all at their start positions, each pair once, as found last."""
     contacts = joined(stopping[::-1])
-    is_stationary: NDArray[np.bool_] = is_at_start[contact_vertices(mesh, contacts)]
+    is_stationary: NDArray[np.bool_] = is_at_start[_vertices_of(mesh, contacts)]
     contacts = _chosen(contacts, np.flatnonzero(is_stationary.all(axis=1)))
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
 

@@ -82,6 +82,20 @@ def meets(mesh: "CollisionMesh") -> NDArray[np.bool_]:
     return found
 
 
+def planes_by_world(mesh: "CollisionMesh") -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The planes that the vertices of each world meet, world after world, and where those of each begin, and the end.
+
+    One that does not move meets all worlds; one that moves that of its vertex.
+    """
+    point, number = mesh.planes.vertices, np.arange(len(mesh.planes))
+    shared, moving = number[point < 0], number[point >= 0]
+    worlds = np.arange(mesh.num_worlds)
+    world = np.concatenate([np.repeat(worlds, len(shared)), mesh.vertex_world[point[moving]]])
+    of_world = np.concatenate([np.tile(shared, mesh.num_worlds), moving])
+    begin = np.append(0, np.cumsum(np.bincount(world, minlength=mesh.num_worlds)))
+    return begin.astype(np.int32), of_world[np.lexsort((of_world, world))].astype(np.int32)
+
+
 def excluded_keys(mesh: "CollisionMesh") -> NDArray[np.int64]:
     """Keys of the excluded pairs of a vertex and a plane, ascending."""
     pairs = mesh.exclude_pairs.get("vertex_plane", np.zeros((0, 2), dtype=np.int32)).astype(np.int64)
@@ -97,6 +111,11 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
         return planes
     scaled = scaled_planes(mesh)
     planes.point = array(scaled.point, wp.vec3d)
+    if mesh._moves_planes:
+        planes.vertex = array(mesh.planes.vertices, wp.int32)
+        if mesh.num_worlds > 1:
+            begin, of_world = planes_by_world(mesh)
+            planes.world_begin, planes.of_world = array(begin, wp.int32), array(of_world, wp.int32)
     planes.normal = array(scaled.normal, wp.vec3d)
     planes.lost, planes.length, planes.sum = (array(values, wp.float64) for values in scaled[2:])
     planes.unit = array(mesh._in_space(unit_normals(mesh.planes.normals)), wp.vec3d)
@@ -146,9 +165,10 @@ def plane_candidates(
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
             chosen = vertices[of_plane[k, mesh.vertex_body[vertices]]]
+            chosen = _in_world_of(mesh, k, chosen)
             is_near = np.zeros(len(chosen), dtype=bool)
             for x in positions:
-                f, error, s = _values(x[chosen], scaled, k)
+                f, error, s = _values(x[chosen], _point_at(mesh, scaled, k, x), scaled, k)
                 enlarged = 2.0 * inflation + (box_radius[chosen] if len(box_radius) else 0.0)
                 reach = np.minimum(enlarged * s * scaled.sum[k] * _UP, _FAR)
                 is_near |= f <= (error + reach) * _UP
@@ -160,20 +180,21 @@ def plane_candidates(
 
 
 def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Vertices of moving bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order.
+    """Vertices of free bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order.
 
     Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    vertices = mesh.moving_vertices
+    vertices = np.flatnonzero(mesh._is_free[mesh.vertex_body]).astype(np.int32)
     found = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
-            chosen = vertices[of_plane[k, mesh.vertex_body[vertices]]]
-            f, error, _ = _values(x[chosen], scaled, k)
+            chosen = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
+            p = _point_at(mesh, scaled, k, x)
+            f, error, _ = _values(x[chosen], p, scaled, k)
             is_in = f <= error
             is_open = is_in & (f >= -error) & (error > 0.0)
-            point, normal = mesh.planes.points[k].tolist(), mesh.planes.normals[k].tolist()
+            point, normal = p[: mesh.dimension].tolist(), mesh.planes.normals[k].tolist()
             for row in np.flatnonzero(is_open).tolist():
                 is_in[row] = _exact_value(x[chosen[row], : mesh.dimension].tolist(), point, normal) <= 0
             found.append(_pairs_with(chosen[is_in], k))
@@ -187,11 +208,26 @@ def _pairs_with(vertices: NDArray[np.int32], k: int) -> NDArray[np.int64]:
     return np.stack([vertices.astype(np.int64), np.full(len(vertices), k, dtype=np.int64)], axis=1)
 
 
+def _in_world_of(mesh: "CollisionMesh", k: int, vertices: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Those of the vertices that are in the world of plane k, where it moves and thus is in one."""
+    point = mesh.planes.vertices[k]
+    if point < 0 or mesh.num_worlds == 1:
+        return vertices
+    return vertices[mesh.vertex_world[vertices] == mesh.vertex_world[point]]
+
+
+def _point_at(mesh: "CollisionMesh", planes: ScaledPlanes, k: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A point of plane k, where vertices are at positions ``x``."""
+    vertex = mesh.planes.vertices[k]
+    point: NDArray[np.float64] = planes.point[k] if vertex < 0 else x[vertex]
+    return point
+
+
 def _values(
-    x: NDArray[np.float64], planes: ScaledPlanes, k: int
+    x: NDArray[np.float64], p: NDArray[np.float64], planes: ScaledPlanes, k: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(x - p)·n of plane k for scaled positions, the bounds of the errors, and the scales, as in `kernels.planes`."""
-    p, n = planes.point[k], planes.normal[k]
+    """(x - p)·n for scaled positions and plane k at p, the bounds of the errors, and the scales (`kernels.planes`)."""
+    n = planes.normal[k]
     largest = np.maximum(np.abs(x).max(axis=1, initial=0.0), np.abs(p).max())
     s = np.where(largest > _LARGE, _SHRINK, np.where(largest < _SMALL, _GROW, 1.0))
     difference = s[:, None] * x - s[:, None] * p

@@ -149,13 +149,21 @@ class Stages:
             is_changed,
         )
 
-    def reset(self, launcher: Launcher, num_contacts: wp.array, stop: wp.array, kept_flags: int = 0) -> None:
+    def reset(
+        self,
+        launcher: Launcher,
+        num_contacts: wp.array,
+        stop: wp.array,
+        kept_flags: int = 0,
+        *,
+        keeps_toi: bool = False,
+    ) -> None:
         """Set every toi but those of the vertices to infinity, and all counts to 0; see also ``reset_vertices``."""
         mesh = self.topology.mesh
         launcher.launch(
             device_step.reset,
             max(mesh.num_bodies, mesh.num_worlds),
-            inputs=[kept_flags],
+            inputs=[kept_flags, int(keeps_toi)],
             outputs=[self.minima, self.counts, num_contacts, stop],
         )
 
@@ -308,7 +316,9 @@ class Stages:
         """The same, for the least toi alone."""
         from ccd_warp.kernels import meet_planes  # not before a scene needs it
 
-        inputs = [*self._met_by_planes(), self.vertices_t0, self.vertices_t1]
+        vertices, planes, query, vertex_body, box_radius = self._met_by_planes()
+        inputs = [vertices, planes, query, vertex_body, self.topology.vertex_world, box_radius]
+        inputs += [self.vertices_t0, self.vertices_t1]
         outputs = [self.counts, self.least_bits]
         launcher.launch(meet_planes.bound_by_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import warp as wp
@@ -56,13 +56,17 @@ CORNER_ARRAYS = {
 _LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
 
 
+# What a body is to a step: free to move, moved as it is told, or static.
+Role = Literal["moving", "kinematic", "static"]
+
+
 @dataclass(frozen=True)
 class PrimitiveSet:
-    """Primitives of one kind, either all moving or all static.
+    """Primitives of one kind, all of bodies with one role.
 
     Attributes:
         name: Name of its buffers.
-        is_static: Whether they are static.
+        role: The role of their bodies.
         num_corners: Number of vertices of a primitive.
         ids: Indices among all primitives of the kind, int32, shape [n].
         corners: Vertex indices, wp.vec3i, shape [n]; where there are fewer than three, one repeats.
@@ -70,11 +74,16 @@ class PrimitiveSet:
     """
 
     name: str
-    is_static: bool
+    role: Role
     num_corners: int
     ids: wp.array
     corners: wp.array
     is_sample: bool = False
+
+    @property
+    def is_static(self) -> bool:
+        """Whether they are static."""
+        return self.role == "static"
 
     @property
     def count(self) -> int:
@@ -109,7 +118,7 @@ class Topology:
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
         self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
-        self._sets: dict[tuple[str, bool], PrimitiveSet] = {}
+        self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
         self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
 
     @staticmethod
@@ -165,8 +174,11 @@ class Topology:
 
     @lazy_property
     def plane_vertices(self) -> wp.array:
-        """The vertices that meet the planes of half-spaces: all that move, or of a part some of them."""
-        return self.moving_vertices
+        """The vertices that meet the planes of half-spaces: all of free bodies, or of a part some of them."""
+        mesh = self.mesh
+        if not mesh.kinematic.any():
+            return self.moving_vertices
+        return self.array(np.flatnonzero(mesh._is_free[mesh.vertex_body]).astype(np.int32))
 
     @lazy_property
     def body_static(self) -> wp.array:
@@ -174,10 +186,16 @@ class Topology:
         return self.array(self.mesh.static.astype(np.int32))
 
     @lazy_property
+    def body_kinematic(self) -> wp.array:
+        """Whether each body is kinematic, int32; empty where none is."""
+        kinematic = self.mesh.kinematic
+        return self.array((kinematic if kinematic.any() else kinematic[:0]).astype(np.int32))
+
+    @lazy_property
     def may_have_inactive_bodies(self) -> bool:
-        """Whether a body may be without a partner in a step: one that moves and does not collide with itself."""
+        """Whether a body may be without a partner in a step: one that is free and does not collide with itself."""
         mesh = self.mesh
-        return mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[~mesh.static].all()
+        return mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[mesh._is_free].all()
 
     @lazy_property
     def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -213,12 +231,21 @@ class Topology:
         """The arrays, among ``corners``, with the vertices of the two primitives of a pair."""
         return CORNER_ARRAYS[kind]
 
-    def primitives(self, kind: str, is_static: bool) -> PrimitiveSet:
-        """The moving or static primitives of a kind."""
-        key = (kind, is_static)
+    def primitives(self, kind: str, role: Role) -> PrimitiveSet:
+        """The primitives of a kind of bodies with one role."""
+        key = (kind, role)
         if key not in self._sets:
-            self._sets.setdefault(key, self._make_set(kind, is_static))
+            self._sets.setdefault(key, self._make_set(kind, role))
         return self._sets[key]
+
+    def bodies_of(self, role: Role) -> NDArray[np.bool_]:
+        """The bodies with one role whose primitives are searched, bool, shape [B]."""
+        mesh = self.mesh
+        if role == "kinematic":
+            chosen = mesh.kinematic.copy()
+            chosen[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
+            return chosen
+        return mesh.static if role == "static" else mesh._is_free
 
     @property
     def samples_queries(self) -> bool:
@@ -227,13 +254,13 @@ class Topology:
 
     def sampled_queries(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
         """Some primitives of a set of this kind, by their numbers alone: the same wherever they are, in any order."""
-        key = (f"sampled {kind}", primitives.is_static)
+        key: tuple[str, Role] = (f"sampled {kind}", primitives.role)
         if key not in self._sets:
             ids = primitives.ids.numpy()
             chosen = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
             corners = self.array(primitives.corners.numpy()[chosen], wp.vec3i)
             name, of_ids = f"sampled {primitives.name}", self.array(ids[chosen])
-            found = PrimitiveSet(name, primitives.is_static, primitives.num_corners, of_ids, corners, is_sample=True)
+            found = PrimitiveSet(name, primitives.role, primitives.num_corners, of_ids, corners, is_sample=True)
             self._sets.setdefault(key, found)
         return self._sets[key]
 
@@ -243,22 +270,22 @@ class Topology:
         count = {"edge": mesh.num_edges, "face": mesh.num_faces}.get(ARRAYS.get(kind, kind), mesh.num_vertices)
         return np.arange(count)
 
-    def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
-        mesh = self.mesh
+    def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
+        mesh, of_role = self.mesh, self.bodies_of(role)
         array = ARRAYS.get(kind, kind)
         body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
         among = {"codimensional_point": mesh.codimensional_points, "codimensional_edge": mesh.codimensional_edges}.get(
             kind
         )
         num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
-        name = f"{'static' if is_static else 'moving'} {kind}"
-        if among is None and (mesh.static == is_static).all():
+        name = f"{role} {kind}"
+        if among is None and of_role.all():
             ids = np.arange(len(body), dtype=np.int32)
-            return PrimitiveSet(name, is_static, num_corners, self.array(ids), self.corners[array])
+            return PrimitiveSet(name, role, num_corners, self.array(ids), self.corners[array])
         chosen = np.arange(len(body), dtype=np.int32) if among is None else among
-        ids = chosen[mesh.static[body[chosen]] == is_static].astype(np.int32)
+        ids = chosen[of_role[body[chosen]]].astype(np.int32)
         corners = self.array(self._corners_host(array)[ids], wp.vec3i)
-        return PrimitiveSet(name, is_static, num_corners, self.array(ids), corners)
+        return PrimitiveSet(name, role, num_corners, self.array(ids), corners)
 
     @lazy_property
     def collision_filter(self) -> Any:

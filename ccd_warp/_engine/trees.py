@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.topology import WIDTH, PrimitiveSet, Topology
+from ccd_warp._engine.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
@@ -20,6 +20,14 @@ from ccd_warp.kernels.norm import is_ball
 BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
+# The roles of bodies whose primitives are paired: one of the two is free.
+_PAIRED: tuple[tuple[Role, Role], ...] = (
+    ("moving", "moving"),
+    ("moving", "kinematic"),
+    ("kinematic", "moving"),
+    ("moving", "static"),
+    ("static", "moving"),
+)
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
 # Largest number of queries of a launch on CUDA, whose threads are numbered in 32 bits.
@@ -216,35 +224,36 @@ def search_range(
 def tree_pairs_of(
     topology: Topology,
     kinds: tuple[PairKind, ...],
-    skip_moving: bool,
+    skip_free: bool,
     trees: dict[str, Any],
     make: Callable[[PrimitiveSet], Any] = Tree,
 ) -> list[TreePair]:
-    """The tree pairs to search: never two static trees, and two moving ones unless ``skip_moving`` is set.
+    """The tree pairs to search: always with a tree of free bodies, and two of these unless ``skip_free`` is set.
 
     Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
     """
 
-    def tree(kind: str, is_static: bool) -> Any:
-        primitives = topology.primitives(kind, is_static)
+    def tree(kind: str, role: Role) -> Any:
+        primitives = topology.primitives(kind, role)
         if primitives.name not in trees:
             trees[primitives.name] = make(primitives)
         return trees[primitives.name]
 
     tree_pairs = []
+    paired = [pair for pair in _PAIRED if all(topology.bodies_of(role).any() for role in pair)]
     for kind in kinds:
         if kind == PairKind.VERTEX_PLANE:
             continue  # every plane meets every vertex
         first, second = topology.primitives_of(kind)
-        for a_static, b_static in ((False, False), (False, True), (True, False)):
-            is_mirrored = a_static and first == second
-            if is_mirrored or (skip_moving and not a_static and not b_static):
+        for of_first, of_second in paired:
+            is_mirrored = of_first != "moving" and first == second
+            if is_mirrored or (skip_free and of_first == of_second):
                 continue
-            if topology.primitives(first, a_static).count and topology.primitives(second, b_static).count:
-                a, b = tree(first, a_static), tree(second, b_static)
-                # the moving primitives are the queries, so that the tree of the static ones is only traversed
-                swapped = a_static or (
-                    topology.fewer_query and not b_static and b.primitives.count < a.primitives.count
+            if topology.primitives(first, of_first).count and topology.primitives(second, of_second).count:
+                a, b = tree(first, of_first), tree(second, of_second)
+                # the free primitives are the queries, so that the tree of the static ones is only traversed
+                swapped = of_first != "moving" or (
+                    topology.fewer_query and of_second == "moving" and b.primitives.count < a.primitives.count
                 )
                 tree_pairs.append(TreePair(kind, b, a, swapped=True) if swapped else TreePair(kind, a, b))
     return tree_pairs

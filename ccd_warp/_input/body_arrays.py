@@ -104,7 +104,7 @@ class JoinedBodies(NamedTuple):
         vertices: Positions, float64, shape [V, 3], or [V, 2] in the plane.
         faces: Indices into these, int32, shape [F, 3].
         edges: The given edges likewise, int32, shape [E, 2].
-        offsets: Body b has the vertices offsets[b] … offsets[b + 1] - 1; a half-space has none.
+        offsets: Body b has the vertices offsets[b] … offsets[b + 1] - 1; a static half-space has none.
         consists_of_points: Bodies in the plane without edges, bool, shape [B].
         dimension: Number of coordinates.
     """
@@ -117,8 +117,12 @@ class JoinedBodies(NamedTuple):
     dimension: int
 
 
-def joined_bodies(bodies: Sequence[Any], names: Sequence[str]) -> JoinedBodies:
+def joined_bodies(
+    bodies: Sequence[Any], names: Sequence[str], points_of: Callable[[int, int], NDArray[np.float64]]
+) -> JoinedBodies:
     """Check and join the arrays of bodies, at least one of which is no half-space.
+
+    The vertices of a half-space, at most one, are given by ``points_of`` for its body and a number of coordinates.
 
     Raises:
         ValueError: If an array is not as :meth:`ccd_warp.CollisionMesh.from_arrays` expects.
@@ -146,6 +150,9 @@ def joined_bodies(bodies: Sequence[Any], names: Sequence[str]) -> JoinedBodies:
             all_edges += [validated_indices(each, 2, len(vertices), f"edges of {label}") + begin for each in edges]
             consists_of_points[b] = dimension == 2 and len(all_edges[-1]) == 0
             begin += len(vertices)
+        else:
+            all_vertices.append(points_of(b, dimension))
+            begin += len(all_vertices[-1])
         offsets.append(begin)
     num_faces, num_edges = sum(map(len, all_faces)), sum(map(len, all_edges))
     if max(offsets[-1], 3 * num_faces + num_edges) > np.iinfo(np.int32).max:

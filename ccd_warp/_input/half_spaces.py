@@ -1,7 +1,7 @@
 """Checks of half-spaces."""
 
 import numbers
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,18 @@ from ccd_warp._input.arrays import as_array, as_float64
 from ccd_warp._input.foreign import on_host
 
 
-def planes_of(half_spaces: Iterable[tuple[int, str, HalfSpace]], dimension: int) -> Planes:
+def planes_of(
+    half_spaces: Iterable[tuple[int, str, HalfSpace]], dimension: int, offsets: Sequence[int] | None = None
+) -> Planes:
     """The planes of half-spaces, each given with its body and what messages call that.
+
+    A body with a vertex, between two of the ``offsets``, is kinematic: the vertex is the point of its plane.
 
     Raises:
         ValueError: If a point or a normal does not have as many finite numbers as the mesh has coordinates, or a normal
             is 0.
     """
-    points, normals, bodies = [], [], []
+    points, normals, bodies, vertices = [], [], [], []
     for body, label, half_space in half_spaces:
         points.append(_vector(half_space.point, f"point of {label}", dimension))
         normal = _vector(half_space.normal, f"normal of {label}", dimension)
@@ -28,12 +32,20 @@ def planes_of(half_spaces: Iterable[tuple[int, str, HalfSpace]], dimension: int)
             raise ValueError(f"normal of {label} is {normal.tolist()}; expected a direction, which 0 is not")
         normals.append(normal)
         bodies.append(body)
+        has_vertex = offsets is not None and offsets[body] < offsets[body + 1]
+        vertices.append(offsets[body] if offsets is not None and has_vertex else -1)
     shape = (-1, dimension)
     return Planes(
         np.array(points, dtype=np.float64).reshape(shape),
         np.array(normals, dtype=np.float64).reshape(shape),
         np.array(bodies, dtype=np.int32),
+        np.array(vertices, dtype=np.int32),
     )
+
+
+def points_of(half_space: HalfSpace, label: str, dimension: int, *, is_kinematic: bool) -> NDArray[np.float64]:
+    """The vertices of a half-space: its point if it is kinematic, shape [1, d], and none otherwise, shape [0, d]."""
+    return _vector(half_space.point, f"point of {label}", dimension)[None][: int(is_kinematic)]
 
 
 def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:

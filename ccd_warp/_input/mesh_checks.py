@@ -27,20 +27,30 @@ def find_codimensional_points(
     return np.flatnonzero(is_codimensional).astype(np.int32)
 
 
-def validated_static(values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
-    """Which bodies are static, bool, shape [B], from their indices or names, or a ValueError."""
+def validated_static(
+    static: Iterable[int | str], kinematic: Iterable[int | str], names: Sequence[str]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which bodies are static, and which are kinematic, bool, shape [B] each, or a ValueError; none may be both."""
+    is_static, is_kinematic = _chosen_bodies("static", static, names), _chosen_bodies("kinematic", kinematic, names)
+    for body in np.flatnonzero(is_static & is_kinematic)[:1].tolist():
+        raise ValueError(f"static and kinematic both hold {body_label(body, names)}; expected it in one of them")
+    return is_static, is_kinematic
+
+
+def _chosen_bodies(name: str, values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
+    """Bodies given by their indices or names, bool, shape [B]."""
     num_bodies = len(names)
-    static = np.zeros(num_bodies, dtype=bool)
-    for body in check_items("static", values, "a list of body indices"):
+    chosen = np.zeros(num_bodies, dtype=bool)
+    for body in check_items(name, values, "a list of body indices"):
         if isinstance(body, str) and body in names:
             body = names.index(body)
         is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
         if not is_index or not 0 <= body < num_bodies:
             raise ValueError(
-                f"static holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies"
+                f"{name} holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies"
             )
-        static[int(body)] = True
-    return static
+        chosen[int(body)] = True
+    return chosen
 
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:

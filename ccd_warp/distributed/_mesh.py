@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,6 +76,7 @@ class DistributedMesh:
         edges: ArrayLike | None = None,
         bodies: ArrayLike | None = None,
         static: Iterable[int] = (),
+        kinematic: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         body_pairs: ArrayLike | None = None,
@@ -101,6 +102,7 @@ class DistributedMesh:
             bodies: Body of each vertex, integers that ascend with the ids, shape [n]. By default there is one body.
             static: Bodies that do not move; the same on all ranks, as all that follows but ``vertex_world``,
                 ``radius`` and ``owned``.
+            kinematic: Bodies that move as they are told, as of :class:`ccd_warp.CollisionMesh`; no half-spaces.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
                 codimensional points: one flag for all bodies or one for each.
@@ -130,7 +132,13 @@ class DistributedMesh:
                 given = handed_in(*of_all, vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
                 self._number_vertices(given)
                 self._take_tables(
-                    given, static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs
+                    given,
+                    (static, kinematic),
+                    self_collision,
+                    codimensional_points,
+                    body_pairs,
+                    exclusion_rings,
+                    exclude_pairs,
                 )
                 self._number_primitives(given)
                 self._measure()
@@ -234,7 +242,7 @@ class DistributedMesh:
     def _take_tables(
         self,
         given: HandedIn,
-        static: Iterable[int],
+        prescribed: tuple[Iterable[int], Iterable[int]],
         self_collision: bool | Sequence[bool],
         codimensional_points: bool | Sequence[bool],
         body_pairs: ArrayLike | None,
@@ -244,7 +252,12 @@ class DistributedMesh:
         """Check what is the same on all ranks."""
         names = [f"body {b}" for b in range(self.num_bodies)]
         self.names = tuple(names)
-        self.static = validated_static(static, names)
+        self.static, self.kinematic = validated_static(*prescribed, names)
+        for body in filter(self._half_spaces.__contains__, np.flatnonzero(self.kinematic).tolist()):
+            raise ValueError(
+                f"kinematic holds body {body}, a half-space; expected none of a distributed mesh, in which half-spaces "
+                f"are static"
+            )
         if len(self._half_spaces) == self.num_bodies:
             raise ValueError("half_spaces holds all bodies; expected at least one body with vertices")
         self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), self.dimension)
@@ -270,7 +283,7 @@ class DistributedMesh:
         is_self = excluded_bodies[:, 0] == excluded_bodies[:, 1]
         self.self_collision[excluded_bodies[is_self, 0]] = False
         self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
-        same: list[NDArray[Any]] = [self.static, self.self_collision, self._with_points]
+        same: list[NDArray[Any]] = [self.static, self.kinematic, self.self_collision, self._with_points]
         same += [self.exclude_pairs.get("bodies", np.zeros(0))]
         same += [np.zeros(0) if self.body_pairs is None else self.body_pairs, *vars(self.planes).values()]
         excluded = _pairs_of_ids((exclude_pairs or {}).get("vertices", ()))
@@ -279,8 +292,8 @@ class DistributedMesh:
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
             raise ValueError(
-                "static, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs or "
-                "half_spaces differs between ranks; expected the same on all"
+                "static, kinematic, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs "
+                "or half_spaces differs between ranks; expected the same on all"
             )
         if self.dimension == 2:
             has_edges = np.zeros(self.num_bodies, dtype=np.int64)
@@ -371,14 +384,14 @@ class DistributedMesh:
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] in the plane.
-            vertices_t1: End positions; rows of static bodies are ignored.
+            vertices_t1: End positions, in which static bodies are where they start.
             name_t0: Name of the first argument in errors.
 
         Returns:
             Both as float64, static vertices at their start positions; ghosts hold anything.
 
         Raises:
-            ValueError: If a shape differs, or a value that is read is not finite.
+            ValueError: If a shape differs, a value that is read is not finite, or a static body moves.
         """
         count = len(self.vertex_ids)
         if count == 0:  # an empty list has no columns
@@ -388,7 +401,10 @@ class DistributedMesh:
             )
         start = as_positions(vertices_t0, name_t0, self.dimension, count, "one row a vertex of this rank")
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, count, "one row a vertex of this rank")
-        if self._has_static:
+        if self._has_static and end is not start:
+            moved = np.flatnonzero((self._is_static & self.is_owned) & (start != end).any(axis=1))
+            if len(moved):
+                self._refuse_motion(moved, start[moved], end[moved])
             end = np.where(self._is_static[:, None], start, end)
         is_all = len(self.owned_rows) == count
         for name, values in ((name_t0, start), ("vertices_t1", end)):
@@ -396,6 +412,18 @@ class DistributedMesh:
             is_checked = is_all or np.isfinite(values).all()
             check_finite(values if is_checked else values[self.owned_rows], name, where=self._where)
         return start, end
+
+    def _refuse_motion(self, rows: NDArray[np.intp], start: NDArray[np.float64], end: NDArray[np.float64]) -> NoReturn:
+        """Raise the error for rows of static bodies that differ at both ends of a step."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = np.linalg.norm(end - start, axis=1)
+        row = int(np.argmax(np.where(np.isnan(length), np.inf, length)))
+        body = int(self.bodies[rows[row]])
+        raise ValueError(
+            f"vertices_t1 moves the vertex with id {self.vertex_ids[rows[row]]} of body {body}, which is static, by "
+            f"{length[row]:.6g}; expected its position in vertices_t0, or kinematic=[{body}] in place of "
+            f"static=[{body}] for a body that moves as it is told"
+        )
 
     def _where(self, row: int) -> str:
         return f" (vertex id {self.vertex_ids[self.owned_rows[row]]})"

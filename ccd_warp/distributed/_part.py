@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import swept_boxes
-from ccd_warp._engine.topology import ARRAYS, Positions, PrimitiveSet, Topology
+from ccd_warp._engine.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
 from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -82,6 +82,7 @@ def part_mesh(
         face_body=vertex_body[faces[:, 0]],
         body_vertex_range=begin,
         static=whole.static,
+        kinematic=whole.kinematic,
         self_collision=whole.self_collision,
         moving_vertices=np.flatnonzero(~whole.static[vertex_body]).astype(np.int32),
         body_pairs=whole.body_pairs,
@@ -97,7 +98,7 @@ def part_mesh(
     mesh.__setstate__(state)
     # lazy properties of the whole mesh, which a part cannot tell
     vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale, is_thick=whole.is_thick)
-    vars(mesh)["_moves_alone"] = whole.moves_alone
+    vars(mesh).update(_moves_alone=whole.moves_alone, _is_free_alone=whole.moves_alone)
     vars(mesh)["_excludes_by_vertices"] = whole.rings is not None
     return mesh
 
@@ -150,7 +151,7 @@ class PartTopology(Topology):
         The box of a vertex that is tested meets the region, so it begins there unless it begins below it.
         """
         mesh, tested = self.mesh, self._part.tested_vertices
-        is_here = ~mesh.static[mesh.vertex_body[tested]] & (self._vertex_below[tested] == 0)
+        is_here = mesh._is_free[mesh.vertex_body[tested]] & (self._vertex_below[tested] == 0)
         return self.array(tested[is_here])
 
     def numbers(self, kind: str) -> NDArray[np.integer]:
@@ -159,13 +160,13 @@ class PartTopology(Topology):
         of_kind = {"edge": part.edge_numbers, "face": part.face_numbers}
         return of_kind.get(ARRAYS.get(kind, kind), part.vertex_numbers)
 
-    def _make_set(self, kind: str, is_static: bool) -> PrimitiveSet:
+    def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
         if kind != "vertex":
-            return super()._make_set(kind, is_static)
+            return super()._make_set(kind, role)
         mesh, tested = self.mesh, self._part.tested_vertices
-        ids = tested[mesh.static[mesh.vertex_body[tested]] == is_static]
+        ids = tested[self.bodies_of(role)[mesh.vertex_body[tested]]]
         corners = self.array(np.repeat(ids[:, None], 3, axis=1), wp.vec3i)
-        return PrimitiveSet(f"{'static' if is_static else 'moving'} vertex", is_static, 1, self.array(ids), corners)
+        return PrimitiveSet(f"{role} vertex", role, 1, self.array(ids), corners)
 
     def _excluded_vertices(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         assert self._rings

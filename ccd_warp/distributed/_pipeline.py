@@ -132,7 +132,7 @@ class DistributedPipeline:
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
                 Rows of ghosts are ignored: the positions of the owners count.
-            vertices_t1: End positions, likewise. Rows of static bodies are ignored.
+            vertices_t1: End positions, likewise. Static bodies are where they start.
 
         Returns:
             What concerns this rank, and the toi of the whole mesh.
@@ -397,10 +397,10 @@ class DistributedPipeline:
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
             vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
-            touching = contacts_of(plan.part, found.touching, self._ranks)
+            touching, struck = (contacts_of(plan.part, c, self._ranks) for c in (found.touching, found.struck))
             self._finished()
             return DistributedLineSearch(
-                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited
+                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited, struck
             )
 
         with self._together("line_search"):

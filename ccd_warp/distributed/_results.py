@@ -192,12 +192,14 @@ class DistributedLineSearch:
 
     Attributes:
         vertices: End positions of the vertices on this rank, ghosts too, shape [n, 3], or [n, 2] in the plane.
-        vertex_fraction: Fraction of its displacement by which each of them moves, 1 for static vertices, shape [n].
-        fraction: The least fraction of all moving vertices; the same on all ranks.
+        vertex_fraction: Fraction of its displacement by which each of them moves, 1 for static and kinematic ones,
+            shape [n].
+        fraction: The least fraction of all free vertices; the same on all ranks.
         touching: Pairs that keep their vertices from moving, as of :class:`ccd_warp.LineSearchResult`, each on one
             rank.
         num_rounds: Number of steps that were checked.
         is_limited: As of :class:`ccd_warp.LineSearchResult`.
+        struck: Pairs of a kinematic body and vertices that stay in its way, as there, each on one rank.
     """
 
     vertices: NDArray[np.float64]
@@ -206,6 +208,7 @@ class DistributedLineSearch:
     touching: DistributedContacts
     num_rounds: int
     is_limited: bool
+    struck: DistributedContacts
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"

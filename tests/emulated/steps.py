@@ -59,6 +59,11 @@ def _between_walls() -> Made:
     return _every_kind(walls, static=[2], exclude_pairs=excluded)
 
 
+def _with_kinematic() -> Made:
+    """The same with a kinematic body, a static one and a ground that moves as it is told."""
+    return _every_kind((ccd.HalfSpace([0, 0, 0.1], [0.1, 0, 2]),), static=[2], kinematic=[1, 3])
+
+
 def _in_plane(**arguments: Any) -> Made:
     rng = np.random.default_rng(23)
     k = np.arange(60)
@@ -100,7 +105,8 @@ def _with_a_giant(**arguments: Any) -> Made:
     mesh, start, end = _crowd(120)
     giant = 1000 * scenes.TRIANGLE + [0.1, 0.2, 0.5]
     both = ccd.CollisionMesh.from_arrays([(start, mesh.faces), (giant, scenes.FACE)], **arguments)
-    return both, both.vertices, np.concatenate([end, giant + [0, 0, 0.01]])
+    end = np.concatenate([end, giant + [0, 0, 0.01]])
+    return both, both.vertices, scenes.with_static_at_rest(both, both.vertices, end)
 
 
 def _bodies_far_apart() -> Made:
@@ -169,6 +175,7 @@ STEPS = {
     "spatial hash": StepCase(lambda: _every_kind(static=[1]), {"broad_phase": "hash", "minimum_separation": 0.004}),
     "spatial hash, excluded pairs": StepCase(_excluding, {"broad_phase": "hash"}),
     "half-spaces": StepCase(_between_walls, {"minimum_separation": 0.004}),
+    "kinematic bodies": StepCase(_with_kinematic, {"minimum_separation": 0.004}),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
