@@ -353,6 +353,7 @@ class Step:
             gathered.vertex_contact,
             gathered.body_contact,
             gathered.world_toi,
+            gathered.world_contact,
         )
 
     def _meet_planes(self, plan: HostPlan) -> int:
