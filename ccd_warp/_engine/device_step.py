@@ -48,6 +48,8 @@ _PER = {
     "vertex": int(device_step.PER_VERTEX),
 }
 _SAFETY = Slot("safety")
+# By how much the cells of spatial hashes are larger than those for boxes at rest, as the motions are not known yet.
+_SPARE = 4.0
 # Recordings that are kept, enough for the different kinds of calls in a loop.
 _MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
@@ -186,7 +188,7 @@ class DeviceStep:
         trees = trees_of(tree_pairs)
         self._static_trees = [tree for tree in trees if tree.primitives.is_static]
         self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
-        cell = choose_cell(topology, (vertices, vertices), quantization, spare=2.0) if self._has_grids else 0.0
+        cell = choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE) if self._has_grids else 0.0
         for tree in trees:
             if self._has_grids:
                 tree.lay_out(_NUM_AABBS, cell, lambda _, n, dtype: self._empty(n, dtype))
