@@ -87,8 +87,8 @@ class Grid:
 def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, spare: float = 1.0) -> float:
     """Side of a cell of the finest level in quantized coordinates, from samples of the step.
 
-    It is ``spare`` times as large where motions are still to come: too small a cell costs more than a large one. It is a
-    power of the fourth root of two, so that it stays the same, and with it the hashes of static bodies, while the boxes
+    It is ``spare`` times as large where motions are still to come: too small a cell costs more than a large one. It is
+    a power of the fourth root of two, so that it stays the same, and with it the hashes of static bodies, while boxes
     change little.
     """
     side = _CELL_FACTOR * large_half_side(topology, positions, _QUANTILE) * (2.0 * quantization.scale) * spare
