@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import broad_phases, scaling, small_scenes, whole_step
+from ccd_warp.benchmarks import broad_phases, many_worlds, scaling, small_scenes, whole_step
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.journal import Journal, fingerprint
@@ -23,7 +23,7 @@ from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
 from ccd_warp.benchmarks.scenes import small_scenes as all_small_scenes
 from tqdm import tqdm
 
-SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "broad", "small", "pairs", "growth")
+SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "broad", "worlds", "small", "pairs", "growth")
 JOURNAL = "bench.journal"
 RAW = "bench.json"
 
@@ -47,6 +47,7 @@ class Settings:
         rounds: Interleaved repeats of everything else.
         step_seconds: Time of the rounds of a scene.
         step_rounds: Least rounds of a scene.
+        worlds: Numbers of worlds.
         small_rounds: Rounds of a small scene, and of a single pair.
         growth: Faces of the scenes of growing size.
     """
@@ -65,6 +66,7 @@ class Settings:
     rounds: int
     step_seconds: float
     step_rounds: int
+    worlds: tuple[int, ...]
     small_rounds: int
     growth: tuple[int, ...]
 
@@ -98,6 +100,7 @@ class Settings:
                 rounds=3,
                 step_seconds=2.0,
                 step_rounds=2,
+                worlds=(64, 1_024),
                 small_rounds=7,
                 growth=(10_000, 30_000, 100_000),
             )
@@ -113,6 +116,7 @@ class Settings:
             rounds=5,
             step_seconds=10.0,
             step_rounds=3,
+            worlds=(64, 256, 1_024, 2_048),
             small_rounds=25,
             growth=(10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000),
         )
@@ -208,6 +212,15 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
                     settings.step_seconds + 5.0,
                     lambda m=make, d=device: broad_phases.measure(m(), d, settings.step_seconds, settings.step_rounds),
                 )
+    if "worlds" in settings.sections:
+        for name in many_worlds.SCENES:
+            for count in settings.worlds:
+                for device in settings.devices:
+                    yield Task(
+                        f"worlds|{name}|{count}|{device}",
+                        6e-4 * (settings.rounds + 3) * count + 1.0,
+                        lambda n=name, c=count, d=device: many_worlds.measure(n, c, d, settings.rounds),
+                    )
     rounds = settings.small_rounds
     if "small" in settings.sections:
         for scene in all_small_scenes():

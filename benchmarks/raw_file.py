@@ -73,7 +73,7 @@ def tables(raw: dict) -> dict[str, list[dict]]:
             for unit in raw.get(name, [])
             for row in unit["rows"]
         ]
-    for name in ("steps", "broad", "small", "pairs", "growth", "start", "threads"):
+    for name in ("steps", "broad", "worlds", "small", "pairs", "growth", "start", "threads"):
         result[name] = [_flat(row) for row in raw.get(name) or []]
     result["batches"] = list((raw.get("batches") or {"rows": []})["rows"])
     return result

@@ -140,6 +140,18 @@ def document(raw: dict, figures: str = "figures") -> str:
             *scene_sections.broad(raw),
             "",
         ]
+    if raw.get("worlds"):
+        lines += [
+            "### Many worlds",
+            "",
+            "Microseconds of the processor for a world, of all threads together, where all worlds lie in one place: "
+            "they do not grow with the number of worlds. `launch` and `launch_line_search` (by world) take arrays of "
+            "Warp and leave their answers there, the others take and give NumPy's. The tois of all are equal in every "
+            "bit.",
+            "",
+            *scene_sections.worlds(raw),
+            "",
+        ]
     if raw.get("small"):
         lines += [
             "### Small scenes",

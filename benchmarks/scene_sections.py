@@ -68,6 +68,29 @@ def broad(raw: dict) -> list[str]:
     return [*table(header, rows), *apart(raw, "broad")]
 
 
+# Calls of the table of many worlds; `many_worlds.measure` names them.
+WORLD_CALLS = ("mesh_ccd", "launch", "collision_free_step", "launch_line_search", "mesh_ccd, hash", "launch, hash")
+
+
+def worlds(raw: dict) -> list[str]:
+    """Processor time of a world, by their number, and launches against calls."""
+    rows = (
+        [
+            scene_name(row),
+            f"{row['worlds']:,}",
+            f"{row['contacts']:,}",
+            *(f"{1e6 * row['seconds'][name] / row['worlds']:.1f}" for name in WORLD_CALLS),
+            *(f"{row['seconds'][f'launch{of}'] / row['seconds'][f'mesh_ccd{of}']:.2f}" for of in ("", ", hash")),
+            "yes" if row["are_equal"] else "no",
+        ]
+        for row in raw["worlds"]
+    )
+    names = [", ".join([f"`{call}`", *of]) for call, *of in (name.split(", ") for name in WORLD_CALLS)]
+    header = ["scene", "worlds", "contacts", *names]
+    lines = table([*header, "`launch` to `mesh_ccd`", "with the hash", "equal"], rows)
+    return [*lines, *apart(raw, "worlds")]
+
+
 # Calls of the table of small scenes; `small_scenes.measure` names them.
 SMALL_PEERS = ("LBVH, Tight-Inclusion", "LBVH, additive")
 SMALL_CALLS = ("collision_free_step", "mesh_ccd", "pipeline.collision_free_step", "pipeline.mesh_ccd", "launch")

@@ -340,3 +340,19 @@ def outcome(toi: float, world_toi: NDArray[np.float64], contacts: Contacts) -> s
     parts.append(counted(len(contacts), "contact", "contacts"))
     first = contacts._first()
     return ", ".join(parts) + (f", first: {first._described()}" if first else "")
+
+
+def first_contacts(
+    toi: NDArray[np.float64], parts: NDArray[np.int32], part_toi: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Index of the contact that gives the toi of each part, the first where several share it, -1 where there is none.
+
+    Args:
+        toi: The toi of each contact.
+        parts: The parts to which each contact belongs, shape [m, k].
+        part_toi: The toi of each part.
+    """
+    contact, column = np.nonzero(toi[:, None] == part_toi[parts])
+    first = np.full(len(part_toi), -1, dtype=np.int32)
+    first[parts[contact, column][::-1]] = contact[::-1]  # of several the last written stays, which is the first
+    return first

@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contacts import Contact, Contacts, Placed, outcome
+from ccd_warp._contacts import Contact, Contacts, Placed, first_contacts, outcome
 from ccd_warp._display import counted
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import LaunchFlag, PairKind
 
 
@@ -166,6 +167,24 @@ class HostLaunchResult:
     world_flags: NDArray[np.int32]
     num_pairs: dict[PairKind, int]
     num_contacts: int
+
+    @lazy_property
+    def vertex_contact(self) -> NDArray[np.int32]:
+        """Index of the contact that gives the toi of each vertex, as in :class:`ccd_warp.MeshResult`, shape [V].
+
+        It is -1 where there is none, and where it was beyond the capacity.
+        """
+        return first_contacts(self.contacts.toi, self.contacts.vertices, self.vertex_toi)
+
+    @lazy_property
+    def body_contact(self) -> NDArray[np.int32]:
+        """The same for each body, shape [B]."""
+        return first_contacts(self.contacts.toi, self.contacts.bodies, self.body_toi)
+
+    @lazy_property
+    def world_contact(self) -> NDArray[np.int32]:
+        """The same for each world, shape [W]."""
+        return first_contacts(self.contacts.toi, self.contacts.world[:, None], self.world_toi)
 
     @property
     def hit(self) -> bool:

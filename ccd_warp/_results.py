@@ -96,6 +96,7 @@ class MeshResult:
             there is none, int32, shape [V].
         body_contact: The same for each body, int32, shape [B].
         world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
+        world_contact: Index of the contact that gives the toi of a world, as of a vertex, int32, shape [W].
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         hidden_gaps: Where pairs have the status ``ROUNDING_LIMIT``, a sentence on how many they are and on the vertex
             that is farthest from the others; otherwise empty.
@@ -110,6 +111,7 @@ class MeshResult:
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]
     world_toi: NDArray[np.float64]
+    world_contact: NDArray[np.int32]
     start: Intersections | None = None
     hidden_gaps: str = ""
 

@@ -20,9 +20,10 @@ certainly overlap. Only where two quantized coordinates are equal is the exact f
 Since f(min(a, b)) = min(f(a), f(b)), the quantized box of a primitive is the union of the quantized boxes of its
 vertices. These are computed once a step: the **vertex AABBs**.
 
-**Worlds.** Several independent scenes, called worlds, may occupy the same region of space. Each is shifted, in
-quantized coordinates, to its own cell of a lattice. The shift is one more rounded sum that is monotone within a world,
-so no pair of a world is missed, and the collision filter excludes the pairs of different worlds that still overlap.
+**Worlds.** Several independent scenes, called worlds, may occupy the same region of space. Each has its own cell of a
+lattice in quantized coordinates, an origin and a unit of length. f is taken from this origin and in this unit, pressed
+into the cell where it is large (`in_cell`), and shifted there. Within a world all of this is monotone, so no pair of a
+world is missed; and no box of a world overlaps one of another, however far what moves in a world has gone.
 
 **Sizes.** One giant box would make all its ancestors giant. Boxes are therefore classified by extent, in factors of
 eight above the typical extent, and the class is the most significant part of the key, so that large boxes share blocks
@@ -48,6 +49,10 @@ CLASS_BITS = 3
 _HALF = wp.constant(wp.float64(0.5))
 _LARGEST_CLASS = wp.constant(2**CLASS_BITS - 1)
 _INFINITY = wp.constant(wp.float32(wp.inf))
+_BITS_OF_ONE = wp.constant(wp.int32(0x3F800000))
+_DOUBLING = wp.constant(wp.float32(2.0**-23))
+# What a doubling beyond ``inner`` takes of it: 128 of them end an eighth of ``inner`` before the border of the cell.
+_OUTER = wp.constant(wp.float32(0.875 / 128.0))
 
 vec8i = wp.types.vector(length=8, dtype=wp.int32)
 vec8u = wp.types.vector(length=8, dtype=wp.uint32)
@@ -84,20 +89,49 @@ class Quantization:
     typical_extent: wp.float32  # of a primitive, in quantized coordinates
 
 
+@wp.struct
+class Worlds:
+    """The cells of worlds in quantized coordinates; empty arrays for a mesh of a single world."""
+
+    of_vertex: wp.array[wp.int32]
+    cell: wp.array[wp.vec4f]  # middle of each world's cell, and its unit: by which power of two the scale is larger
+    anchor: wp.array[
+        wp.int32
+    ]  # three vertices of each world, whose start positions count; empty: the origin is that of f
+    origin: wp.array[wp.vec3d]  # of the world from each of them; the middle one of the three counts, along each axis
+    inner: wp.float32  # half of half a cell, a power of two: up to there coordinates are only shifted
+
+
 @wp.func
-def quantized(x: wp.vec3d, quantization: Quantization) -> wp.vec3f:
+def quantized(x: wp.vec3d, origin: wp.vec3d, scale: wp.float64) -> wp.vec3f:
     """f: monotone in every component; with halves, so that the difference of two finite numbers is finite."""
-    y = (_HALF * x - _HALF * quantization.origin) * (quantization.scale + quantization.scale)
+    y = (_HALF * x - _HALF * origin) * (scale + scale)
     return wp.vec3f(wp.float32(y[0]), wp.float32(y[1]), wp.float32(y[2]))
+
+
+@wp.func
+def in_cell(y: wp.vec3f, cell: wp.vec4f, inner: wp.float32) -> wp.vec3f:
+    """Quantized coordinates in a cell: monotone, and the same but for the shift as long as they are within ``inner``.
+
+    Beyond that every doubling takes the same length, of which there are 128 up to infinity. The bits of a positive
+    number are its logarithm, interpolated between powers of two, and 2²³ of them are a doubling.
+    """
+    r = wp.vec3f()
+    for k in range(3):
+        distance = wp.abs(y[k])
+        if distance > inner:
+            doublings = wp.float32(wp.cast(distance / inner, wp.int32) - _BITS_OF_ONE) * _DOUBLING
+            distance = inner + doublings * (_OUTER * inner)
+        r[k] = wp.where(y[k] < wp.float32(0.0), -distance, distance) + cell[k]
+    return r
 
 
 @wp.func
 def vertex_aabb(
     v: int,
-    vertex_world: wp.array[wp.int32],
-    world_shift: wp.array[wp.vec3f],
-    p_t0: wp.vec3d,
-    p_t1: wp.vec3d,
+    worlds: Worlds,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
     t_end: wp.float64,
     inflation: wp.float64,
     box_radius: wp.array[wp.float64],
@@ -109,6 +143,8 @@ def vertex_aabb(
 
     It grows by the radius of the vertex (`thickness`) where there are radii, rounded outward once more.
     """
+    p_t0 = vertices_t0[v]
+    p_t1 = vertices_t1[v]
     box = point_box(p_t0)
     if num_aabbs == 1:
         box = united(box, end_box(p_t0, p_t1, t_end))
@@ -117,14 +153,27 @@ def vertex_aabb(
     box = inflated(box, inflation)
     if box_radius.shape[0] > 0:
         box = inflated(box, box_radius[v])
-    shift = wp.vec3f()
-    if world_shift.shape[0] > 0:
-        shift = world_shift[vertex_world[v]]
-    lower = quantized(box.lower, quantization) + shift
-    upper = quantized(box.upper, quantization) + shift
+    origin = quantization.origin
+    scale = quantization.scale
+    cell = wp.vec4f()
+    has_worlds = worlds.cell.shape[0] > 0
+    if has_worlds:
+        w = worlds.of_vertex[v]
+        cell = worlds.cell[w]
+        if worlds.anchor.shape[0] > 0:
+            a = worlds.origin[3 * w] + vertices_t0[worlds.anchor[3 * w]]
+            b = worlds.origin[3 * w + 1] + vertices_t0[worlds.anchor[3 * w + 1]]
+            c = worlds.origin[3 * w + 2] + vertices_t0[worlds.anchor[3 * w + 2]]
+            origin = wp.max(wp.min(a, b), wp.min(wp.max(a, b), c))
+        scale = scale * wp.float64(cell[3])
+    lower = quantized(box.lower, origin, scale)
+    upper = quantized(box.upper, origin, scale)
     if not (lower[0] <= upper[0] and lower[1] <= upper[1] and lower[2] <= upper[2]):
         lower = wp.vec3f(_INFINITY, _INFINITY, _INFINITY)
         upper = -lower
+    elif has_worlds:
+        lower = in_cell(lower, cell, worlds.inner)
+        upper = in_cell(upper, cell, worlds.inner)
     zero = wp.float32(0.0)
     return vec8f(lower[0], lower[1], lower[2], zero, -upper[0], -upper[1], -upper[2], zero)
 
@@ -149,8 +198,7 @@ def fill_vertex_aabbs(
     vertices: wp.array[wp.int32],
     vertex_body: wp.array[wp.int32],
     body_active: wp.array[wp.int32],
-    vertex_world: wp.array[wp.int32],
-    world_shift: wp.array[wp.vec3f],
+    worlds: Worlds,
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
     t_end: wp.float64,
@@ -171,10 +219,9 @@ def fill_vertex_aabbs(
         if body_active[vertex_body[v]] != 0:
             aabb = vertex_aabb(
                 v,
-                vertex_world,
-                world_shift,
-                vertices_t0[v],
-                vertices_t1[v],
+                worlds,
+                vertices_t0,
+                vertices_t1,
                 t_end,
                 inflation,
                 box_radius,

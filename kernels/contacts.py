@@ -1,9 +1,9 @@
-"""Contacts: the list of them, their order, and the first contact of each vertex and each body."""
+"""Contacts: the list of them, their order, and the first contact of each vertex, body and world."""
 
 import warp as wp
 
 from .atomics import atomic_min_int32
-from .minima import Minima
+from .minima import Minima, world_of
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -114,7 +114,7 @@ def reset_first(
     # out
     first: wp.array[wp.int32],
 ):
-    """Let every vertex, or every body, have no contact yet."""
+    """Let every vertex, body or world have no contact yet."""
     first[begin + wp.tid()] = NO_CONTACT
 
 
@@ -148,6 +148,7 @@ def first_contacts(
     # out
     vertex_contact: wp.array[wp.int32],
     body_contact: wp.array[wp.int32],
+    world_contact: wp.array[wp.int32],
 ):
     """The contact that each toi belongs to: the one of lowest index if several have this toi."""
     n = begin + wp.tid()
@@ -172,3 +173,6 @@ def first_contacts(
         second = edge_corners[pair[1]]
     first_of_primitive(first, minima, bits, n, vertex_contact, body_contact)
     first_of_primitive(second, minima, bits, n, vertex_contact, body_contact)
+    world = world_of(minima, first[0])
+    if minima.world[world] == bits:
+        atomic_min_int32(world_contact, world, n)

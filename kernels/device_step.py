@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .atomics import atomic_min_int64
-from .box_tree import WIDTH, BoxTree, Quantization, fill_block, unite_from, vertex_aabb, write_vertex_aabb
+from .box_tree import WIDTH, BoxTree, Quantization, Worlds, fill_block, unite_from, vertex_aabb, write_vertex_aabb
 from .in_space import make_in_space
 from .minima import INVALID_INPUT, STATIC_MOVED, STRUCK, Minima, flag_world, is_kinematic, world_of
 from .once import once
@@ -139,8 +139,7 @@ def refresh_vertex_aabbs(
     # in
     is_moved: wp.array[wp.int32],
     vertices: wp.array[wp.int32],
-    vertex_world: wp.array[wp.int32],
-    world_shift: wp.array[wp.vec3f],
+    worlds: Worlds,
     x: wp.array[wp.vec3d],
     inflation: wp.float64,
     box_radius: wp.array[wp.float64],
@@ -158,10 +157,9 @@ def refresh_vertex_aabbs(
             for n in range(num_aabbs):
                 aabb = vertex_aabb(
                     v,
-                    vertex_world,
-                    world_shift,
-                    x[v],
-                    x[v],
+                    worlds,
+                    x,
+                    x,
                     wp.float64(1.0),
                     inflation,
                     box_radius,

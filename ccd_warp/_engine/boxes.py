@@ -21,6 +21,7 @@ from ccd_warp._engine.topology import (
     choose_quantization,
     choose_static_quantization,
     sorted_keys,
+    uneven_samples,
 )
 from ccd_warp._engine.trees import Tree, fill_trees
 from ccd_warp._runtime.launch import Execution
@@ -158,7 +159,7 @@ class StepBoxes:
             return
         self._static_key = None
         self._filled.clear()
-        self._static_quantization = choose_static_quantization(topology.mesh, start, self.quantization)
+        self._static_quantization = choose_static_quantization(topology, start, self.quantization)
         positions: wp.array = wp.array(start, dtype=wp.vec3d, device=topology.device, copy=False)
         every = wp.ones(topology.mesh.num_bodies, dtype=wp.int32, device=topology.device)
         execution.launch(
@@ -227,7 +228,7 @@ class StepBoxes:
         # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours
         if count <= WIDTH or tree.primitives.is_sample:
             return True
-        chosen = (np.arange(_CHECKED_BLOCKS) * count) // _CHECKED_BLOCKS
+        chosen = uneven_samples(count, _CHECKED_BLOCKS)
         boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
         with np.errstate(invalid="ignore", over="ignore"):
             longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))

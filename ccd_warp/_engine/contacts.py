@@ -60,7 +60,7 @@ def new_contact_list(arrays: Mapping[str, wp.array]) -> Any:
 
 @dataclass(frozen=True)
 class Gathered:
-    """Sorted contacts, and the earliest of every vertex and body."""
+    """Sorted contacts, and the earliest of every vertex, body and world."""
 
     contacts: Contacts
     toi: float
@@ -69,10 +69,11 @@ class Gathered:
     world_toi: NDArray[np.float64]
     vertex_contact: NDArray[np.int32]
     body_contact: NDArray[np.int32]
+    world_contact: NDArray[np.int32]
 
 
 class _Ordered:
-    """Arrays for sorted contacts, and for the first contact of every vertex and body.
+    """Arrays for sorted contacts, and for the first contact of every vertex, body and world.
 
     Attributes:
         arrays: The fields of the contacts.
@@ -90,7 +91,8 @@ class _Ordered:
         self._contacts = new_contact_list({"count": count, **self.arrays})
         self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
-        sizes = (topology.mesh.num_vertices, topology.mesh.num_bodies)
+        mesh = topology.mesh
+        sizes = (mesh.num_vertices, mesh.num_bodies, mesh.num_worlds)
         self._first: list[wp.array] = [wp.empty(size, dtype=wp.int32, device=device) for size in sizes]
 
     def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
@@ -98,7 +100,7 @@ class _Ordered:
         launcher.launch(kernels.contact_keys, self._capacity, inputs=[found], outputs=[self.keys])
 
     def fill(self, launcher: Execution | Recording, found: Any, minima: Any) -> None:
-        """Copy the contacts in order, and find the first of every vertex and body."""
+        """Copy the contacts in order, and find the first of every vertex, body and world."""
         for first in self._first:
             launcher.launch(kernels.reset_first, len(first), inputs=[], outputs=[first])
         inputs = [self.order, found]
@@ -110,10 +112,10 @@ class _Ordered:
             from ccd_warp.kernels import meet_planes  # not before a scene needs it
 
             inputs = [self._contacts, self._topology.planes.body, minima]
-            launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=self._first[1:])
+            launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
 
     def first_contacts(self, count: int) -> list[NDArray[np.int32]]:
-        """Index of the first of ``count`` contacts of every vertex and of every body, -1 where there is none."""
+        """Index of the first of ``count`` contacts of every vertex, body and world, -1 where there is none."""
         if count == 0:
             return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
         return [np.where(first == _LAST, np.int32(-1), first) for first in (array.numpy() for array in self._first)]
@@ -183,7 +185,7 @@ class ContactStore:
         self.total += int(self.count.numpy()[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
-        """All contacts, sorted by kind and pair, and the first contact of every vertex and body."""
+        """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
         count = self.total
         if count > _FEW or self._execution.is_cuda:
             ordered = _Ordered(self._topology, self.count, count, self._execution.is_cuda)
@@ -201,15 +203,13 @@ class ContactStore:
             contacts = {name: values[:count].copy() for name, values in ordered.views.items()}
         toi = self._toi.numpy().copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in itertools.pairwise(self._bounds))
-        vertex_contact, body_contact = ordered.first_contacts(count)
         return Gathered(
             Contacts(**contacts),
             float(scene_toi[0]),
             vertex_toi,
             body_toi,
             world_toi,
-            vertex_contact,
-            body_contact,
+            *ordered.first_contacts(count),
         )
 
     @lazy_property

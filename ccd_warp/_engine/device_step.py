@@ -51,6 +51,8 @@ _PER = {
     "vertex": int(device_step.PER_VERTEX),
 }
 _SAFETY = Slot("safety")
+# By how much the cells of spatial hashes are larger than those for boxes at rest, as the motions are not known yet.
+_SPARE = 4.0
 # Recordings that are kept, enough for the different kinds of calls in a loop.
 _MOST_RECORDINGS = 16
 # Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
@@ -194,7 +196,7 @@ class DeviceStep:
         trees = trees_of(tree_pairs)
         self._static_trees = [tree for tree in trees if tree.primitives.is_static]
         self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
-        cell = choose_cell(topology, (vertices, vertices), quantization) if self._has_grids else 0.0
+        cell = choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE) if self._has_grids else 0.0
         for tree in trees:
             if self._has_grids:
                 tree.lay_out(_NUM_AABBS, cell, lambda _, n, dtype: self._empty(n, dtype))
@@ -608,14 +610,13 @@ class DeviceStep:
     def _record_refresh(self, recording: Recording) -> None:
         """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
         topology, stages, trees = self.topology, self._stages, self._static_trees
-        lattice = [topology.vertex_world, topology.world_shift]
         recording.launch(
             device_step.refresh_vertex_aabbs,
             -(-len(topology.static_vertices) // self._chunk),
             inputs=[
                 self._is_moved,
                 topology.static_vertices,
-                *lattice,
+                topology.worlds,
                 self._start,
                 stages.inflation,
                 stages.box_radius,

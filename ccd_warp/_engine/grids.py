@@ -84,13 +84,14 @@ class Grid:
         self.cell = cell
 
 
-def choose_cell(topology: Topology, positions: Positions, quantization: Any) -> float:
+def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, spare: float = 1.0) -> float:
     """Side of a cell of the finest level in quantized coordinates, from samples of the step.
 
-    It is a power of the fourth root of two, so that it stays the same, and with it the hashes of static bodies, while
-    the boxes change little.
+    It is ``spare`` times as large where motions are still to come: too small a cell costs more than a large one. It is
+    a power of the fourth root of two, so that it stays the same, and with it the hashes of static bodies, while boxes
+    change little.
     """
-    side = _CELL_FACTOR * large_half_side(topology, positions, _QUANTILE) * (2.0 * quantization.scale)
+    side = _CELL_FACTOR * large_half_side(topology, positions, _QUANTILE) * (2.0 * quantization.scale) * spare
     exponent = math.ceil(4.0 * math.log2(side)) / 4.0 if 0.0 < side < math.inf else 0.0
     return 2.0 ** min(max(exponent, _LEAST_CELL_EXPONENT), 0.0)
 

@@ -420,6 +420,7 @@ class Step:
             gathered.vertex_contact,
             gathered.body_contact,
             gathered.world_toi,
+            gathered.world_contact,
             hidden_gaps=self._hidden_gaps(contacts) if gathered.toi <= 0.0 else "",
         )
 

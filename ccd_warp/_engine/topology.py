@@ -12,6 +12,7 @@ from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.planes import planes_on
 from ccd_warp._engine.rings import excluded_vertices
+from ccd_warp._engine.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -29,6 +30,7 @@ WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 _CLASS_BITS = int(kernels.CLASS_BITS)
@@ -113,7 +115,8 @@ class Topology:
         self.vertex_body = self.array(mesh.vertex_body)
         has_worlds = mesh.num_worlds > 1
         self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
-        self.world_shift = self.array(world_lattice(mesh.num_worlds if has_worlds else 0), wp.vec3f)
+        self.world_places = self.place_worlds()
+        self.worlds = self._make_worlds()
         self.radius = self.array(np.zeros(0) if mesh.radius is None else mesh.radius, wp.float64)
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
@@ -137,7 +140,24 @@ class Topology:
 
     def of_vertices(self, active: wp.array) -> list[wp.array]:
         """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
-        return [self.vertex_body, active, self.vertex_world, self.world_shift]
+        return [self.vertex_body, active, self.worlds]
+
+    def place_worlds(self) -> WorldPlaces:
+        """Where worlds are, and how large."""
+        return place_worlds(self.mesh)
+
+    def _make_worlds(self) -> Any:
+        """The same as the struct of the kernels, without arrays for a single world."""
+        places = self.world_places
+        num_worlds = len(places.unit)
+        cells = np.concatenate([world_lattice(num_worlds), places.unit[:, None].astype(np.float32)], axis=1)
+        worlds = kernels.Worlds()
+        worlds.of_vertex = self.vertex_world
+        worlds.cell = self.array(cells, wp.vec4f)
+        worlds.anchor = self.array(places.anchor.ravel())
+        worlds.origin = self.array(places.origin.reshape(-1, 3), wp.vec3d)
+        worlds.inner = inner_part(num_worlds)
+        return worlds
 
     def array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         """Values on the device."""
@@ -201,16 +221,37 @@ class Topology:
     def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
         mesh = self.mesh
-        numbers = np.arange(NUM_SAMPLES)
         primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
-        chosen = primitives[(numbers * len(primitives)) // NUM_SAMPLES]
-        return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.T.astype(np.intp, order="C")
+        chosen = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
+        return uneven_samples(mesh.num_vertices, NUM_SAMPLES), chosen.T.astype(np.intp, order="C")
 
     def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions of the samples at both ends of a step, of single vertices and of those of primitives."""
-        vertices, primitives = self.samples
-        start, end = positions
-        return np.stack([start[vertices], end[vertices]]), np.stack([start[primitives], end[primitives]])
+        """Positions of the samples at both ends of a step, of single vertices and of those of primitives.
+
+        With several worlds they are seen from the origin of their world, in its unit.
+        """
+        vertices, primitives = (self.seen(chosen, positions) for chosen in self.samples)
+        return vertices, primitives
+
+    def seen(self, vertices: NDArray[np.intp], positions: Positions) -> NDArray[np.float64]:
+        """Positions of vertices at both ends of a step, as seen from the origin of their world, in its unit."""
+        start = positions[0]
+        seen = np.stack([x[vertices] for x in positions])
+        if self.mesh.num_worlds < 2:
+            return seen
+        return self.world_places.seen(seen, self.mesh.vertex_world[vertices], start)
+
+    def seen_radius(self, primitives: NDArray[np.intp]) -> NDArray[np.float64]:
+        """The largest radius of the vertices of each primitive, given as shape [k, n], in the unit of its world."""
+        mesh = self.mesh
+        if mesh.radius is None:
+            return np.zeros(primitives.shape[1])
+        radius: NDArray[np.float64] = mesh.radius[primitives].max(axis=0)
+        return radius * self.world_places.unit[mesh.vertex_world[primitives[0]]] if mesh.num_worlds > 1 else radius
+
+    def typical_radius_of(self, primitives: NDArray[np.intp]) -> float:
+        """The median of these."""
+        return 0.0 if self.mesh.radius is None else float(np.median(self.seen_radius(primitives)))
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -331,7 +372,8 @@ class Topology:
     @property
     def num_bytes(self) -> int:
         """Bytes on the device that belong to the mesh, not to a step."""
-        arrays = [self.vertex_body, self.vertex_world, self.world_shift, self.moving_vertices, self.static_vertices]
+        arrays = [self.vertex_body, self.vertex_world, self.moving_vertices, self.static_vertices]
+        arrays += [self.worlds.cell, self.worlds.origin, self.worlds.anchor]
         arrays += [self.radius, self.box_radius]
         arrays += [self.plane_vertices] if len(self.mesh.planes) else []
         arrays += self.corners.values()
@@ -347,6 +389,16 @@ class Topology:
             collision_filter.listed,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
+
+
+def uneven_samples(count: int, num: int) -> NDArray[np.intp]:
+    """Numbers below ``count``, one from each of ``num`` equal ranges, each time at another place of it.
+
+    At a fixed distance they could all stand for one vertex of many equal bodies or worlds.
+    """
+    numbers = np.arange(num)
+    places: NDArray[np.intp] = ((numbers + numbers * _GOLDEN % 1.0) * (count / num)).astype(np.intp)
+    return places
 
 
 def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
@@ -400,7 +452,8 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
 
     The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
     costs the others no resolution. The origin lies on a coarse lattice, so that it and the trees of static bodies stay
-    the same as long as the scene stays in place.
+    the same as long as the scene stays in place. With several worlds the box is that of one of them, and maps into the
+    middle of its cell.
     """
     quantization = kernels.Quantization()
     if len(positions[0]) == 0:
@@ -410,6 +463,7 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         vertices *= 0.5
         centre = vertices[0]
         centre += vertices[1]
+        distance = np.sort(np.abs(centre).max(axis=1))
         centre.sort(axis=0)
         margin = NUM_SAMPLES // 20
         points *= 0.5
@@ -421,62 +475,46 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         middle = NUM_SAMPLES // 2
         half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
         half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
+        if topology.world_places.has_origins:  # with these `half` is how far from its origin most of a world is
+            half = float(distance[-1 - 2 * margin])
         exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
         lattice = 2.0 ** (exponent - 2)
         origin = (np.round(centre[middle] / lattice) * lattice).tolist()
         quantization.origin = wp.vec3d(*(min(max(x, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in origin))
-        exponent += lattice_bits(topology.mesh.num_worlds)
+        exponent += topology.world_places.bits
         quantization.scale = 2.0**-exponent
-        half_extent += _typical_radius(topology.mesh, topology.samples[1])
+        half_extent += topology.typical_radius_of(topology.samples[1])
         quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return quantization
 
 
 def large_half_side(topology: Topology, positions: Positions, quantile: float) -> float:
     """Half the length that this share of the primitives' boxes over the whole step do not exceed, from samples."""
-    start, end = positions
-    if len(start) == 0:
+    if len(positions[0]) == 0:
         return 0.0
     _, primitives = topology.samples
-    points = np.stack([start[primitives], end[primitives]])  # axes: end of the step, vertex, primitive, coordinate
+    points = topology.seen(primitives, positions)  # axes: end of the step, vertex, primitive, coordinate
     with np.errstate(under="ignore"):
         points *= 0.5
     sides = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
     if topology.mesh.radius is not None:
         with np.errstate(over="ignore"):
-            sides += topology.mesh.radius[primitives].max(axis=0)
+            sides += topology.seen_radius(primitives)
         sides = np.minimum(sides, np.finfo(np.float64).max)
     return float(np.quantile(sides, quantile))
 
 
-def _typical_radius(mesh: "CollisionMesh", primitives: NDArray[Any]) -> float:
-    """The median radius of some primitives, given by their vertices, shape [k, n]."""
-    return 0.0 if mesh.radius is None else float(np.median(mesh.radius[primitives].max(axis=0)))
-
-
-def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64], quantization: Any) -> Any:
+def choose_static_quantization(topology: Topology, start: NDArray[np.float64], quantization: Any) -> Any:
     """The same map, with the typical extent of the primitives of static bodies only."""
+    mesh = topology.mesh
     among = mesh.edges[mesh.static[mesh.edge_body]]
     static = kernels.Quantization()
     static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
     if len(among):
         with np.errstate(over="ignore", under="ignore"):
-            chosen = among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]
-            points = start[chosen]
-            half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
-            half_extent += _typical_radius(mesh, chosen.T)
+            chosen = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
+            points = topology.seen(chosen, (start, start))[0]
+            half_extent = float(np.median((0.5 * points.max(axis=0) - 0.5 * points.min(axis=0)).max(axis=1)))
+            half_extent += topology.typical_radius_of(chosen)
             static.typical_extent = np.float32(2.0 * half_extent * quantization.scale)
     return static
-
-
-def lattice_bits(num_worlds: int) -> int:
-    """The number of bits k for which a lattice of 2ᵏ cells on each axis has a cell for each world."""
-    return -(-(num_worlds - 1).bit_length() // 3)
-
-
-def world_lattice(num_worlds: int) -> NDArray[np.float32]:
-    """The shift of each world in quantized coordinates, to its own cell in [-1/2, 1/2]; shape [W, 3]."""
-    bits = lattice_bits(num_worlds)
-    world = np.arange(num_worlds)
-    cell = np.stack([world >> (k * bits) & ((1 << bits) - 1) for k in range(3)], axis=1)
-    return ((cell + 0.5) * 2.0**-bits - 0.5).astype(np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._engine.topology import NUM_SAMPLES
+from ccd_warp._engine.topology import NUM_SAMPLES, uneven_samples
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, check_finite
@@ -361,13 +361,12 @@ class DistributedMesh:
 
     def _choose_samples(self) -> None:
         """The numbers of the vertices from which one process would choose its quantization; see Topology.samples."""
-        chosen = np.arange(NUM_SAMPLES)
         kind, count = next(
             ((k, n) for k, n in (("edge", self.num_edges), ("face", self.num_faces)) if n),
             ("vertex", self.num_vertices),
         )
         own = self.primitives[kind]
-        wanted = (chosen * count) // NUM_SAMPLES
+        wanted = uneven_samples(count, NUM_SAMPLES)
         corners = np.full((NUM_SAMPLES, own.corners.shape[1]), -1, dtype=np.int64)
         if len(own.numbers):
             order = np.argsort(own.numbers)
@@ -375,7 +374,7 @@ class DistributedMesh:
             is_here = own.numbers[order][place] == wanted
             corners[is_here] = self.numbers[own.corners[order[place[is_here]]]]
         self.sample_primitives = self.ranks.most(corners).T
-        self.sample_vertices = (chosen * self.num_vertices) // NUM_SAMPLES
+        self.sample_vertices = uneven_samples(self.num_vertices, NUM_SAMPLES)
 
     def frames(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, name_t0: str = "vertices_t0"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import swept_boxes
 from ccd_warp._engine.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
+from ccd_warp._engine.worlds import WorldPlaces, plain_places
 from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
@@ -131,6 +132,10 @@ class PartTopology(Topology):
         self._axes_below: dict[str, NDArray[np.uint8]] = {}
         # positions of the samples of the whole mesh in this step, as `sampled` gives them
         self.samples_of_all: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    def place_worlds(self) -> WorldPlaces:
+        """Worlds as they are, since a world may lie on several ranks, each of which sees a part of it."""
+        return plain_places(self.mesh.num_worlds)
 
     def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions of the samples of the whole mesh, so that all ranks and one process choose one quantization."""
