@@ -337,7 +337,7 @@ class HostPlan:
             self.play(section, lambda stages, recording: self._record_search(stages, recording, tree_pairs))
             needed = self._num_needed()
             if all(needed[kind] <= self._capacities[kind] for kind in self._searched_kinds):
-                yield self._batch(self._num_found(), is_only=True)
+                yield self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
                 return
             least = {kind: max(n, 1) for kind, n in needed.items()}  # of an array Warp takes no part of no elements
             if sum(least.values()) > largest:
@@ -398,8 +398,9 @@ class HostPlan:
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
+        counts = self.counts()[:, CANDIDATES].tolist()
         for kind in self._searched_kinds:
-            self.num_candidates[kind] += int(self.counts()[kind, CANDIDATES])
+            self.num_candidates[kind] += counts[kind]
         return Batch(found, is_only)
 
     def counts(self) -> NDArray[np.int64]:
@@ -407,8 +408,8 @@ class HostPlan:
         return self._counts.numpy() if self._counts_view is None else self._counts_view
 
     def _num_found(self) -> dict[PairKind, int]:
-        counts = self.counts()
-        return {kind: int(counts[kind, FOUND]) for kind in self._searched_kinds}
+        counts = self.counts()[:, FOUND].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds}
 
     def _num_needed(self) -> dict[PairKind, int]:
         """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
@@ -420,14 +421,14 @@ class HostPlan:
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
-        counts = self.counts()
-        return {kind: int(counts[kind, OPEN]) for kind in self._searched_kinds if counts[kind, OPEN]}
+        counts = self.counts()[:, OPEN].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
 
     def _clear_counts(self) -> None:
         if self._counts_view is None:
             self._counts.zero_()
         else:
-            self._counts_view[:] = 0
+            self._counts_view.fill(0)
 
     def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""

@@ -1,5 +1,6 @@
 """The data of a mesh on a device: its primitives in sets, their spatial order, and its collision filter."""
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
+_MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 _CLASS_BITS = int(kernels.CLASS_BITS)
@@ -189,10 +191,21 @@ class Topology:
         return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.T.astype(np.intp, order="C")
 
     def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions of the samples at both ends of a step, of single vertices and of those of primitives."""
+        """Coordinates of the samples: of single vertices, shape [2, 3, n], and of primitives, shape [2, 3, k, n].
+
+        The axes are the end of the step, the coordinate, the vertex of a primitive, and the sample.
+        """
+        places = self._sampled_places
+        taken = np.empty((2, *places.shape))
+        for values, at_end in zip(positions, taken, strict=True):
+            values.take(places, out=at_end, mode="clip")  # which NumPy writes in place; there is nothing to clip
+        return taken[:, :, :NUM_SAMPLES], taken[:, :, NUM_SAMPLES:].reshape(2, 3, -1, NUM_SAMPLES)
+
+    @lazy_property
+    def _sampled_places(self) -> NDArray[np.intp]:
+        """The places of the coordinates of the samples in an array of positions, shape [3, samples]."""
         vertices, primitives = self.samples
-        start, end = positions
-        return np.stack([start[vertices], end[vertices]]), np.stack([start[primitives], end[primitives]])
+        return 3 * np.concatenate([vertices, primitives.ravel()]) + np.arange(3)[:, None]
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -378,31 +391,41 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     quantization = kernels.Quantization()
     if len(positions[0]) == 0:
         return quantization
-    vertices, points = topology.sampled(positions)  # axes of points: end of the step, vertex, primitive, coordinate
+    vertices, points = topology.sampled(positions)
     with np.errstate(over="ignore", under="ignore"):
         vertices *= 0.5
-        centre = vertices[0]
-        centre += vertices[1]
-        centre.sort(axis=0)
-        margin = NUM_SAMPLES // 20
+        centres = vertices[0]
+        centres += vertices[1]
+        centres.sort()
         points *= 0.5
-        if num_aabbs == 1:
-            extents = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
-        else:
-            extents = (points.max(axis=1) - points.min(axis=1)).max(axis=(0, 2))
+        extents = _longest_sides(points, num_aabbs)
         extents.sort()
-        middle = NUM_SAMPLES // 2
-        half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
-        half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
-        exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
-        lattice = 2.0 ** (exponent - 2)
-        origin = (np.round(centre[middle] / lattice) * lattice).tolist()
-        quantization.origin = wp.vec3d(*(min(max(x, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in origin))
-        exponent += lattice_bits(topology.mesh.num_worlds)
-        quantization.scale = 2.0**-exponent
-        half_extent += _typical_radius(topology.mesh, topology.samples[1])
-        quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
+    low, centre, high = (centres[:, k].tolist() for k in (_MARGIN, _MIDDLE, -1 - _MARGIN))
+    half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
+    half = max(0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True))
+    exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
+    lattice = 2.0 ** (exponent - 2)
+    origin = [min(max(_rounded(x / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in centre]
+    quantization.origin = wp.vec3d(*origin)
+    exponent += lattice_bits(topology.mesh.num_worlds)
+    quantization.scale = 2.0**-exponent
+    half_extent += _typical_radius(topology.mesh, topology.samples[1])
+    quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
     return quantization
+
+
+def _longest_sides(points: NDArray[np.float64], num_aabbs: int) -> NDArray[np.float64]:
+    """The longest side of all boxes of each primitive, whose axes are those of `Topology.sampled`."""
+    # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
+    low, high = (functools.reduce(of, points.transpose(2, 0, 1, 3)) for of in (np.minimum, np.maximum))
+    if num_aabbs == 1:
+        low, high = np.minimum(*low)[None], np.maximum(*high)[None]
+    return functools.reduce(np.maximum, (high - low).reshape(-1, NUM_SAMPLES))
+
+
+def _rounded(number: float) -> float:
+    """The nearest integer, also of an infinite number; even where two are."""
+    return float(round(number)) if abs(number) < 2.0**52 else number
 
 
 def large_half_side(topology: Topology, positions: Positions, quantile: float) -> float:

@@ -234,7 +234,8 @@ class TogetherIn:
     def _split(self, all_of_them: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         num = len(self.whole.sample_vertices)
         corners = len(self.whole.sample_primitives)
-        return all_of_them[:, :num], all_of_them[:, num:].reshape(2, corners, -1, 3)
+        coordinates = all_of_them.transpose(0, 2, 1)
+        return coordinates[:, :, :num], coordinates[:, :, num:].reshape(2, 3, corners, -1)
 
     def body_boxes(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Boxes around the motion of every body, wherever its vertices are; those without vertices are inverted."""
