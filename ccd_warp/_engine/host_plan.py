@@ -44,7 +44,7 @@ _AT_ONE_TIME = ("proximities", "displacements")
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
-_MOST_COPIED = 1 << 15
+MOST_COPIED = 1 << 15
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
@@ -138,7 +138,7 @@ class HostPlan:
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._norm = EUCLIDEAN_NORM if goal in _AT_ONE_TIME else norm_of(mesh, options)
         self._search_values: tuple[float, ...] | None = None
-        self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
+        self._are_copied = topology.device.is_cuda or mesh.num_vertices <= MOST_COPIED
         self._keeps_toi = goal == "bound"
         self._has_queue = self.execution.is_cuda and has_narrow_phase
         self.has_planes = PairKind.VERTEX_PLANE in self.kinds

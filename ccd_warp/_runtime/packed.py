@@ -52,7 +52,8 @@ class PackedLaunch:
 
     def _pack(self) -> None:
         """Let Warp launch with a stand-in for the kernel, once for the bounds of each part."""
-        command, whole, hooks = self._command, self._command.bounds, self._command.hooks
+        command: Any = self._command
+        whole, hooks = command.bounds, command.hooks
         received: list[tuple[Any, Any]] = []
         stand_in: Any = SimpleNamespace(forward=lambda bounds, arguments: received.append((bounds, arguments)))
         try:
@@ -63,7 +64,7 @@ class PackedLaunch:
         finally:
             command.hooks, command.bounds, command.params[0] = hooks, whole, whole
         kernel, (bounds, arguments) = hooks.forward, received[0]
-        parts = [partial(kernel, bounds, arguments)]
+        parts: list[Callable[[], None]] = [partial(kernel, bounds, arguments)]
         for (begin, _), (bounds, _) in zip(self._ranges[1:], received[1:], strict=True):
             parts.append(partial(_launch_from, begin, self._names[0], kernel, bounds, arguments._obj))
         self._arguments, self._parts = arguments._obj, parts
