@@ -229,7 +229,7 @@ class DeviceStep:
             grids={tree.primitives.name: tree.cells for tree in trees if self._has_grids},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
             candidates={kind: self._empty(max_candidates, wp.int64) for kind in kinds},
-            quantization=quantization,
+            quantization=quantization.packed,
             t_end=options.t_max,
             inflation=inflation,
             box_radius=self._box_radius,

@@ -260,7 +260,7 @@ class HostPlan:
         boxes, recording = self._boxes, self._recording
         trees, grids = ([], self.trees) if self._has_grids else (self.trees, [])
         boxes.begin(positions, inflation, self._num_aabbs, trees, grids, self.execution)
-        recording.bind("quantization", boxes.quantization)
+        recording.bind("quantization", boxes.quantization.packed)
         recording.bind("vertex_aabbs", boxes.vertex_aabbs)
         recording.bind("inflation", inflation)
         self._active = active

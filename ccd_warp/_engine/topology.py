@@ -1,9 +1,9 @@
 """The data of a mesh on a device: its primitives in sets, their spatial order, and its collision filter."""
 
-import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache, reduce
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -190,22 +190,23 @@ class Topology:
         chosen = primitives[(numbers * len(primitives)) // NUM_SAMPLES]
         return (numbers * mesh.num_vertices) // NUM_SAMPLES, chosen.T.astype(np.intp, order="C")
 
-    def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates of the samples: of single vertices, shape [2, 3, n], and of primitives, shape [2, 3, k, n].
+    def sampled(self, positions: Positions) -> NDArray[np.float64]:
+        """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
 
-        The axes are the end of the step, the coordinate, the vertex of a primitive, and the sample.
+        The third axis holds single vertices, and then the vertices of primitives.
         """
         places = self._sampled_places
         taken = np.empty((2, *places.shape))
         for values, at_end in zip(positions, taken, strict=True):
             values.take(places, out=at_end, mode="clip")  # which NumPy writes in place; there is nothing to clip
-        return taken[:, :, :NUM_SAMPLES], taken[:, :, NUM_SAMPLES:].reshape(2, 3, -1, NUM_SAMPLES)
+        return taken
 
     @lazy_property
     def _sampled_places(self) -> NDArray[np.intp]:
-        """The places of the coordinates of the samples in an array of positions, shape [3, samples]."""
+        """The places of the coordinates of the samples in an array of positions, shape [3, 1 + k, n]."""
         vertices, primitives = self.samples
-        return 3 * np.concatenate([vertices, primitives.ravel()]) + np.arange(3)[:, None]
+        places: NDArray[np.intp] = 3 * np.concatenate([vertices[None], primitives]) + np.arange(3)[:, None, None]
+        return places
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -349,7 +350,7 @@ def sorted_keys(
     primitives: PrimitiveSet,
     vertex_aabbs: wp.array,
     num_aabbs: int,
-    quantization: Any,
+    typical_extent: np.float32,
     buffers: Buffers,
     execution: Execution,
 ) -> wp.array:
@@ -361,7 +362,7 @@ def sorted_keys(
     execution.launch(
         kernels.sort_keys,
         count,
-        inputs=[primitives.corners, vertex_aabbs, num_aabbs, quantization, morton_bits, primitives.index_bits],
+        inputs=[primitives.corners, vertex_aabbs, num_aabbs, typical_extent, morton_bits, primitives.index_bits],
         outputs=[keys],
     )
     sort_in_place(keys, count, execution)
@@ -381,46 +382,65 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         keys.numpy()[:count].sort()
 
 
-def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Any:
+class Quantization(NamedTuple):
+    """The map to float32, and the typical extent of a box.
+
+    Attributes:
+        origin: What maps to 0.
+        scale: By how much lengths shrink, a power of two.
+        typical_extent: The longest side of a typical box, in quantized coordinates.
+    """
+
+    origin: tuple[float, float, float]
+    scale: float
+    typical_extent: np.float32
+
+    @property
+    def packed(self) -> Any:
+        """The map as the struct of the kernels; the same one for the same map, which mostly stays from step to step."""
+        return _packed_quantization(self.origin, self.scale)
+
+
+@lru_cache(maxsize=64)
+def _packed_quantization(origin: tuple[float, float, float], scale: float) -> Any:
+    packed = kernels.Quantization()
+    packed.origin, packed.scale = wp.vec3d(*origin), scale
+    return packed
+
+
+def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Quantization:
     """The map to float32 and the typical extent of a box, from samples of the step.
 
     The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
     costs the others no resolution. The origin lies on a coarse lattice, so that it and the trees of static bodies stay
     the same as long as the scene stays in place.
     """
-    quantization = kernels.Quantization()
     if len(positions[0]) == 0:
-        return quantization
-    vertices, points = topology.sampled(positions)
+        return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0))
+    halves = topology.sampled(positions)
     with np.errstate(over="ignore", under="ignore"):
-        vertices *= 0.5
-        centres = vertices[0]
-        centres += vertices[1]
+        halves *= 0.5  # so that no sum or difference overflows
+        centres = halves[0, :, 0] + halves[1, :, 0]
         centres.sort()
-        points *= 0.5
-        extents = _longest_sides(points, num_aabbs)
+        extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
         extents.sort()
     low, centre, high = (centres[:, k].tolist() for k in (_MARGIN, _MIDDLE, -1 - _MARGIN))
     half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
     half = max(0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True))
     exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
     lattice = 2.0 ** (exponent - 2)
-    origin = [min(max(_rounded(x / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in centre]
-    quantization.origin = wp.vec3d(*origin)
-    exponent += lattice_bits(topology.mesh.num_worlds)
-    quantization.scale = 2.0**-exponent
+    x, y, z = (min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre)
+    scale = 2.0 ** -(exponent + lattice_bits(topology.mesh.num_worlds))
     half_extent += _typical_radius(topology.mesh, topology.samples[1])
-    quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
-    return quantization
+    return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
 
 
-def _longest_sides(points: NDArray[np.float64], num_aabbs: int) -> NDArray[np.float64]:
-    """The longest side of all boxes of each primitive, whose axes are those of `Topology.sampled`."""
+def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
+    """The longest side of all boxes of each primitive, given its first points, its second ones, …, shape [2, 3, n]."""
     # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
-    low, high = (functools.reduce(of, points.transpose(2, 0, 1, 3)) for of in (np.minimum, np.maximum))
-    if num_aabbs == 1:
-        low, high = np.minimum(*low)[None], np.maximum(*high)[None]
-    return functools.reduce(np.maximum, (high - low).reshape(-1, NUM_SAMPLES))
+    low, high = (reduce(of, points) for of in (np.minimum, np.maximum))
+    sides = np.maximum(*(high - low)) if num_aabbs == 2 else np.maximum(*high) - np.minimum(*low)
+    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
 
 
 def _rounded(number: float) -> float:
@@ -450,19 +470,17 @@ def _typical_radius(mesh: "CollisionMesh", primitives: NDArray[Any]) -> float:
     return 0.0 if mesh.radius is None else float(np.median(mesh.radius[primitives].max(axis=0)))
 
 
-def choose_static_quantization(mesh: "CollisionMesh", start: NDArray[np.float64], quantization: Any) -> Any:
-    """The same map, with the typical extent of the primitives of static bodies only."""
+def typical_static_extent(mesh: "CollisionMesh", start: NDArray[np.float64], scale: float) -> np.float32:
+    """The typical extent of the primitives of static bodies alone, in the quantized coordinates of a scale."""
     among = mesh.edges[mesh.static[mesh.edge_body]]
-    static = kernels.Quantization()
-    static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
-    if len(among):
-        with np.errstate(over="ignore", under="ignore"):
-            chosen = among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]
-            points = start[chosen]
-            half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
-            half_extent += _typical_radius(mesh, chosen.T)
-            static.typical_extent = np.float32(2.0 * half_extent * quantization.scale)
-    return static
+    if len(among) == 0:
+        return np.float32(0.0)
+    with np.errstate(over="ignore", under="ignore"):
+        chosen = among[(np.arange(NUM_SAMPLES) * len(among)) // NUM_SAMPLES]
+        points = start[chosen]
+        half_extent = float(np.median((0.5 * points.max(axis=1) - 0.5 * points.min(axis=1)).max(axis=1)))
+        half_extent += _typical_radius(mesh, chosen.T)
+        return np.float32(2.0 * half_extent * scale)
 
 
 def lattice_bits(num_worlds: int) -> int:
