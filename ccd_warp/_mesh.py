@@ -464,7 +464,7 @@ class CollisionMesh:
         if self.dimension == 3:
             return positions
         in_space = np.zeros((len(positions), 3))
-        in_space[:, :2] = positions
+        in_space[:, 0], in_space[:, 1] = positions[:, 0], positions[:, 1]  # faster than both columns at once
         return in_space
 
     @lazy_property
