@@ -95,6 +95,7 @@ class HostPlan:
         execution: Where its stages run.
         kinds: Kinds of pairs that the mesh can form and the options select.
         tree_pairs: The tree pairs, or the pairs of spatial hashes, that are searched.
+        most_partners: Number of primitives in the largest set in which partners are searched.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
@@ -126,6 +127,7 @@ class HostPlan:
         self._sampled_pairs = sampled_pairs_of(self.tree_pairs, topology, *kept) if has_sample else []
         if self._has_grids:
             self.tree_pairs, self._sampled_pairs = with_reverses(self.tree_pairs), with_reverses(self._sampled_pairs)
+        self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         self.trees = trees_of(self.tree_pairs + self._sampled_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         has_narrow_phase = goal in ("contacts", "bound")

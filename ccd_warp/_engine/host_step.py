@@ -136,8 +136,7 @@ class Step:
 
         Every part needs capacity for all partners of one query.
         """
-        least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.plan.tree_pairs)])
-        least *= num_parts
+        least = num_parts * max(_LEAST_KEYS, self.plan.most_partners)
         limit = self.options.memory_limit
         if limit is None:
             return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), self.plan.most_pairs)

@@ -78,7 +78,7 @@ class PrimitiveSet:
     corners: wp.array
     is_sample: bool = False
 
-    @property
+    @lazy_property
     def count(self) -> int:
         """Number of primitives."""
         return len(self.ids)
@@ -424,12 +424,12 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
         centres.sort()
         extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
         extents.sort()
-    low, centre, high = (centres[:, k].tolist() for k in (_MARGIN, _MIDDLE, -1 - _MARGIN))
+    low, centre, high = centres[:, _MARGIN].tolist(), centres[:, _MIDDLE].tolist(), centres[:, -1 - _MARGIN].tolist()
     half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
-    half = max(0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True))
+    half = max([0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True)])
     exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
     lattice = 2.0 ** (exponent - 2)
-    x, y, z = (min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre)
+    x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
     scale = 2.0 ** -(exponent + lattice_bits(topology.mesh.num_worlds))
     half_extent += _typical_radius(topology.mesh, topology.samples[1])
     return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
@@ -438,7 +438,7 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
 def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
     """The longest side of all boxes of each primitive, given its first points, its second ones, …, shape [2, 3, n]."""
     # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
-    low, high = (reduce(of, points) for of in (np.minimum, np.maximum))
+    low, high = reduce(np.minimum, points), reduce(np.maximum, points)
     sides = np.maximum(*(high - low)) if num_aabbs == 2 else np.maximum(*high) - np.minimum(*low)
     return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
 
