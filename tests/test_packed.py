@@ -98,3 +98,6 @@ def test_a_version_of_warp_that_packs_otherwise_launches_the_whole(error, monkey
     launch.bind(1, others)
     launch.parts()[0]()
     assert marked(others) == list(range(10))
+    is_alive = weakref.ref(others)
+    del launch, others, whole
+    assert is_alive() is None
