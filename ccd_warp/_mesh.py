@@ -510,7 +510,11 @@ class CollisionMesh:
 
     def _in_space(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Validated positions as the engine takes them: those in the plane have z = 0."""
-        return positions if self.dimension == 3 else np.pad(positions, ((0, 0), (0, 1)))
+        if self.dimension == 3:
+            return positions
+        in_space = np.zeros((len(positions), 3))
+        in_space[:, 0], in_space[:, 1] = positions[:, 0], positions[:, 1]  # faster than both columns at once
+        return in_space
 
     @lazy_property
     def _has_names(self) -> bool:
@@ -554,10 +558,14 @@ class CollisionMesh:
         Raises:
             ValueError: If the shape differs or a value is not finite.
         """
-        reason = "one row a vertex of the mesh" + self._or_by_world(self.num_vertices)
         return validated_positions(
-            vertices, name, self.dimension, self.num_vertices, reason, self.rows_by_world, self._where
+            vertices, name, self.dimension, self.num_vertices, self._all_rows, self.rows_by_world, self._where
         )
+
+    @lazy_property
+    def _all_rows(self) -> str:
+        """What a message says of the rows of positions."""
+        return "one row a vertex of the mesh" + self._or_by_world(self.num_vertices)
 
     def _or_by_world(self, count: int) -> str:
         """What a message adds where positions may have an axis of worlds."""

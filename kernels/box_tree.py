@@ -82,11 +82,10 @@ def box_corners(tree: BoxTree, place: int) -> wp.vec3i:
 
 @wp.struct
 class Quantization:
-    """The map f to quantized coordinates, and the typical extent that the keys need."""
+    """The map f to quantized coordinates."""
 
     origin: wp.vec3d
     scale: wp.float64  # a power of two: most of the scene maps to [-1/2, 1/2]
-    typical_extent: wp.float32  # of a primitive, in quantized coordinates
 
 
 @wp.struct
@@ -276,7 +275,7 @@ def sort_keys(
     corners: wp.array[wp.vec3i],
     vertex_aabbs: wp.array[wp.float32],
     num_aabbs: int,
-    quantization: Quantization,
+    typical_extent: wp.float32,  # of a primitive, in quantized coordinates
     morton_bits: int,
     index_bits: int,
     # out
@@ -300,7 +299,7 @@ def sort_keys(
         longest = wp.max(longest, -r[k] - r[k + 4])
     code = places[0] | (places[1] << wp.uint64(1)) | (places[2] << wp.uint64(2))
     size = wp.int32(0)
-    limit = wp.float32(8.0) * quantization.typical_extent
+    limit = wp.float32(8.0) * typical_extent
     while size < _LARGEST_CLASS and longest > limit:
         longest = longest * wp.float32(0.125)
         size += 1

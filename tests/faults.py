@@ -2,9 +2,9 @@
 
 A call that fails must leave nothing behind. Made again on the same objects, twice, it must answer in every bit what it
 answers on fresh ones, and the exception must have reached the caller. The harness knows nothing of the library but the
-calls of a `Scenario`: it counts the events of an undisturbed call, and then lets each of them fail in turn, on objects
-made anew each time. What failed is kept until the calls after it are made, as a notebook keeps the last exception with
-all the frames that it went through.
+calls of a `Scenario`, and how it asks for the parts of a recorded launch, which then run without Warp: it counts the
+events of an undisturbed call, and then lets each of them fail in turn, on objects made anew each time. What failed is
+kept until the calls after it are made, as a notebook keeps the last exception with all the frames that it went through.
 """
 
 import functools
@@ -22,16 +22,20 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._runtime.packed import PackedLaunch
+
 # Seconds after which a call of some milliseconds is taken to hang; another one hangs for the same reason.
 _PATIENCE = (10.0, 2.0)
-# What a call uses of Warp, by attributes that are looked up when it does, and of threads.
+# What a call uses of Warp, by attributes that are looked up when it does, and of threads; an event after the parts of a
+# launch were asked for is one before they run.
 _OF_WARP = [
     *((wp, name) for name in ("launch", "empty", "zeros", "full", "ones", "clone", "empty_like", "zeros_like", "copy")),
     *((wp, name) for name in ("load_module", "from_dlpack", "capture_launch")),
     *((wp.array, name) for name in ("__init__", "assign", "fill_", "zero_", "numpy")),
     (wp.Launch, "launch"),
+    (PackedLaunch, "parts"),
 ]
-_WARP = (wp, wp.array, wp.Launch)
+_WARP = (wp, wp.array, wp.Launch, PackedLaunch)
 _OF_THREADS = [(ThreadPoolExecutor, "submit"), (threading.Thread, "start")]
 # Lines of callers by which two uses are told apart.
 _DEPTH = 2

@@ -33,6 +33,7 @@ from ccd_warp.benchmarks import (
     scenes,
     separation,
     small_scenes,
+    small_steps,
 )
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
@@ -514,6 +515,16 @@ def test_a_row_of_a_small_scene(monkeypatch):
     assert row["step"] == row["toi"] == pytest.approx(row["launch_toi"], abs=1e-5)
     assert 0.8 * row["toi"] < row["additive_step"] < row["toi"] > row["peer_step"] > 0.99 * row["toi"]
     assert set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 7
+
+
+def test_a_plate_in_the_plane_is_one_of_the_small_steps():
+    mesh, start, end = small_steps.pressed_plate()
+    assert (mesh.dimension, mesh.num_vertices, mesh.num_edges) == (2, 1680, 224)
+    calls = small_steps.calls_on(mesh, start, end)
+    results = {name: call() for name, call in calls.items()}
+    assert results[small_steps.PEER] == results["collision_free_step"] == results["one-shot step"] == 1.0
+    assert not results["mesh_ccd"].hit
+    assert all(np.isinf(results[f"launch, {library}"].toi.numpy()[0]) for library in ("NumPy", "Warp"))
 
 
 def test_a_row_of_both_broad_phases_is_told_beside_the_peer():

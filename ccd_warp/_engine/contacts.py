@@ -32,7 +32,7 @@ _BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
 # twice the size, or an entry of the list and one of the result, with its key and its position in the order.
 BYTES_PER_CONTACT = _BYTES
 BYTES_KEPT = 3 * _BYTES + 16
-_LAST = int(kernels.NO_CONTACT)
+_LAST, _NO_CONTACT = int(kernels.NO_CONTACT), np.int32(-1)
 # Number of contacts above which threads share the sorting.
 _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
@@ -92,8 +92,9 @@ class _Ordered:
         self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
         mesh = topology.mesh
-        sizes = (mesh.num_vertices, mesh.num_bodies, mesh.num_worlds)
-        self._first: list[wp.array] = [wp.empty(size, dtype=wp.int32, device=device) for size in sizes]
+        self._bounds = [0, *itertools.accumulate((mesh.num_vertices, mesh.num_bodies, mesh.num_worlds))]
+        self._all_first: wp.array = wp.empty(self._bounds[-1], dtype=wp.int32, device=device)
+        self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
 
     def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
         """Compute the keys of the contacts of a list."""
@@ -101,8 +102,7 @@ class _Ordered:
 
     def fill(self, launcher: Execution | Recording, found: Any, minima: Any) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
-        for first in self._first:
-            launcher.launch(kernels.reset_first, len(first), inputs=[], outputs=[first])
+        launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
         inputs = [self.order, found]
         launcher.launch(kernels.order_contacts, self._capacity, inputs=inputs, outputs=[self._contacts])
         corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
@@ -118,7 +118,9 @@ class _Ordered:
         """Index of the first of ``count`` contacts of every vertex, body and world, -1 where there is none."""
         if count == 0:
             return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
-        return [np.where(first == _LAST, np.int32(-1), first) for first in (array.numpy() for array in self._first)]
+        found = self._all_first.numpy()
+        found = np.where(found == _LAST, _NO_CONTACT, found)
+        return [found[i:j] for i, j in itertools.pairwise(self._bounds)]
 
 
 class ContactStore:
@@ -136,12 +138,9 @@ class ContactStore:
         self.total, self.num_with_planes = 0, _FEW
         self._topology, self._buffers = topology, buffers
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
-        self._bounds = [0, *itertools.accumulate(sizes.values())]
-        self._toi = wp.empty(self._bounds[-1], dtype=wp.float64, device=topology.device)
-        toi = {
-            name: self._toi[begin:end]
-            for name, (begin, end) in zip(sizes, itertools.pairwise(self._bounds), strict=True)
-        }
+        self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
+        self._toi = wp.empty(self._ranges[-1][1], dtype=wp.float64, device=topology.device)
+        toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, self._ranges, strict=True)}
         # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
@@ -182,7 +181,8 @@ class ContactStore:
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""
-        self.total += int(self.count.numpy()[0]) - min(self.total, self._capacity)
+        count = self.count.numpy() if self._topology.device.is_cuda else self._count_view
+        self.total += int(count[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
         """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
@@ -202,7 +202,7 @@ class ContactStore:
                 self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
             contacts = {name: values[:count].copy() for name, values in ordered.views.items()}
         toi = self._toi.numpy().copy()
-        vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in itertools.pairwise(self._bounds))
+        vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
         return Gathered(
             Contacts(**contacts),
             float(scene_toi[0]),

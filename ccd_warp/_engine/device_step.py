@@ -1,5 +1,6 @@
 """A step whose input and results stay on the device: launches of fixed sizes, recorded once and replayed."""
 
+from collections.abc import Collection
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.device_hold import DeviceHold
 from ccd_warp._engine.grids import Grid, choose_cell
+from ccd_warp._engine.host_plan import MOST_COPIED
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
@@ -22,7 +24,7 @@ from ccd_warp._engine.search import KEY_BYTES
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
-from ccd_warp._input.interop import as_positions, without_worlds
+from ccd_warp._input.interop import as_positions, vector_of, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
@@ -38,6 +40,7 @@ from ccd_warp.kernels.norm import is_ball
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
 _LEAST_CAPACITY = 1 << 12
+_REALS = (np.float64, np.float32)
 _NUM_AABBS = 2
 _CHUNK = int(device_step.CHUNK)
 _PLAY = "step"
@@ -126,6 +129,8 @@ class PreparedLaunch(NamedTuple):
         vertices_t1: End positions, or displacements.
         safety: Fraction of a toi that a line search keeps.
         places_static: Whether it sets the positions of static bodies.
+        given: The arrays of NumPy whose values the launch copies to ``vertices_t0`` and ``vertices_t1``; None where
+            these are the caller's.
     """
 
     form: _Form
@@ -133,6 +138,7 @@ class PreparedLaunch(NamedTuple):
     vertices_t1: wp.array
     safety: float
     places_static: bool
+    given: list[NDArray[Any]] | None = None
 
 
 class DeviceStep:
@@ -185,6 +191,7 @@ class DeviceStep:
         self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
         self._start = self._end = self._empty(0, wp.vec3d)
         self._last: PreparedLaunch | None = None
+        self._own_arrays: dict[tuple[str, str, int], tuple[wp.array, NDArray[Any]]] = {}
         if self._has_static:
             self._place_static(static_positions)
         quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
@@ -235,7 +242,7 @@ class DeviceStep:
             grids={tree.primitives.name: tree.cells for tree in trees if self._has_grids},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
             candidates={kind: self._empty(max_candidates, wp.int64) for kind in kinds},
-            quantization=quantization,
+            quantization=quantization.packed,
             t_end=options.t_max,
             inflation=inflation,
             box_radius=self._box_radius,
@@ -304,15 +311,47 @@ class DeviceStep:
         rows = {mesh.num_vertices: "one a vertex"}
         if self._has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        start = as_positions(vertices_t0, name_t0, device, rows, mesh.dimension)
-        end = as_positions(vertices_t1, name_t1, device, rows, mesh.dimension)
-        _check_same_dtype(start, end, name_t1)
+        given = [vertices_t0, vertices_t1]
+        is_copied = self._may_be_copied(given, rows)
+        if is_copied:
+            start, end = (self._own_array(name, values)[0] for name, values in zip(("t0", "t1"), given, strict=True))
+        else:
+            start = as_positions(vertices_t0, name_t0, device, rows, mesh.dimension)
+            end = as_positions(vertices_t1, name_t1, device, rows, mesh.dimension)
+            _check_same_dtype(start, end, name_t1)
         real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
         count = mesh.num_vertices
         form = _Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
         if form not in self._recordings and device.is_capturing and device.is_cuda:
             raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
-        return PreparedLaunch(form, start, end, safety, form.t0_by_vertex and self._has_static)
+        places_static = form.t0_by_vertex and self._has_static
+        return PreparedLaunch(form, start, end, safety, places_static, given if is_copied else None)
+
+    def _may_be_copied(self, given: list[Any], rows: Collection[int]) -> bool:
+        """Whether the values of two arrays are copied: of NumPy and few, which costs less than to bind the arrays.
+
+        A graph reads the caller's arrays, whatever they hold when it is replayed.
+        """
+        device, dimension = self.topology.device, self._mesh.dimension
+        if device.is_cuda or not all(type(values) is np.ndarray for values in given) or device.is_capturing:
+            return False
+        return given[0].dtype == given[1].dtype and all(
+            values.dtype in _REALS
+            and values.ndim == 2
+            and values.shape[1] == dimension
+            and values.shape[0] in rows
+            and values.shape[0] <= MOST_COPIED
+            and values.flags.c_contiguous
+            for values in given
+        )
+
+    def _own_array(self, name: str, like: NDArray[Any]) -> tuple[wp.array, NDArray[Any]]:
+        """An array of the step's own with the type and the shape of another, on the device and on the host."""
+        key = (name, like.dtype.char, len(like))
+        if key not in self._own_arrays:
+            host = np.empty_like(like)
+            self._own_arrays[key] = wp.array(host, dtype=vector_of(like), device="cpu", copy=False), host
+        return self._own_arrays[key]
 
     def launch(self, prepared: "PreparedLaunch") -> None:
         """Launch a step. If this raises, the device step is in an inconsistent state and must not be used again."""
@@ -326,8 +365,15 @@ class DeviceStep:
         recording.bind("vertices_t0", start)
         recording.bind("vertices_t1", end)
         recording.bind(_SAFETY.name, prepared.safety)
+        own: list[NDArray[Any]] = []
+        if prepared.given is not None:
+            own = [self._own_array(name, values)[1] for name, values in zip(("t0", "t1"), prepared.given, strict=True)]
+            for host, values in zip(own, prepared.given, strict=True):
+                host[...] = values
         recording.play(_PLAY)
-        self._last = prepared
+        if prepared.given is not None and form.line_search is not None:
+            prepared.given[1][...] = own[1]
+        self._last = prepared._replace(given=None)
 
     def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
         """Contacts of a launch that know their mesh, and their points in a step between these positions.

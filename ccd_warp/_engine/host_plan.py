@@ -44,7 +44,7 @@ _AT_ONE_TIME = ("proximities", "displacements", "holds")
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
-_MOST_COPIED = 1 << 15
+MOST_COPIED = 1 << 15
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
@@ -97,6 +97,7 @@ class HostPlan:
         execution: Where its stages run.
         kinds: Kinds of pairs that the mesh can form and the options select.
         tree_pairs: The tree pairs, or the pairs of spatial hashes, that are searched.
+        most_partners: Number of primitives in the largest set in which partners are searched.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
@@ -128,6 +129,7 @@ class HostPlan:
         self._sampled_pairs = sampled_pairs_of(self.tree_pairs, topology, *kept) if has_sample else []
         if self._has_grids:
             self.tree_pairs, self._sampled_pairs = with_reverses(self.tree_pairs), with_reverses(self._sampled_pairs)
+        self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         self.trees = trees_of(self.tree_pairs + self._sampled_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
         has_narrow_phase = goal in ("contacts", "bound")
@@ -142,7 +144,7 @@ class HostPlan:
         if goal in ("proximities", "displacements"):
             self._norm = EUCLIDEAN_NORM
         self._search_values: tuple[float, ...] | None = None
-        self._are_copied = topology.device.is_cuda or mesh.num_vertices <= _MOST_COPIED
+        self._are_copied = topology.device.is_cuda or mesh.num_vertices <= MOST_COPIED
         self._keeps_toi = goal == "bound"
         self._has_queue = self.execution.is_cuda and has_narrow_phase
         self.has_planes = PairKind.VERTEX_PLANE in self.kinds
@@ -264,7 +266,7 @@ class HostPlan:
         boxes, recording = self._boxes, self._recording
         trees, grids = ([], self.trees) if self._has_grids else (self.trees, [])
         boxes.begin(positions, inflation, self._num_aabbs, trees, grids, self.execution)
-        recording.bind("quantization", boxes.quantization)
+        recording.bind("quantization", boxes.quantization.packed)
         recording.bind("vertex_aabbs", boxes.vertex_aabbs)
         recording.bind("inflation", inflation)
         self._active = active
@@ -341,7 +343,7 @@ class HostPlan:
             self.play(section, lambda stages, recording: self._record_search(stages, recording, tree_pairs))
             needed = self._num_needed()
             if all(needed[kind] <= self._capacities[kind] for kind in self._searched_kinds):
-                yield self._batch(self._num_found(), is_only=True)
+                yield self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
                 return
             least = {kind: max(n, 1) for kind, n in needed.items()}  # of an array Warp takes no part of no elements
             if sum(least.values()) > largest:
@@ -418,8 +420,9 @@ class HostPlan:
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
+        counts = self.counts()[:, CANDIDATES].tolist()
         for kind in self._searched_kinds:
-            self.num_candidates[kind] += int(self.counts()[kind, CANDIDATES])
+            self.num_candidates[kind] += counts[kind]
         return Batch(found, is_only)
 
     def counts(self) -> NDArray[np.int64]:
@@ -427,8 +430,8 @@ class HostPlan:
         return self._counts.numpy() if self._counts_view is None else self._counts_view
 
     def _num_found(self) -> dict[PairKind, int]:
-        counts = self.counts()
-        return {kind: int(counts[kind, FOUND]) for kind in self._searched_kinds}
+        counts = self.counts()[:, FOUND].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds}
 
     def _num_needed(self) -> dict[PairKind, int]:
         """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
@@ -440,14 +443,14 @@ class HostPlan:
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
-        counts = self.counts()
-        return {kind: int(counts[kind, OPEN]) for kind in self._searched_kinds if counts[kind, OPEN]}
+        counts = self.counts()[:, OPEN].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
 
     def _clear_counts(self) -> None:
         if self._counts_view is None:
             self._counts.zero_()
         else:
-            self._counts_view[:] = 0
+            self._counts_view.fill(0)
 
     def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""

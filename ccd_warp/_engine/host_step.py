@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import warp as wp
@@ -23,7 +23,7 @@ from ccd_warp._engine.host_plan import Goal, HostPlan
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.oddities import DistanceInEdges, Farthest, hidden_sentence
 from ccd_warp._engine.planes import plane_candidates
-from ccd_warp._engine.search import KEY_BYTES, PairSearch
+from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -82,7 +82,7 @@ class Step:
         self.buffers = workspace.buffers
         self.boxes = workspace.boxes
         self.positions = positions
-        self.counts = Counts()
+        self.counts: Counts  # from `finish_counts` on
         self._num_active_bodies = self.mesh.num_bodies
         self.is_warned = False
         self.holds = self.is_held = False
@@ -183,8 +183,7 @@ class Step:
 
         Every part needs capacity for all partners of one query.
         """
-        least = max([_LEAST_KEYS, *(tree_pair.target.primitives.count for tree_pair in self.plan.tree_pairs)])
-        least *= num_parts
+        least = num_parts * max(_LEAST_KEYS, self.plan.most_partners)
         limit = self.options.memory_limit
         if limit is None:
             return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), self.plan.most_pairs)
@@ -205,7 +204,7 @@ class Step:
     def largest_contacts(self) -> int:
         """Largest number of contacts within the memory limit."""
         if self.options.memory_limit is None:
-            return np.iinfo(np.int32).max
+            return MOST_PAIRS
         return (self.options.memory_limit - self.fixed_bytes) // 2 // BYTES_KEPT
 
     def timed_batches(self, batches: Iterator[_T]) -> Iterator[_T]:
@@ -449,7 +448,18 @@ class Step:
         """Set the counts; those of the cull and of contacts only if they are given."""
         mesh = self.mesh
         kinds = self.plan.kinds
-        counts = Counts(
+        found: dict[str, Any] = {}
+        if survivors is not None and contacts is not None:
+            # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
+            of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+            of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
+            found = {
+                "num_after_cull": {kind: survivors[kind] for kind in kinds},
+                "num_contacts": {kind: of_kind[int(kind)] for kind in kinds},
+                "num_contacts_at_start": of_status[int(CCDStatus.INITIAL_CONTACT)],
+                "num_contacts_at_limit": sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
+            }
+        self.counts = Counts(
             num_bodies=mesh.num_bodies,
             num_vertices=mesh.num_vertices,
             num_edges=mesh.num_edges,
@@ -462,19 +472,8 @@ class Step:
             num_searches={kind: num_searches[kind] for kind in kinds},
             num_candidates={kind: num_candidates[kind] for kind in kinds},
             num_batches=num_batches,
+            **found,
         )
-        if survivors is not None and contacts is not None:
-            # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
-            of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
-            of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
-            counts = replace(
-                counts,
-                num_after_cull={kind: survivors[kind] for kind in kinds},
-                num_contacts={kind: of_kind[int(kind)] for kind in kinds},
-                num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
-                num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
-            )
-        self.counts = counts
 
     def warn_of_overlaps(self, num_pairs: int, plan: HostPlan, found: Mapping[PairKind, int]) -> None:
         """Warn once if so many pairs are left that parts of the scene seem to overlap, and name the bodies.

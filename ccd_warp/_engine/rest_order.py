@@ -53,7 +53,7 @@ def order_at(
             1.0,
             0.0,
             topology.box_radius,
-            quantization,
+            quantization.packed,
             1,
         ],
         outputs=[vertex_aabbs],

@@ -2,7 +2,8 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from functools import lru_cache, reduce
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -31,6 +32,7 @@ VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
+_MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 _CLASS_BITS = int(kernels.CLASS_BITS)
@@ -87,7 +89,7 @@ class PrimitiveSet:
         """Whether they are static."""
         return self.role == "static"
 
-    @property
+    @lazy_property
     def count(self) -> int:
         """Number of primitives."""
         return len(self.ids)
@@ -225,13 +227,27 @@ class Topology:
         chosen = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
         return uneven_samples(mesh.num_vertices, NUM_SAMPLES), chosen.T.astype(np.intp, order="C")
 
-    def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions of the samples at both ends of a step, of single vertices and of those of primitives.
+    def sampled(self, positions: Positions) -> NDArray[np.float64]:
+        """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
 
-        With several worlds they are seen from the origin of their world, in its unit.
+        The third axis holds single vertices, and then the vertices of primitives. With several worlds they are seen
+        from the origin of their world, in its unit.
         """
-        vertices, primitives = (self.seen(chosen, positions) for chosen in self.samples)
-        return vertices, primitives
+        places = self._sampled_places
+        taken = np.empty((2, *places.shape))
+        for values, at_end in zip(positions, taken, strict=True):
+            values.take(places, out=at_end, mode="clip")  # which NumPy writes in place; there is nothing to clip
+        if self.world_places.has_origins:
+            world = self.mesh.vertex_world[places[0] // 3]
+            taken = np.moveaxis(self.world_places.seen(np.moveaxis(taken, 1, -1), world, positions[0]), -1, 1).copy()
+        return taken
+
+    @lazy_property
+    def _sampled_places(self) -> NDArray[np.intp]:
+        """The places of the coordinates of the samples in an array of positions, shape [3, 1 + k, n]."""
+        vertices, primitives = self.samples
+        places: NDArray[np.intp] = 3 * np.concatenate([vertices[None], primitives]) + np.arange(3)[:, None, None]
+        return places
 
     def seen(self, vertices: NDArray[np.intp], positions: Positions) -> NDArray[np.float64]:
         """Positions of vertices at both ends of a step, as seen from the origin of their world, in its unit."""
@@ -415,7 +431,7 @@ def sorted_keys(
     primitives: PrimitiveSet,
     vertex_aabbs: wp.array,
     num_aabbs: int,
-    quantization: Any,
+    typical_extent: np.float32,
     buffers: Buffers,
     execution: Execution,
 ) -> wp.array:
@@ -427,7 +443,7 @@ def sorted_keys(
     execution.launch(
         kernels.sort_keys,
         count,
-        inputs=[primitives.corners, vertex_aabbs, num_aabbs, quantization, morton_bits, primitives.index_bits],
+        inputs=[primitives.corners, vertex_aabbs, num_aabbs, typical_extent, morton_bits, primitives.index_bits],
         outputs=[keys],
     )
     sort_in_place(keys, count, execution)
@@ -447,7 +463,33 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         keys.numpy()[:count].sort()
 
 
-def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Any:
+class Quantization(NamedTuple):
+    """The map to float32, and the typical extent of a box.
+
+    Attributes:
+        origin: What maps to 0.
+        scale: By how much lengths shrink, a power of two.
+        typical_extent: The longest side of a typical box, in quantized coordinates.
+    """
+
+    origin: tuple[float, float, float]
+    scale: float
+    typical_extent: np.float32
+
+    @property
+    def packed(self) -> Any:
+        """The map as the struct of the kernels; the same one for the same map, which mostly stays from step to step."""
+        return _packed_quantization(self.origin, self.scale)
+
+
+@lru_cache(maxsize=64)
+def _packed_quantization(origin: tuple[float, float, float], scale: float) -> Any:
+    packed = kernels.Quantization()
+    packed.origin, packed.scale = wp.vec3d(*origin), scale
+    return packed
+
+
+def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Quantization:
     """The map to float32 and the typical extent of a box, from samples of the step.
 
     The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
@@ -455,37 +497,40 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     the same as long as the scene stays in place. With several worlds the box is that of one of them, and maps into the
     middle of its cell.
     """
-    quantization = kernels.Quantization()
     if len(positions[0]) == 0:
-        return quantization
-    vertices, points = topology.sampled(positions)  # axes of points: end of the step, vertex, primitive, coordinate
+        return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0))
+    halves = topology.sampled(positions)
     with np.errstate(over="ignore", under="ignore"):
-        vertices *= 0.5
-        centre = vertices[0]
-        centre += vertices[1]
-        distance = np.sort(np.abs(centre).max(axis=1))
-        centre.sort(axis=0)
-        margin = NUM_SAMPLES // 20
-        points *= 0.5
-        if num_aabbs == 1:
-            extents = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
-        else:
-            extents = (points.max(axis=1) - points.min(axis=1)).max(axis=(0, 2))
+        halves *= 0.5  # so that no sum or difference overflows
+        centres = halves[0, :, 0] + halves[1, :, 0]
+        distances = np.abs(centres).max(axis=0)
+        centres.sort()
+        extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
         extents.sort()
-        middle = NUM_SAMPLES // 2
-        half_extent = float(extents[middle - 1] + extents[middle]) / 2.0
-        half = float((0.5 * centre[-1 - margin] - 0.5 * centre[margin]).max())
-        if topology.world_places.has_origins:  # with these `half` is how far from its origin most of a world is
-            half = float(distance[-1 - 2 * margin])
-        exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
-        lattice = 2.0 ** (exponent - 2)
-        origin = (np.round(centre[middle] / lattice) * lattice).tolist()
-        quantization.origin = wp.vec3d(*(min(max(x, -LARGEST_ORIGIN), LARGEST_ORIGIN) for x in origin))
-        exponent += topology.world_places.bits
-        quantization.scale = 2.0**-exponent
-        half_extent += topology.typical_radius_of(topology.samples[1])
-        quantization.typical_extent = np.float32(2.0 * half_extent * 2.0**-exponent)
-    return quantization
+    low, centre, high = centres[:, _MARGIN].tolist(), centres[:, _MIDDLE].tolist(), centres[:, -1 - _MARGIN].tolist()
+    half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
+    half = max([0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True)])
+    if topology.world_places.has_origins:  # with these `half` is how far from its origin most of a world is
+        half = float(np.sort(distances)[-1 - 2 * _MARGIN])
+    exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
+    lattice = 2.0 ** (exponent - 2)
+    x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
+    scale = 2.0 ** -(exponent + topology.world_places.bits)
+    half_extent += topology.typical_radius_of(topology.samples[1])
+    return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
+
+
+def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
+    """The longest side of all boxes of each primitive, given its first points, its second ones, …, shape [2, 3, n]."""
+    # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
+    low, high = reduce(np.minimum, points), reduce(np.maximum, points)
+    sides = np.maximum(*(high - low)) if num_aabbs == 2 else np.maximum(*high) - np.minimum(*low)
+    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
+
+
+def _rounded(number: float) -> float:
+    """The nearest integer, also of an infinite number; even where two are."""
+    return float(round(number)) if abs(number) < 2.0**52 else number
 
 
 def large_half_side(topology: Topology, positions: Positions, quantile: float) -> float:
@@ -504,17 +549,15 @@ def large_half_side(topology: Topology, positions: Positions, quantile: float) -
     return float(np.quantile(sides, quantile))
 
 
-def choose_static_quantization(topology: Topology, start: NDArray[np.float64], quantization: Any) -> Any:
-    """The same map, with the typical extent of the primitives of static bodies only."""
+def typical_static_extent(topology: Topology, start: NDArray[np.float64], scale: float) -> np.float32:
+    """The typical extent of the primitives of static bodies alone, in the quantized coordinates of a scale."""
     mesh = topology.mesh
     among = mesh.edges[mesh.static[mesh.edge_body]]
-    static = kernels.Quantization()
-    static.origin, static.scale, static.typical_extent = quantization.origin, quantization.scale, np.float32(0.0)
-    if len(among):
-        with np.errstate(over="ignore", under="ignore"):
-            chosen = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
-            points = topology.seen(chosen, (start, start))[0]
-            half_extent = float(np.median((0.5 * points.max(axis=0) - 0.5 * points.min(axis=0)).max(axis=1)))
-            half_extent += topology.typical_radius_of(chosen)
-            static.typical_extent = np.float32(2.0 * half_extent * quantization.scale)
-    return static
+    if len(among) == 0:
+        return np.float32(0.0)
+    with np.errstate(over="ignore", under="ignore"):
+        chosen = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
+        points = topology.seen(chosen, (start, start))[0]
+        half_extent = float(np.median((0.5 * points.max(axis=0) - 0.5 * points.min(axis=0)).max(axis=1)))
+        half_extent += topology.typical_radius_of(chosen)
+        return np.float32(2.0 * half_extent * scale)

@@ -1,5 +1,6 @@
 """Conversion to NumPy arrays on the host, without a copy where possible and never with rounding."""
 
+import math
 import numbers
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_unmasked, shown
 
+_FEW = 1 << 13
 _LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
 
 
@@ -51,7 +53,7 @@ def as_float64(array: NDArray[Any], name: str, given: Any, row_name: str = "row"
     Raises:
         ValueError: If the numbers are not real, or float64 cannot represent one of them.
     """
-    if array is given and array.dtype == np.float64 and array.flags.c_contiguous:
+    if array is given and is_float64(array):
         return array
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected real numbers")
@@ -72,6 +74,11 @@ def as_float64(array: NDArray[Any], name: str, given: Any, row_name: str = "row"
     return rounded
 
 
+def is_float64(array: NDArray[Any]) -> bool:
+    """Whether an array is of float64 and in C order."""
+    return array.dtype == np.float64 and array.flags.c_contiguous
+
+
 def shown_number(value: Any) -> str:
     """A number without its type."""
     return shown(int(value)) if isinstance(value, numbers.Integral) else str(value)
@@ -81,6 +88,8 @@ def check_finite(
     array: NDArray[np.float64], name: str, row_name: str = "row", where: Callable[[int], str] | None = None
 ) -> None:
     """Raise a ValueError if a value is not finite; ``where`` describes a row of the array."""
+    if array.size <= _FEW and math.isfinite(np.vdot(array, array)):
+        return  # as below, in a third of the time; on one thread, since there are few
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
             return  # an infinity or NaN would make the sum non-finite; a sum that overflows proves nothing

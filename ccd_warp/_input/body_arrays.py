@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite
+from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite, is_float64
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.names import body_label
 
@@ -52,6 +52,8 @@ def as_positions(
         reason: Why it must be this number, for the messages.
         by_world: The accepted numbers of worlds and of rows in each.
     """
+    if type(values) is np.ndarray and values.shape == (count, dimension) and is_float64(values):
+        return values
     expected = f"(n, {dimension})" if count is None else f"{(count, dimension)} {reason}"
     array = as_array(on_host(values, name), name, f"shape {expected}")
     if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == dimension:

@@ -68,6 +68,11 @@ def _exported(value: Any, kind: int, index: int) -> Any:
     return value
 
 
+def vector_of(array: np.ndarray) -> Any:
+    """The type of Warp of the rows of an array of NumPy, of float32 or float64, shape [n, 3] or [n, 2]."""
+    return _VECTORS[array.shape[1]][wp.dtype_from_numpy(array.dtype)]
+
+
 def check_writable(value: Any, name: str) -> None:
     """Check that an array may be written to.
 
@@ -102,9 +107,11 @@ def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]],
     has_axis = len(value.shape) == (2 if is_vector else 3)
     if not has_axis or shape not in by_world or not (is_vector or value.shape[2] == dimension):
         return value
-    array = as_warp(value, name)
+    array: Any = as_warp(value, name)
     if not array.is_contiguous and array.size:
         raise ValueError(f"{name} has strides {array.strides}; expected a contiguous array, which needs no copy")
+    if type(value) is np.ndarray:
+        return value.reshape(-1, dimension)
     rows = array.shape[0] * array.shape[1]
     return array.reshape(rows if is_vector else (rows, dimension))
 

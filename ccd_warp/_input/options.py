@@ -2,6 +2,7 @@
 
 import difflib
 import numbers
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -129,7 +130,7 @@ class Options:
         """The minimum separation or distance, a length."""
         if self.minimum_distance > 0:
             return self.minimum_distance
-        return min(self.minimum_separation * length_scale, float(np.finfo(np.float64).max))
+        return min(self.minimum_separation * length_scale, sys.float_info.max)
 
     def rounded_up(self, t: float) -> float:
         """A time in the precision of the iteration, rounded up."""

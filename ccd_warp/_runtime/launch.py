@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag, run, run_aside
 from ccd_warp.kernels.once import building
@@ -163,15 +164,19 @@ class _Call:
 
     launch: Callable[[], None]
 
+    def parts(self) -> list[Callable[[], None]]:
+        """The function, which has no parts."""
+        return [self.launch]
+
 
 @dataclass(frozen=True)
 class _Launch:
-    """The parts of a launch, with how many of them are needed, and whether they may take long."""
+    """A launch, with how many of its parts are needed, and whether they may take long."""
 
-    commands: Sequence[wp.Launch | _Call]
-    is_large: bool  # at least as many items as are worth a part
-    num_needed: Callable[[], int] | None
-    is_long: Callable[[], bool] | None
+    packed: PackedLaunch | _Call
+    is_large: bool = False  # at least as many items as are worth a part
+    num_needed: Callable[[], int] | None = None
+    is_long: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -208,7 +213,7 @@ class Recording:
         self._sections: dict[str, list[_Group]] = {}
         self._groups: list[_Group] = []  # of the section that is recorded
         self._is_at_once = False
-        self._uses: dict[str, list[tuple[wp.Launch, int]]] = {name: [] for name in values}
+        self._uses: dict[str, list[tuple[PackedLaunch, int]]] = {name: [] for name in values}
 
     @property
     def device(self) -> Any:
@@ -273,34 +278,30 @@ class Recording:
             return
         load(kernel, self.execution.device)
         arguments = [*inputs, *outputs]
-        packed = [self.values[a.name] if isinstance(a, Slot) else a for a in arguments]
-        commands = []
-        for begin, end in self.execution.ranges(count, grain, parts_per_thread):
-            command = wp.launch(
-                kernel,
-                dim=end - begin,
-                inputs=[begin, *packed],
-                device=self.execution.device,
-                record_cmd=True,
-                block_dim=block_dim_of(kernel, self.execution.device),
-            )
-            commands.append(command)
-            for index, argument in enumerate(arguments):
-                if isinstance(argument, Slot):
-                    self._uses[argument.name].append((command, index + 1))
-        if not self._is_at_once:
-            self._groups.append([])
-        group = self._groups[-1]
-        assert isinstance(group, list)
-        group.append(_Launch(commands, count >= grain > 1, num_needed, is_long))
+        command: Any = wp.launch(
+            kernel,
+            dim=count,
+            inputs=[0, *(self.values[a.name] if isinstance(a, Slot) else a for a in arguments)],
+            device=self.execution.device,
+            record_cmd=True,
+            block_dim=block_dim_of(kernel, self.execution.device),
+        )
+        packed = PackedLaunch(command, self.execution.ranges(count, grain, parts_per_thread))
+        for index, argument in enumerate(arguments):
+            if isinstance(argument, Slot):
+                self._uses[argument.name].append((packed, index + 1))
+        self._add(_Launch(packed, count >= grain > 1, num_needed, is_long))
 
     def call(self, function: Callable[[], None]) -> None:
         """Record a call of a function that launches kernels of Warp's own."""
+        self._add(_Launch(_Call(function)))
+
+    def _add(self, launch: _Launch) -> None:
         if not self._is_at_once:
             self._groups.append([])
         group = self._groups[-1]
         assert isinstance(group, list)
-        group.append(_Launch([_Call(function)], False, None, None))
+        group.append(launch)
 
     def bind(self, name: str, value: Any) -> None:
         """Set a slot to an array, a struct or a number."""
@@ -308,8 +309,8 @@ class Recording:
         if value is before or (isinstance(value, float | int) and value == before):
             return
         self.values[name] = None  # no value counts as bound while only some launches have the new one
-        for command, index in self._uses[name]:
-            command.set_param_at_index(index, value)
+        for launch, index in self._uses[name]:
+            launch.bind(index, value)
         self.values[name] = value
 
     def release(self, name: str) -> None:
@@ -321,13 +322,13 @@ class Recording:
         self._play_groups(section, self._sections[section])
 
     def _play_groups(self, section: str, groups: list[_Group]) -> None:
+        is_serial = self.execution.is_serial
         for group in groups:
             if isinstance(group, _Conditional):
                 self._play_conditional(section, group)
-            elif self.execution.is_serial:
-                for launch in group:
-                    for command in launch.commands:
-                        command.launch()
+            elif is_serial:
+                for each in group:
+                    each.packed.launch()
             else:
                 self._play_on_threads(section, group)
 
@@ -348,22 +349,25 @@ class Recording:
 
     def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
         """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
-        commands: list[wp.Launch | _Call] = []
+        parts: list[Callable[[], None]] = []
         is_long = is_worth_threads = False
         for each in group:
-            needed = each.commands if each.num_needed is None else each.commands[: each.num_needed()]
-            commands += needed
-            is_long = is_long or (each.is_long is not None and bool(needed) and each.is_long())
-            is_worth_threads = is_worth_threads or len(needed) > 1 or (each.is_large and bool(needed))
-        if not is_long and (len(commands) <= 1 or not is_worth_threads):
-            for command in commands:
-                command.launch()
+            needed = each.packed.parts()
+            if each.num_needed is not None:
+                needed = needed[: each.num_needed()]
+            if needed:
+                parts += needed
+                is_long = is_long or (each.is_long is not None and each.is_long())
+                is_worth_threads = is_worth_threads or len(needed) > 1 or each.is_large
+        if not is_long and (len(parts) <= 1 or not is_worth_threads):
+            for part in parts:
+                part()
             return
         progress = self.execution.progress
-        progress.begin(section, len(commands))
+        progress.begin(section, len(parts))
 
-        def run(command: wp.Launch | _Call) -> None:
-            command.launch()
+        def run(part: Callable[[], None]) -> None:
+            part()
             progress.done += 1
 
-        self.execution.run([lambda c=c: run(c) for c in commands], is_long=is_long)  # type: ignore[misc]
+        self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]

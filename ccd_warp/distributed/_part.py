@@ -131,18 +131,17 @@ class PartTopology(Topology):
         self._vertex_below, self._rings = vertex_below, rings
         self._axes_below: dict[str, NDArray[np.uint8]] = {}
         # positions of the samples of the whole mesh in this step, as `sampled` gives them
-        self.samples_of_all: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self.samples_of_all: NDArray[np.float64] | None = None
 
     def place_worlds(self) -> WorldPlaces:
         """Worlds as they are, since a world may lie on several ranks, each of which sees a part of it."""
         return plain_places(self.mesh.num_worlds)
 
-    def sampled(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sampled(self, positions: Positions) -> NDArray[np.float64]:
         """Positions of the samples of the whole mesh, so that all ranks and one process choose one quantization."""
         if self.samples_of_all is None:
             return super().sampled(positions)
-        vertices, primitives = self.samples_of_all
-        return vertices.copy(), primitives.copy()
+        return self.samples_of_all.copy()
 
     @lazy_property
     def box_radius(self) -> wp.array:
@@ -231,17 +230,15 @@ class TogetherIn:
     def collect_samples(self, positions: Positions) -> None:
         """Bring the positions of the samples to all ranks: each comes from the one rank whose region it lies in."""
         if self.ranks.size == 1:
-            self.topology.samples_of_all = self._split(np.stack([x[self._rows] for x in positions]))
+            self.topology.samples_of_all = self._by_coordinate(np.stack([x[self._rows] for x in positions]))
             return
         mine = np.zeros((2, self._num_samples, 3))
         mine[:, self._samples] = [x[self._rows] for x in positions]
         # as integers, so that the sum with zeros keeps every bit
-        self.topology.samples_of_all = self._split(self.ranks.total(mine.view(np.int64)).view(np.float64))
+        self.topology.samples_of_all = self._by_coordinate(self.ranks.total(mine.view(np.int64)).view(np.float64))
 
-    def _split(self, all_of_them: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        num = len(self.whole.sample_vertices)
-        corners = len(self.whole.sample_primitives)
-        return all_of_them[:, :num], all_of_them[:, num:].reshape(2, corners, -1, 3)
+    def _by_coordinate(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+        return samples.transpose(0, 2, 1).reshape(2, 3, 1 + len(self.whole.sample_primitives), -1)
 
     def body_boxes(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Boxes around the motion of every body, wherever its vertices are; those without vertices are inverted."""
