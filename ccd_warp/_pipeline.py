@@ -647,9 +647,12 @@ class CollisionPipeline:
     def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance."""
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
-        return self._run(
+        of_search = self.counts, self.timings
+        near = self._run(
             HoldStep, lambda: self._one_frame(positions), lambda step: step.worlds_near(contacts, distance)
         )
+        self.counts, self.timings = of_search
+        return near
 
     def is_step_collision_free(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False

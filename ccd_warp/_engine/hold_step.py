@@ -10,7 +10,7 @@ from ccd_warp._engine.lengths import length_scale_of, sum_up
 from ccd_warp._engine.proximities import reach_of
 from ccd_warp._engine.proximity_step import StepAtOneTime
 from ccd_warp._engine.scene import norm_of
-from ccd_warp._results import Contacts
+from ccd_warp._results import Contacts, Counts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.norm import is_ball
 
@@ -76,6 +76,7 @@ class HoldStep(StepAtOneTime):
         from ccd_warp.kernels import start_holds as kernels
 
         topology, device = self.topology, self.topology.device
+        self.counts = Counts()  # nothing is searched
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
         if len(contacts):
             values = {"kind": wp.int32, "primitives": wp.vec2i}
