@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .minima import Minima, world_of
+from .minima import PAIRS_OVERFLOW, Minima, world_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -63,6 +63,13 @@ def keep_holds(
     # out
     hold: wp.array[wp.float64],
 ):
-    """Keep the holds that a search has found as minima of the vertices."""
+    """Keep the holds that a search has found as minima of the vertices.
+
+    A pair beyond the capacity has lowered those of its vertices to 0, which would let others come as near: its world,
+    which has a flag, holds nothing.
+    """
     v = begin + wp.tid()
-    hold[v] = wp.cast(m.vertex[v], wp.float64)
+    least = wp.cast(m.vertex[v], wp.float64)
+    if (m.world_flags[world_of(m, v)] & PAIRS_OVERFLOW) != 0:
+        least = _INFINITY
+    hold[v] = least

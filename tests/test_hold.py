@@ -276,6 +276,19 @@ def test_vertex_pressed_on_a_tilted_half_space_never_enters_it():
         assert ((x - [0.1, 0.2, 0.3]) @ normal).min() > -1e-15
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_vertices_at_their_distance_over_a_tilted_half_space_slide_by_their_whole_step(share):
+    rng = np.random.default_rng(3)
+    unit = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    point, across = rng.normal(size=3), rng.normal(size=(2, 2000, 2)) @ unit[:2]
+    start = point + across[0] + share * DISTANCE * unit[2]  # to within rounding, above and below
+    mesh = ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), dtype=int)), ccd.HalfSpace(point, unit[2])])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=DISTANCE)
+    end = start + 0.3 * across[1]
+    np.testing.assert_array_equal(pipeline.line_search(start, end, per="vertex").vertices, end)
+    np.testing.assert_array_equal(shortened_by_launch(pipeline, start, end, per="vertex"), end)
+
+
 # ---- What it goes with -----------------------------------------------------------------------------------------------
 
 
@@ -313,3 +326,33 @@ def test_scene_in_which_nothing_starts_close_looks_for_no_holds(monkeypatch):
     pipeline, start = two_triangles(2 * DISTANCE, **NORMS["ball"])
     end = start + np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]], 3, axis=0)
     assert 0.0 < pipeline.line_search(start, end).fraction < 0.01
+
+
+def test_edge_beyond_the_capacity_at_the_start_does_not_let_a_point_come_closer_to_the_face_it_leaves():
+    # Two edges slide at 0.9 of the distance. A third one, which leaves a face from beyond it, is among the pairs at the
+    # start alone, for which there is no capacity.
+    edge, faceless = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((0, 3), dtype=int)
+    across = edge[:, [1, 0, 2]]
+    parts = [
+        edge - [10.0, 0.0, 0.0],
+        across + [-10.0, 0.0, 0.9 * DISTANCE],
+        TRIANGLE,
+        across + [0.05, -1.0, -(1 + 2e-7) * DISTANCE],
+        np.array([[0.0, -0.5, 0.5]]),
+    ]
+    edges = [[[0, 1]], [[0, 1]], None, [[0, 1]], None]
+    bodies = [
+        (x, FACE) if len(x) == 3 else (x, faceless) if of is None else (x, faceless, of)
+        for x, of in zip(parts, edges, strict=True)
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True)
+    start = np.concatenate(parts)
+    end = start.copy()
+    end[2:4, 0] += 0.01
+    end[7:9, 2] -= 0.5
+    end[9, 2] = 0.3 * DISTANCE
+    for max_pairs in (1, 100):
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=max_pairs, **NORMS["ball"])
+        reached = end.copy()
+        pipeline.launch_line_search(start, reached, per="vertex")
+        assert reached[9, 2] > DISTANCE
