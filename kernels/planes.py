@@ -35,13 +35,14 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is
    0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
-6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`).
-   The change of f over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25 times both cover
-   their difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a
-   side to leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the
-   start, less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter
-   the solid. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these roundings, and
-   toi is 0.
+6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`);
+   so does one beyond it by no more than 16 (E + E at the end), which rounding alone may bring there. The change of f
+   over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25 times both cover their
+   difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a side to
+   leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the start, less 16 (E + E at
+   the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter the solid; and no more
+   than its distance. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these
+   roundings: toi is 0 within the distance, and that of step 4 beyond it.
 
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.
@@ -244,15 +245,17 @@ def meeting_of(
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
     a = start.f - (start.error + reach) * _UP
     b = end.f - (end.error + reach) * _UP
-    if query.holds != 0 and not a > _ZERO:
+    if query.holds != 0 and not a > _MARGIN * (start.error + end.error):
         change = value_of(x1, x0, n, is_exact, lost)
         of_plane = value_of(p1, p0, n, is_exact, lost)
         if change.f - of_plane.f >= _SURE * (change.error + of_plane.error):
             return meeting
-        reach = wp.min(reach, wp.max(start.f - start.error - _MARGIN * (start.error + end.error), _ZERO))
-        b = end.f - (end.error + reach) * _UP
-        if b > _ZERO and start.f - (start.error + reach) * _UP > _ZERO:
+        kept = wp.min(reach, wp.max(start.f - start.error - _MARGIN * (start.error + end.error), _ZERO))
+        if end.f - (end.error + kept) * _UP > _ZERO and start.f - (start.error + kept) * _UP > _ZERO:
             return meeting
+        if not a > _ZERO:
+            reach = kept
+            b = end.f - (end.error + reach) * _UP
     if a > _ZERO and b > _ZERO:
         return meeting
     t = _ZERO
