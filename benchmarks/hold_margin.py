@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-MARGINS = (32, 64, 128, 256)  # in units of the roundoff 2^-53 and of the size of a pair
+MARGINS = (32, 64, 128, 256, 1024)  # in units of the roundoff 2^-53 and of the size of a pair
 NORMS = {"Euclidean": "minimum_distance", "maximum": "minimum_separation"}
 _DISTANCE = 1e-3
 _SHARES = (1.0, 1.0 - 1e-12, 0.9, 0.1)
@@ -21,10 +21,10 @@ _SHARES = (1.0, 1.0 - 1e-12, 0.9, 0.1)
 def _with_margin(margin: float) -> None:
     """Give the kernels another margin, before any of them is compiled."""
     import warp as wp
-    from ccd_warp.kernels import hold, pair_options
+    from ccd_warp.kernels import hold
 
     wp.config.quiet = True
-    hold.MARGIN = pair_options.MARGIN = wp.constant(wp.float64(margin * 2.0**-53))
+    hold.MARGIN.update(dict.fromkeys(hold.MARGIN, margin * 2.0**-53))
 
 
 def shares_of(option: str, count: int) -> tuple[int, float, float]:

@@ -292,7 +292,7 @@ def collision_free_step(
 
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
     touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
-    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair).
+    that to something at the start, closer than it was (less 1.2e-13 of the size and motion of the pair).
     """
     chosen = options_of("collision_free_step", MeshOptions, options, others=["check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
@@ -400,7 +400,7 @@ def line_search(
 
     Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices`` of the result, no pair
     that passes the mesh's filter touches, or comes within its distance, or, where one of its vertices was closer than
-    that to something at the start, closer than it was (less 1.4e-14 of the size and motion of the pair); except pairs
+    that to something at the start, closer than it was (less 1.2e-13 of the size and motion of the pair); except pairs
     of ``touching``, whose vertices do not move, and of ``struck``, of which the kinematic side alone does. Where
     ``struck`` is empty, no kinematic body passes through anything. Proof: the last round checked exactly these rounded
     positions, and every pair with a free vertex that moves had toi ``inf`` there, which is certain. (After that round

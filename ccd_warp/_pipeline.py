@@ -23,7 +23,8 @@ from ccd_warp._engine.device_step import (
     DeviceStep,
     LineSearch,
 )
-from ccd_warp._engine.hold_step import HoldStep, hold_distance, holds_pairs
+from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
+from ccd_warp._engine.hold_step import HoldStep
 from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (

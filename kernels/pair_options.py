@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .hold import MARGIN, held_at
-from .norm import is_by_pair
+from .norm import is_ball, is_by_pair
 from .once import once
 from .pair_key import pair_of
 from .query import make_query
@@ -24,6 +24,7 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
     Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
     lanes = wp.constant(width)
     infinite = wp.constant(wp.float64(float("inf")))
+    margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
 
     if not is_by_pair(norm):
 
@@ -52,7 +53,7 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
         held = held_at(options.hold, first, second)
         if held < infinite:
             options.minimum_separation = wp.min(options.minimum_separation, held)
-            options.margin = MARGIN
+            options.margin = margin
         return options
 
     @wp.func

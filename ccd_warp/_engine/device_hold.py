@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from ccd_warp._engine.hold_step import corners_by_kind, hold_distance
+from ccd_warp._engine.hold_distance import corners_by_kind, hold_distance
 from ccd_warp._engine.lengths import length_scale_of, next_above
 from ccd_warp._engine.proximities import reach_of
 from ccd_warp._engine.scene import norm_of

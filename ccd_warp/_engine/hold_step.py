@@ -1,49 +1,16 @@
 """How near each vertex is to anything at the start of a step: a step at one time, with holds in place of times."""
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.lengths import length_scale_of, sum_up
+from ccd_warp._engine.hold_distance import corners_by_kind
 from ccd_warp._engine.proximities import reach_of
 from ccd_warp._engine.proximity_step import StepAtOneTime
 from ccd_warp._engine.scene import norm_of
 from ccd_warp._results import Contacts, Counts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.norm import is_ball
-
-if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
-
-# What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
-# the mesh are far above the margin of a pair (`kernels.hold`), unless its motion is far larger than the mesh.
-_OF_DISTANCE = 2.0**-20
-_OF_SIZE = 2.0**-40
-
-
-def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
-    """The distance up to which pairs are held, radii besides."""
-    return sum_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
-
-
-def corners_by_kind(topology: Any) -> list[wp.array]:
-    """The vertices of the primitives that contacts name: of vertices, edges and faces."""
-    return [topology.corners[name] for name in ("vertex", "edge", "face")]
-
-
-def _slack(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
-    distance = options.separation(length_scale_of(mesh, options))
-    thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
-    with np.errstate(over="ignore"):
-        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE * mesh.length_scale
-    return min(slack, float(np.finfo(np.float64).max))
-
-
-def holds_pairs(mesh: Any, options: "Options") -> bool:
-    """Whether pairs keep a distance within which they may start."""
-    return options.holds and (options.minimum_separation > 0 or options.minimum_distance > 0 or mesh.is_thick)
 
 
 class HoldStep(StepAtOneTime):

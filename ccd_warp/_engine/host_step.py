@@ -42,8 +42,9 @@ _MANY_PAIRS_EACH = 16
 # Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
 _MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
-# A motion below this fraction of the size of a scene is none where pairs are held, and press (`kernels.hold`).
-_LOST = 2.0**-30
+# Where pairs are held, and press (`kernels.hold`), a step below this fraction is none whose motion is below that fraction
+# of the size of the scene.
+_LOST_TOI, _LOST = 2.0**-20, 2.0**-30
 
 _T = TypeVar("_T")
 
@@ -341,7 +342,8 @@ class Step:
         start, end = self.positions
         with np.errstate(over="ignore"):
             motion = self.most_of_all(float(np.abs(end - start).max(initial=0.0)))
-            return 0.0 if toi * motion <= _LOST * self.mesh.length_scale else toi
+            is_lost = toi <= _LOST_TOI and toi * motion <= _LOST * self.mesh.length_scale
+        return 0.0 if is_lost else toi
 
     def most_of_all(self, value: float) -> float:
         """The largest value of all processes that share the step; here of this one."""

@@ -69,7 +69,7 @@ class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Place, tot
         start_gap_fraction: What a pair keeps that starts within its distance, in either norm. With ``"hold"`` the calls
             that shorten a step (line searches and :func:`collision_free_step`) let it part and slide, and come no
             closer: a pair keeps the least of its distance and of how near its vertices were to anything at the start,
-            less 1.4e-14 of its size and motion. What tells collisions (:func:`mesh_ccd`,
+            less 1.2e-13 of its size and motion. What tells collisions (:func:`mesh_ccd`,
             :func:`is_step_collision_free`, ``launch`` and the pair functions) is strict all the same: such a pair has
             toi 0. With None every call is strict. With a number in (0, 1) every call reduces the separation of a pair
             to at most this fraction of its gap at the start; gaps then shrink by it each time. What touches at the

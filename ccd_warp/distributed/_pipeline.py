@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.candidates import validated_inflation
-from ccd_warp._engine.hold_step import hold_distance, holds_pairs
+from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.lengths import half_up, length_scale_of, sum_up
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
