@@ -38,10 +38,10 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
 6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`);
    so does one beyond it by no more than 16 (E + E at the end), which rounding alone may bring there. The change of f
    over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25 times both cover their
-   difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a side to
-   leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the start, less 16 (E + E at
-   the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter the solid; and no more
-   than its distance. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these
+   difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a side
+   to leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the start, less 16 (E +
+   E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter the solid; and no
+   more than its distance. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these
    roundings: toi is 0 within the distance, and that of step 4 beyond it.
 
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
