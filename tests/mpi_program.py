@@ -343,6 +343,20 @@ def kinematic_bodies():
     check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
 
 
+def what_starts_within_its_distance():
+    """Sheets at their thickness, one above the other, which slide, part and press; in both norms."""
+    vertices, faces = scenes.sheet(14)
+    layers = [(vertices + [0.03 * k, 0.01 * k, 0.02 * k], faces) for k in range(3)]
+    motion = np.array([[0.0, 0.0, 0.0], [0.17, -0.11, 0.0], [0.05, 0.1, 0.03]])
+    calls = ["collision_free_step", "mesh_ccd", *SEARCHES]
+    for radius, given in ((0.01, {}), (None, {"minimum_separation": 0.02, "length_scale": 1.0})):
+        mesh = ccd.CollisionMesh.from_arrays(layers, radius=radius, self_collision=False)
+        end = mesh.vertices + motion[mesh.vertex_body]
+        check((mesh, mesh.vertices, end), interleaved, calls, **given)
+        end[mesh.vertex_body == 2, 2] -= 0.1 * (mesh.vertices[mesh.vertex_body == 2, 0] > 0.2)
+        check((mesh, mesh.vertices, end), in_blocks, calls[:2] + calls[-1:], **given)
+
+
 def planes_and_nothing_else():
     """Particles that meet a ground alone, in worlds; some of them are static."""
     points = np.random.default_rng(6).random((60, 3))
@@ -526,6 +540,7 @@ CASES = [
     radii,
     half_spaces,
     kinematic_bodies,
+    what_starts_within_its_distance,
     planes_and_nothing_else,
     copies_of_a_body_that_moves_alone,
     in_the_plane,

@@ -230,7 +230,9 @@ def test_points_and_segments(separation, dimension, kind, precision):
         exact = exact_tois(kind, p0, p1, separation)
         result = POINT_KINDS[kind](p0, p1, minimum_separation=separation, length_scale=1.0, precision=precision)
         assert_never_missed_never_late(exact, result)
-        assert (result.status < ccd.CCDStatus.ITERATION_LIMIT).all(), family
+        # points of 2²⁰⁰ are known to some 2¹⁴⁸, which hides gaps of the unit in which the tolerance is
+        is_hidden = (result.status == ccd.CCDStatus.ROUNDING_LIMIT) & (family == "scaled_2_pow_200")
+        assert ((result.status < ccd.CCDStatus.ITERATION_LIMIT) | is_hidden).all(), family
         for i in np.flatnonzero(result.hit):
             size = size_of(p0, p1)[i]
             gap = exact_gap(kind, p0[i], p1[i], float(result.toi[i]))
