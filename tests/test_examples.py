@@ -34,6 +34,7 @@ def test_no_example_is_left_out():
         "mesh_against_mesh.py",
         "mpi_cloth.py",
         "newton_cloth.py",
+        "two_layers.py",
     }
 
 

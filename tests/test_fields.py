@@ -60,6 +60,7 @@ READ = {
     "examples/fsi_membrane.py": "direction normal parameters primitives",
     "examples/mesh_against_mesh.py": "normal primitives",
     "examples/newton_cloth.py": "normal parameters primitives",
+    "examples/two_layers.py": "direction distance weights",
 }
 DISTANCE = 0.1
 TESTED: set[str] = set()
