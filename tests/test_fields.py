@@ -28,14 +28,25 @@ RESULTS = (
 MEANT = {
     *("bodies", "body_contact", "bounds", "direction", "distance", "edge_parameter", "features", "fraction", "gap"),
     *("is_crossing", "normal", "parameters", "point", "points", "primitives", "touching", "vertex_contact"),
-    *("vertex_fraction", "weights"),
+    *("struck", "vertex_fraction", "weights", "world_contact"),
 }
 # Fields whose name says all, or that so many things have that a search for them would tell nothing.
 PLAIN = {
     *("body_names", "body_toi", "contacts", "count", "counts", "edge_edge", "first", "flags", "hit", "index"),
     *("is_limited", "iterations", "kind", "mesh", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
-    *("num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status", "timings"),
-    *("toi", "vertex_face", "vertex_plane", "vertex_toi", "vertices", "width", "world", "world_flags", "world_toi"),
+    *("hidden_gaps", "num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status"),
+    *(
+        "timings",
+        "toi",
+        "vertex_face",
+        "vertex_plane",
+        "vertex_toi",
+        "vertices",
+        "width",
+        "world",
+        "world_flags",
+        "world_toi",
+    ),
 }
 # Which of the former each program and page reads. Before a name is added here, the reader is compared with the test of
 # its meaning. Names are all that is searched for, so some of these belong to other things.
@@ -47,14 +58,14 @@ READ = {
     "benchmarks/gpu_check/cases.py": "primitives",
     "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/architecture.md": "primitives",
-    "docs/choosing.md": "distance",
+    "docs/choosing.md": "distance touching",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "gap primitives",
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
-    "docs/solver.md": "bodies direction distance edge_parameter features gap is_crossing normal parameters point "
-    "points primitives touching vertex_contact weights",
+    "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal parameters "
+    "point points primitives struck touching vertex_contact weights world_contact",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal primitives weights",
     "examples/fsi_membrane.py": "direction normal parameters primitives",
@@ -245,13 +256,14 @@ def test_the_gap_is_beyond_the_distance_and_no_less_than_the_true_one(step):
         assert 0 <= contact.gap < 1e-4
 
 
-@meaning_of("vertex_contact", "body_contact")
+@meaning_of("vertex_contact", "body_contact", "world_contact")
 def test_rows_of_contacts_are_those_that_give_the_toi(step):
     result = step[3]
     contacts = result.contacts
     of_vertices = result.vertex_contact, result.vertex_toi, contacts.vertices
     of_bodies = result.body_contact, result.body_toi, contacts.bodies
-    for rows, toi, members in (of_vertices, of_bodies):
+    of_worlds = result.world_contact, result.world_toi, contacts.world[:, None]
+    for rows, toi, members in (of_vertices, of_bodies, of_worlds):
         is_hit = np.isfinite(toi)
         assert is_hit.any() and (rows[~is_hit] == -1).all()
         for k in np.flatnonzero(is_hit):
@@ -280,6 +292,17 @@ def test_a_line_search_says_how_far_each_vertex_goes_and_what_keeps_it():
     moved = mesh.vertices + found.vertex_fraction[:, None] * (end - mesh.vertices)
     assert np.allclose(found.vertices, moved, atol=1e-15)
     assert len(found.touching) and (found.touching.vertices == 3).any(axis=1).all()
+
+
+@meaning_of("struck")
+def test_struck_is_what_a_kinematic_body_meets_that_stays():
+    wall = 0.5 * TRIANGLE[:, [2, 0, 1]] - [1.0, 0.0, 0.0]
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (wall, FACE)], kinematic=[1])
+    end = mesh.vertices + [2.0, 0.0, 0.0] * (mesh.vertex_body == 1)[:, None]
+    found = ccd.line_search(mesh, mesh.vertices, end, per="vertex", device="cpu")
+    assert found.vertex_fraction.tolist() == [1.0] * 6 and np.array_equal(found.vertices, end)
+    assert len(found.struck) and (found.struck.toi < 0.5).any() and not len(found.touching)
+    assert ({*found.struck.bodies.ravel().tolist()} == {0, 1}) and np.isfinite(found.struck.toi).all()
 
 
 @meaning_of("edge_parameter", "is_crossing", "parameters", "points")

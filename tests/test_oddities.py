@@ -64,7 +64,8 @@ def test_a_launch_flags_what_rounding_hides():
     end[50 + 32] = 1e20
     pipeline = ccd.CollisionPipeline(mesh, device="cpu")
     found = pipeline.launch(mesh.vertices, end).to_host()
-    assert found.flags == ccd.LaunchFlag.ROUNDING_LIMIT and found.world_flags.tolist() == [0, ccd.LaunchFlag.ROUNDING_LIMIT]
+    limit = ccd.LaunchFlag.ROUNDING_LIMIT
+    assert found.flags == limit and found.world_flags.tolist() == [0, limit]
     assert (found.contacts.status == HIDDEN).all() and found.world_toi.tolist() == [np.inf, 0.0]
     # what the first pass of a line search cannot tell, a shorter step shows
     assert pipeline.launch_line_search(mesh.vertices, end).to_host().flags == 0
@@ -113,7 +114,7 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
     seen = searched(monkeypatch)
     end = mesh.vertices + [0.0, 0.0, 0.1]
     with pytest.warns(RuntimeWarning, match=sentence) as warned:
-        assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == 0.0
+        assert ccd.collision_free_step(mesh, mesh.vertices, end, start_gap_fraction=None, **options) == 0.0
     assert not seen and len(warned) == 1 and warned[0].filename == __file__
     with pytest.warns(RuntimeWarning, match=sentence):
         assert not ccd.is_step_collision_free(mesh, mesh.vertices, end, **options)
@@ -125,8 +126,10 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
 @pytest.mark.parametrize("per", ["scene", "vertex"])
 def test_a_line_search_at_a_distance_of_many_edges_takes_one_round(per):
     mesh = two_sheets(static=[0])
+    end = mesh.vertices + [0, 0, 0.1] * (mesh.vertex_body == 1)[:, None]
+    strict = {"minimum_distance": 5.0, "start_gap_fraction": None}
     with pytest.warns(RuntimeWarning, match="20 times the median edge"):
-        found = ccd.line_search(mesh, mesh.vertices, mesh.vertices + [0, 0, 0.1], per=per, minimum_distance=5.0)
+        found = ccd.line_search(mesh, mesh.vertices, end, per=per, **strict)
         contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, minimum_distance=5.0).contacts
     assert found.num_rounds == 1 and found.fraction == 0.0 and np.array_equal(found.vertices, mesh.vertices)
     assert found.vertex_fraction.tolist() == [1.0] * 25 + [0.0] * 25

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
-from ccd_warp._engine.device_hold import DeviceHold
 from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.host_plan import MOST_COPIED
 from ccd_warp._engine.lengths import half_up, length_scale_of
@@ -36,6 +35,9 @@ from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step, thickness
 from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 from ccd_warp.kernels.norm import is_ball
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.device_hold import DeviceHold
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -441,6 +443,8 @@ class DeviceStep:
         touched = [self._touched, self._is_any_touched]
         recording.launch(device_step.set_active, num_bodies, inputs=[1], outputs=touched)
         if self._may_hold and self._hold is None:
+            from ccd_warp._engine.device_hold import DeviceHold  # few programs need it
+
             self._hold = DeviceHold(
                 topology, self._options, self._stages, self.result.contacts, self._flag, self._radius
             )

@@ -34,7 +34,6 @@ from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._intersections import DistributedIntersections, intersections_of
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part_proximity import PartHoldStep
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._plan import in_space, is_within
@@ -434,10 +433,14 @@ class DistributedPipeline:
 
     def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
+        from ccd_warp.distributed._part_proximity import PartHoldStep  # few programs need it
+
         return self._run(start, start, lambda step: step.find_holds(self._hold_distance), PartHoldStep)
 
     def _worlds_near(self, start: NDArray[np.float64], contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact, of those of this part, that starts within its distance."""
+        from ccd_warp.distributed._part_proximity import PartHoldStep
+
         return self._run(start, start, lambda step: step.worlds_near(contacts, self._hold_distance), PartHoldStep)
 
     @property
