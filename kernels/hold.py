@@ -21,17 +21,11 @@ cannot pass.
 
 import warp as wp
 
-from .points import Points, corners, make_points, relative_motion
 from .rounding import UNIT_ROUNDOFF
 
 # By the norm of the separation: whether it is a ball.
 MARGIN = {True: 128.0 * UNIT_ROUNDOFF[wp.float64], False: 1024.0 * UNIT_ROUNDOFF[wp.float64]}
-# A held pair has toi 0 if it touches within this fraction of the step and of its size: what is lost in the margin is no
-# progress, and a response is to find the pair among those that touch.
-_LOST = wp.constant(wp.float64(2.0**-20))
 _INFINITY = wp.constant(wp.float64(float("inf")))
-
-largest = make_points(1).largest
 
 
 @wp.func
@@ -41,9 +35,3 @@ def held_at(hold: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp
         return _INFINITY
     of_first = wp.min(hold[first[0]], wp.min(hold[first[1]], hold[first[2]]))
     return wp.min(of_first, wp.min(hold[second[0]], wp.min(hold[second[1]], hold[second[2]])))
-
-
-@wp.func
-def is_lost(kind: int, toi: wp.float64, a: Points, b: Points) -> bool:
-    """Whether a held pair touches as good as from the start, that is, presses."""
-    return toi <= _LOST and toi * relative_motion(a, b) <= _LOST * wp.max(largest(corners(kind, a)))

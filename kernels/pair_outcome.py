@@ -7,13 +7,13 @@ import warp as wp
 from .atomics import claim_int
 from .contact_normal import ContactGap, contact_at
 from .contacts import ContactList
-from .hold import held_at, is_lost
+from .hold import held_at
 from .lane_solver import make_lane_solver
 from .minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, STRUCK, Minima, flag_world, is_kinematic, lower_pair
 from .norm import MAXIMUM_NORM, is_ball, is_by_pair
 from .once import once
 from .pair_options import make_pair_options
-from .points import Points, points_of, relative_motion
+from .points import Points, corners, make_points, points_of, relative_motion
 from .query import CLIPPING, make_query
 from .simd import make_simd
 from .solver import make_solver
@@ -27,8 +27,13 @@ from .status import (
 
 # A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
 _LOST_TOI = wp.constant(wp.float64(2.0**-20))
+# A held pair (`hold`) has toi 0 if it touches within this fraction of the step and of its size: what is lost in the margin
+# is no progress, and a response is to find the pair among those that touch.
+_PRESSED = wp.constant(wp.float64(2.0**-20))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
+
+largest = make_points(1).largest
 
 
 @once
@@ -191,9 +196,10 @@ def make_pair_outcome(real, width: int, on_warp: bool, norm: str = MAXIMUM_NORM)
         vertices_t0: wp.array[wp.vec3d],
         vertices_t1: wp.array[wp.vec3d],
     ) -> bool:
-        """`is_lost` of a pair that is held."""
+        """Whether a held pair touches as good as from the start."""
         a = points_of(kind, first, second, vertices_t0)
-        return is_lost(kind, toi, a, points_of(kind, first, second, vertices_t1))
+        motion = relative_motion(a, points_of(kind, first, second, vertices_t1))
+        return toi <= _PRESSED and toi * motion <= _PRESSED * wp.max(largest(corners(kind, a)))
 
     @wp.func(inline=False)
     def parameters_at(kind: int, t: wp.float64, a: Points, b: Points, options: Options) -> wp.vec2d:

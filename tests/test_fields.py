@@ -64,8 +64,8 @@ READ = {
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
-    "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal parameters "
-    "point points primitives struck touching vertex_contact weights world_contact",
+    "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
+    "parameters point points primitives struck touching vertex_contact weights world_contact",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal primitives weights",
     "examples/fsi_membrane.py": "direction normal parameters primitives",
