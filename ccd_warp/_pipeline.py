@@ -641,14 +641,14 @@ class CollisionPipeline:
 
     def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
-        from ccd_warp._engine.hold_step import HoldStep  # few programs need it
+        from ccd_warp._engine.proximity_step import HoldStep  # few programs need it
 
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
     def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance."""
-        from ccd_warp._engine.hold_step import HoldStep
+        from ccd_warp._engine.proximity_step import HoldStep
 
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         of_search = self.counts, self.timings

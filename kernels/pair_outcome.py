@@ -27,8 +27,8 @@ from .status import (
 
 # A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
 _LOST_TOI = wp.constant(wp.float64(2.0**-20))
-# A held pair (`hold`) has toi 0 if it touches within this fraction of the step and of its size: what is lost in the margin
-# is no progress, and a response is to find the pair among those that touch.
+# A held pair (`hold`) has toi 0 if it touches within this fraction of the step and of its size: what is lost in the
+# margin is no progress, and a response is to find the pair among those that touch.
 _PRESSED = wp.constant(wp.float64(2.0**-20))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
