@@ -25,7 +25,7 @@ for body, toi in enumerate(result.body_toi):
     print(f"body {body} toi     {float(toi)}")
 print(f"contacts       {len(result.contacts.toi)} in the whole step")
 first = result.first
-print(f"first contact  {first.kind.name.lower().replace('_', '-')} {list(first.primitives)}")
+print(f"first contact  {first.kind.name.lower().replace('_', '-')} {first.primitives.tolist()}")
 print(f"  normal       {first.normal.round(6).tolist()}")
 
 # Stop a little before the contact: positions are rounded when they are advanced, and the gap allows for that.

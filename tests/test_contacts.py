@@ -268,7 +268,7 @@ def test_copies_of_several_worlds_have_an_axis_of_copies():
     one = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 4, static=[1])
     mesh = one.replicate(3)
     start, flat = np.tile(one.vertices, (3, 1, 1)), np.tile(one.vertices, (3, 1))
-    end = start + [0.0, 0.0, 0.5]
+    end = start + [0.0, 0.0, 0.5] * (np.arange(7) < 3)[:, None]
     assert np.array_equal(mesh.frame(start), flat)
     assert np.array_equal(mesh.frames(start, end[:, :3])[1], mesh.frames(flat, end.reshape(-1, 3))[1])
     assert ccd.mesh_ccd(mesh, start, end).toi == ccd.mesh_ccd(mesh, flat, end.reshape(-1, 3)).toi == np.inf

@@ -61,7 +61,7 @@ def test_a_floor_that_rises_meets_what_is_at_rest():
     assert result.vertex_toi[[0, 1, 2]].tolist() == pytest.approx([0.25, np.inf, 0.0], abs=1e-15)
     assert result.body_toi.tolist() == [0.0, np.inf, 0.0] and first.body_names == ("dust", "floor")
     (risen,) = result.contacts[result.contacts.primitives[:, 0] == 0]
-    assert np.allclose(risen.point, [0.2, 0.1, 0.5], atol=1e-15) and risen.primitives == (0, 1)
+    assert np.allclose(risen.point, [0.2, 0.1, 0.5], atol=1e-15) and risen.primitives.tolist() == [0, 1]
     gone = ccd.mesh_ccd(mesh, start, start - 2.0 * np.outer([1, 1, 0, 1], UP))
     assert gone.vertex_toi.tolist()[:3] == [np.inf, np.inf, 0.0]
 

@@ -117,7 +117,7 @@ def quantized(scene, positions=None):
     active = wp.ones(mesh.num_bodies, dtype=wp.int32)
     aabbs = wp.empty(mesh.num_vertices * 16, dtype=wp.float32)
     frames = [wp.array(x, dtype=wp.vec3d) for x in (scene.start, scene.end)]
-    inputs = [every, *topology.of_vertices(active), *frames, 1.0, 0.0, topology.box_radius, quantization, 2]
+    inputs = [every, *topology.of_vertices(active), *frames, 1.0, 0.0, topology.box_radius, quantization.packed, 2]
     Execution(DEVICE, 1).launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
     corners = aabbs.numpy().reshape(-1, 2, 2, 4)[..., :3]
     return corners[:, :, 0], -corners[:, :, 1]

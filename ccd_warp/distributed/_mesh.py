@@ -400,23 +400,23 @@ class DistributedMesh:
             )
         start = as_positions(vertices_t0, name_t0, self.dimension, count, "one row a vertex of this rank")
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, count, "one row a vertex of this rank")
-        if self._has_static and end is not start:
-            moved = np.flatnonzero((self._is_static & self.is_owned) & (start != end).any(axis=1))
-            if len(moved):
-                self._refuse_motion(moved, start[moved], end[moved])
-            end = np.where(self._is_static[:, None], start, end)
         is_all = len(self.owned_rows) == count
         for name, values in ((name_t0, start), ("vertices_t1", end)):
             # rows are copied only where one that is not finite may be a ghost's
             is_checked = is_all or np.isfinite(values).all()
             check_finite(values if is_checked else values[self.owned_rows], name, where=self._where)
+        if self._has_static and end is not start:
+            moved = np.flatnonzero((self._is_static & self.is_owned) & (start != end).any(axis=1))
+            if len(moved):
+                self._refuse_motion(moved, start[moved], end[moved])
+            end = np.where(self._is_static[:, None], start, end)
         return start, end
 
     def _refuse_motion(self, rows: NDArray[np.intp], start: NDArray[np.float64], end: NDArray[np.float64]) -> NoReturn:
         """Raise the error for rows of static bodies that differ at both ends of a step."""
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.linalg.norm(end - start, axis=1)
-        row = int(np.argmax(np.where(np.isnan(length), np.inf, length)))
+        row = int(np.argmax(length))
         body = int(self.bodies[rows[row]])
         raise ValueError(
             f"vertices_t1 moves the vertex with id {self.vertex_ids[rows[row]]} of body {body}, which is static, by "

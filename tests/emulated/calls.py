@@ -128,6 +128,7 @@ def launches(case: StepCase, precision: str) -> Outputs:
         moved = _on_device(start + 0.01, dtype)
         found |= outputs_of(pipeline.launch(moved, _on_device(end + 0.01, dtype)), f"launch elsewhere {dtype}")
         own0, own1 = (_on_device(x[mesh.moving_vertices], dtype) for x in (start, end))
+        found |= outputs_of(pipeline.launch(own0, t1), f"launch of moving vertices to where all are {dtype}")
         result = pipeline.launch(own0, own1)
         found |= outputs_of(result, f"launch of moving vertices {dtype}")
         found |= outputs_of(_points_at(result.contacts, t0, t1), f"points_at {dtype}")
