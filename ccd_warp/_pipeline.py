@@ -627,8 +627,8 @@ class CollisionPipeline:
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, Step.least_toi)
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
-        if toi < np.inf and self._holds_pairs:
-            # what touches may start within its distance
+        if toi <= 0.0 and self._holds_pairs:
+            # something may start within its distance: then it has toi 0, whichever way it moves
             holds = self._holds(vertices_t0)
             if np.isfinite(holds).any():
                 toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())

@@ -206,7 +206,7 @@ class DistributedPipeline:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
             toi = self._run(plan.start, plan.end, least)
-            if holds and toi < np.inf and self._holds_pairs:
+            if holds and toi <= 0.0 and self._holds_pairs:
                 everywhere = AcrossRanks(plan.together)
                 of_vertices = everywhere.least_of_vertices(self._holds(plan.start))
                 if not everywhere.all(not np.isfinite(of_vertices).any()):
