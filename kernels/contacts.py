@@ -136,6 +136,28 @@ def first_of_primitive(
         atomic_min_int32(body_contact, body, n)
 
 
+@wp.func
+def vertices_of(
+    kind: int,
+    pair: wp.vec2i,
+    vertex_corners: wp.array[wp.vec3i],
+    edge_corners: wp.array[wp.vec3i],
+    face_corners: wp.array[wp.vec3i],
+):
+    """The vertices of both primitives of a pair; a plane has none, and those of the first stand for it."""
+    first = vertex_corners[pair[0]]
+    if kind == EDGE_EDGE:
+        first = edge_corners[pair[0]]
+    second = first
+    if kind == VERTEX_FACE:
+        second = face_corners[pair[1]]
+    elif kind == POINT_POINT:
+        second = vertex_corners[pair[1]]
+    elif kind != VERTEX_PLANE:
+        second = edge_corners[pair[1]]
+    return first, second
+
+
 @wp.kernel
 def first_contacts(
     begin: int,
@@ -154,23 +176,9 @@ def first_contacts(
     n = begin + wp.tid()
     if n >= contacts.count[0]:
         return
-    kind = contacts.kind[n]
-    pair = contacts.primitives[n]
     bits = wp.cast(contacts.toi[n], wp.int64)
-    first = wp.vec3i()
-    second = wp.vec3i()
-    if kind == EDGE_EDGE:
-        first = edge_corners[pair[0]]
-    else:
-        first = vertex_corners[pair[0]]
-    if kind == VERTEX_FACE:
-        second = face_corners[pair[1]]
-    elif kind == POINT_POINT:
-        second = vertex_corners[pair[1]]
-    elif kind == VERTEX_PLANE:
-        second = first  # a plane has no vertices; for its body see `first_plane_contacts`
-    else:
-        second = edge_corners[pair[1]]
+    # a plane has no vertices; for its body see `first_plane_contacts`
+    first, second = vertices_of(contacts.kind[n], contacts.primitives[n], vertex_corners, edge_corners, face_corners)
     first_of_primitive(first, minima, bits, n, vertex_contact, body_contact)
     first_of_primitive(second, minima, bits, n, vertex_contact, body_contact)
     world = world_of(minima, first[0])

@@ -11,6 +11,7 @@ import warp as wp
 
 from .atomics import atomic_min_int64
 from .contact_normal import to_unit_size
+from .contacts import vertices_of
 from .interrupts import is_stopped
 from .minima import FOUND, Minima, world_of
 from .once import once
@@ -169,17 +170,7 @@ def make_holds(is_euclidean: bool) -> SimpleNamespace:
         kind = kinds[n]
         if kind == VERTEX_PLANE:
             return
-        pair = primitives[n]
-        first = vertex_corners[pair[0]]
-        if kind == EDGE_EDGE:
-            first = edge_corners[pair[0]]
-        second = first
-        if kind == VERTEX_FACE:
-            second = face_corners[pair[1]]
-        elif kind == POINT_POINT:
-            second = vertex_corners[pair[1]]
-        else:
-            second = edge_corners[pair[1]]
+        first, second = vertices_of(kind, primitives[n], vertex_corners, edge_corners, face_corners)
         least = least_distance(kind, points_of(kind, first, second, x), wp.static(is_euclidean))
         if not (least > distance_of(reach.distance, reach.radius, first, second)):
             world_near[world_of(minima, first[0])] = 1

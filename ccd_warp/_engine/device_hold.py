@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -59,27 +59,21 @@ class DeviceHold:
         self._is_euclidean = is_ball(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
-        self._of_step = replace(
-            stages,
-            narrow_phase=narrow_phase_on(device, exact.real, norm),
-            options=exact.for_kernel(length_scale, stop=flag.array, radius=radii, hold=self._hold),
-        )
+        self._of_step: dict[str, Any] = {
+            "narrow_phase": narrow_phase_on(device, exact.real, norm),
+            "options": exact.for_kernel(length_scale, stop=flag.array, radius=radii, hold=self._hold),
+        }
         # boxes of static bodies stay as they are, and those of the others make up for it
         inflation = next_above(stages.inflation + (distance - separation))
-        self._of_start = replace(
-            stages,
-            inflation=inflation,
-            search_options=search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
-            reach=reach_of(radii, distance, flag.array),
-        )
+        self._of_start: dict[str, Any] = {
+            "inflation": inflation,
+            "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
+            "reach": reach_of(radii, distance, flag.array),
+        }
 
     def stages(self, stages: Stages) -> Stages:
         """These stages, with pairs that are held."""
-        return replace(
-            stages,
-            narrow_phase=self._of_step.narrow_phase,
-            options=self._of_step.options,
-        )
+        return replace(stages, **self._of_step)
 
     def record_begin(self, recording: Recording) -> None:
         """Record that nothing is held."""
@@ -94,7 +88,7 @@ class DeviceHold:
         recording.launch(
             make_holds(self._is_euclidean).note_near_contacts,
             len(self._contacts.kind),
-            inputs=[*listed, *corners_by_kind(topology), stages.vertices_t0, self._of_start.reach, stages.minima],
+            inputs=[*listed, *corners_by_kind(topology), stages.vertices_t0, self._of_start["reach"], stages.minima],
             outputs=[self._world_near],
         )
         inputs = [moving, self._world_near, stages.minima]
@@ -104,13 +98,7 @@ class DeviceHold:
         self, recording: Recording, stages: Stages, record_search: Callable[[Stages, wp.array], None]
     ) -> None:
         """Record the launches that find the holds, after a reset; ``record_search`` records those of a search."""
-        of_start = replace(
-            stages,
-            vertices_t1=stages.vertices_t0,
-            inflation=self._of_start.inflation,
-            search_options=self._of_start.search_options,
-            reach=self._of_start.reach,
-        )
+        of_start = replace(stages, vertices_t1=stages.vertices_t0, **self._of_start)
         record_search(of_start, self._near)
         of_start.lower_holds(recording, is_euclidean=self._is_euclidean)
         recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.minima], outputs=[self._hold])
