@@ -8,6 +8,7 @@ import numpy as np
 from ccd_warp._cli.solve import make_mesh
 from ccd_warp._files.frames import Body, body_between
 from ccd_warp._files.mesh import Mesh
+from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.series import Series
 from ccd_warp._input.messages import printable
 from ccd_warp._mesh import CollisionMesh
@@ -31,19 +32,29 @@ class FrameSequence:
         self.radius = radius
         self.kinematic = kinematic
         self.num_steps = len(series[0].labels) - 1
-        self._read: dict[int, list[Mesh]] = {}
+        self._read: dict[int, tuple[list[Mesh], list[Stamp]]] = {}
         self.first_bodies = self.bodies(0)
         self.first_mesh = self._make_mesh(self.first_bodies)
 
     def bodies(self, k: int) -> list[Body]:
         """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
-        self._read = {n: self._read.get(n) or [each.read(n) for each in self.series] for n in (k, k + 1)}
+        self._read = {n: self._read.get(n) or self._frame(n) for n in (k, k + 1)}
+        (starts, _), (ends, _) = self._read.values()
         moving = [
             body
-            for each, start, end in zip(self.series, self._read[k], self._read[k + 1], strict=True)
+            for each, start, end in zip(self.series, starts, ends, strict=True)
             for body in replace(body_between(start, end), name=each.name).split()
         ]
         return moving + self.static
+
+    def _frame(self, n: int) -> tuple[list[Mesh], list[Stamp]]:
+        with noted_files() as stamps:
+            return [each.read(n) for each in self.series], stamps
+
+    @property
+    def opened(self) -> list[Stamp]:
+        """The stamps of all files from which the bodies were read that were asked for last."""
+        return [each for _, stamps in self._read.values() for each in stamps]
 
     def mesh(self, bodies: list[Body]) -> CollisionMesh:
         """The mesh of these bodies: that of the first step, unless vertices are merged in another way."""

@@ -20,6 +20,7 @@ from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_p
 from ccd_warp._cli.sequence_report import format_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
 from ccd_warp._files.frames import InputError, read_static
+from ccd_warp._files.opened import Stamp, noted_files, stamp
 from ccd_warp._files.series import find_series
 from ccd_warp._input.arguments import check_count
 from ccd_warp._input.messages import printable
@@ -40,14 +41,15 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     start_quietly(arguments.device)
     if arguments.picture is not None:
         check_animation(arguments.picture, "--picture")
-    sequence = _open(arguments)
+    with noted_files() as opened:
+        sequence = _open(arguments)
     given = given_options(arguments)
     options = make_options(given, sequence.first_mesh)
     folder: Path | None = None if arguments.output == STDOUT else arguments.output
     journal = None
     if folder is not None:
         make_folder(folder, "--output")
-        journal = _journal(folder, arguments, sequence, options)
+        journal = _journal(folder, arguments, sequence, options, opened)
     load_kernels(
         given,
         is_quiet=arguments.quiet,
@@ -57,6 +59,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
 
     report = sys.stderr if folder is None else sys.stdout
     records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
+    records = {k: record for k, record in records.items() if _is_unchanged(record)}
     if records and not arguments.quiet:
         print(f"{len(records)} of {sequence.num_steps} steps were computed before", file=report)
     line = ItemsLine(arguments.quiet)
@@ -67,7 +70,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
         line.begin("steps", len(todo))
         for k in todo:
             step = _solve_step(sequence, k, options, line, is_quiet=arguments.quiet)
-            records[k] = record = StepRecord.of(k, sequence.labels(k), step)
+            records[k] = record = StepRecord.of(k, sequence.labels(k), step, sequence.opened)
             if journal is not None:
                 journal.add(str(k), record.plain())
             line.advance()
@@ -118,9 +121,11 @@ def _solve_step(sequence: FrameSequence, k: int, options: Options, line: ItemsLi
     return solve(bodies, sequence.mesh(bodies), options, line, is_quiet=is_quiet)
 
 
-def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options) -> Journal:
+def _journal(
+    folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options, opened: list[Stamp]
+) -> Journal:
     """The steps that an interrupted run of the same command has left in the folder."""
-    files = [*(path for each in sequence.series for path in each.files), *arguments.static]
+    files = {*opened, *(stamp(path) for each in sequence.series for path in each.files)}
     settings: dict[str, Any] = {
         "options": plain_options(options),
         "self_collision": sequence.self_collision,
@@ -130,7 +135,7 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         "displacement": arguments.displacement,
         "columns": COLUMNS,
         "labels": [each.labels for each in sequence.series],
-        "files": [_stamp(path) for path in files],
+        "files": sorted(files),
     }
     about = {"version": __version__, "device": wp.get_device(options.device).name}
     try:
@@ -139,13 +144,12 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         raise InputError(f"--output {folder}: cannot be written ({error.strerror or error})") from error
 
 
-def _stamp(path: Path) -> list[Any]:
-    """What tells whether a file has changed."""
+def _is_unchanged(record: StepRecord) -> bool:
+    """Whether the files from which the frames of a step were read, such as buffers beside them, are as they were."""
     try:
-        found = path.stat()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return [str(path.absolute()), found.st_size, found.st_mtime_ns]
+        return all(tuple(each) == stamp(Path(each[0])) for each in record.files)
+    except InputError:
+        return False
 
 
 def _draw(

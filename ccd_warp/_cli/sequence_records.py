@@ -12,6 +12,7 @@ from typing import Any
 from ccd_warp._cli.motion import largest_displacement, motion_warnings
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._files.opened import Stamp
 from ccd_warp._status import PairKind
 
 # Points of contacts that are kept for pictures, the earliest ones.
@@ -52,6 +53,7 @@ class StepRecord:
         points: Places of the earliest contacts.
         displacement: The largest of a vertex.
         warnings: What is odd about the motion.
+        files: Stamps of the files from which its frames were read.
     """
 
     step: int
@@ -67,9 +69,10 @@ class StepRecord:
     points: list[list[float]]
     displacement: float
     warnings: list[str]
+    files: list[Stamp]
 
     @classmethod
-    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep) -> "StepRecord":
+    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
         """The record of a solved step."""
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
@@ -93,6 +96,7 @@ class StepRecord:
             points=table.contacts.points.tolist(),
             displacement=largest_displacement(step.vertices_t0, step.vertices_t1),
             warnings=motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max),
+            files=files,
         )
 
     @property

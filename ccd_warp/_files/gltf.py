@@ -1,5 +1,6 @@
 """Check glTF and GLB files before trimesh reads them: lengths, and content that trimesh would silently ignore."""
 
+import base64
 import json
 from collections.abc import Callable
 from typing import Any
@@ -71,8 +72,10 @@ def _check_tree(tree: dict[str, Any], binary: bytes, fetch: Callable[[str], byte
         if uri is None:
             found = len(binary)
         elif uri.startswith("data:"):
-            payload = uri.partition("base64,")[2].rstrip("=")
-            found = len(payload) * 3 // 4
+            try:
+                found = len(base64.b64decode(uri.partition("base64,")[2], validate=True))
+            except ValueError as error:
+                raise InputError(f"buffer {k} is no base64 ({error}); {CUT}") from None
         else:
             found = len(fetch(uri))
         if found < buffer["byteLength"]:

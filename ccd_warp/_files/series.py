@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ccd_warp._files.caches import NpzSeries, XdmfSeries, is_xdmf_series
-from ccd_warp._files.mesh import MESH_SUFFIXES, Mesh, read_mesh
+from ccd_warp._files.caches import NpzSeries, XdmfSeries, open_xdmf
+from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, Mesh, read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
-from ccd_warp._files.through_meshio import SUFFIXES
+from ccd_warp._files.opened import read_file
 from ccd_warp._input.messages import InputError
 
 _ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
@@ -77,8 +77,8 @@ def find_series(
             series.append(NpzSeries.open(path, max_bytes, faces))
         elif suffix == ".pvd":
             series.extend(_pvd_series(path, max_bytes, displacement))
-        elif suffix in (".xdmf", ".xmf") and is_xdmf_series(path):
-            series.append(XdmfSeries.open(path, displacement))
+        elif suffix in (".xdmf", ".xmf") and (xdmf := open_xdmf(path, max_bytes)).is_series:
+            series.append(XdmfSeries.open(xdmf, displacement))
         else:
             frames.append(path)
 
@@ -119,7 +119,7 @@ def _files_of(folder: Path) -> list[Path]:
         if path.is_file() and not path.name.startswith(".")
     ]
     caches = [path for path in known if path.suffix.lower() in (".npz", ".pvd")]
-    frames = [path for path in known if path.name.lower().endswith((*MESH_SUFFIXES, *SUFFIXES))]
+    frames = [path for path in known if path.name.lower().endswith((*MESH_SUFFIXES, *CELL_SUFFIXES))]
     if caches and frames:
         raise InputError(f"{folder}: holds {frames[0].name} as well as {caches[0].name}; give what you mean by name")
     if not caches and not frames:
@@ -130,8 +130,10 @@ def _files_of(folder: Path) -> list[Path]:
 def _pvd_series(path: Path, max_bytes: int, displacement: str | None) -> list[Series]:
     """The series of a collection of ParaView: a body for each part, with a file for each time."""
     try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, OSError) as error:
+        root = ET.fromstring(read_file(path, max_bytes))
+    except (ET.ParseError, LookupError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: its XML cannot be read ({error}); write it again") from error
     parts: dict[tuple[str, str], list[tuple[float, Path]]] = {}
     for entry in root.iter("DataSet"):
