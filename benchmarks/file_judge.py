@@ -54,8 +54,8 @@ def whole_files() -> dict[str, Files]:
     for kind, method, save in (("stored", zipfile.ZIP_STORED, np.savez), ("packed", 8, np.savez_compressed)):
         packed, arrays = io.BytesIO(), io.BytesIO()
         with zipfile.ZipFile(packed, "w", method) as archive:
-            archive.writestr("one.ply", ply)
-            archive.writestr("two.off", off)
+            for name, text in (("one.ply", ply), ("two.off", off)):
+                archive.writestr(zipfile.ZipInfo(name), text, method)
         save(arrays, positions=np.stack([VERTICES, VERTICES + 1.0]), faces=FACES)
         found[f"{kind}.zip"], found[f"{kind}.npz"] = {"a.zip": packed.getvalue()}, {"a.npz": arrays.getvalue()}
     return found

@@ -6,7 +6,7 @@ A case is one file of a format, cut, or with bytes, words, attributes, base64 or
 read in a process that may take 1 GB more than it has and 10 s. Where the mesh is another than that of the whole file, a
 second reader says what the file holds: VTK's, meshio for XDMF, NumPy for archives of arrays, for ZIP one that goes from
 member to member; in processes of their own, which may die. A mesh on which both agree is what the damaged file means (a
-digit is another digit); where they do not, it is listed and kept, and the status is 1.
+digit is another digit); where they do not, it is kept, and the status is 1 unless the judge refuses the file.
 """
 
 import argparse
@@ -64,9 +64,9 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def cases(whole: dict[str, Files], count: int, seed: int) -> Iterator[tuple[str, Files]]:
-    """Every cut of the first file of each format as far as half of the cases go, then formats in turn."""
+    """Every cut of the first file of each format as far as two thirds of the cases go, then formats in turn."""
     cuts = [(kind, at) for kind, files in whole.items() for at in range(len(next(iter(files.values()))))]
-    step = max(1, -(-2 * len(cuts) // count))
+    step = max(1, -(-3 * len(cuts) // (2 * count)))
     for kind, at in cuts[::step]:
         name, data = next(iter(whole[kind].items()))
         yield kind, {**whole[kind], name: data[:at]}
@@ -193,7 +193,7 @@ def main() -> int:
     total = sum(counts.values(), Counter())
     for kind, count in {**counts, "all": total}.items():
         print(f"{kind:14}", ", ".join(f"{name} {value}" for name, value in count.items()))
-    return int(not total.keys() <= {"cases", "refused", "as the whole", "both agree"})
+    return int(any(name.startswith(("DIFFERENT", "above", "died", "raised")) for name in total))
 
 
 if __name__ == "__main__":

@@ -57,7 +57,8 @@ def unpack(name: str, data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
 
 def _unpack_zip(data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = [member for member in plain_members(archive) if not member.is_dir()]
+        # A folder holds nothing; of a mesh whose name is damaged, the name before its data is another.
+        members = [member for member in plain_members(archive) if not (member.is_dir() and member.compress_size == 0)]
         stated = sum(member.file_size for member in members)
         if stated > max_bytes:
             raise _too_large(stated, max_bytes)
