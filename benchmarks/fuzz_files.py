@@ -145,9 +145,7 @@ def in_children(function: Callable, tasks: list[Files]) -> Iterable[np.ndarray |
 
 
 def _child(function: Callable, folder: Path, tasks: list[Files], send) -> None:
-    sys.stderr.flush()
-    with open("/dev/null", "w") as null:
-        os.dup2(null.fileno(), 2)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     for task in tasks:
         send.send(function(folder, task))
 
@@ -156,6 +154,7 @@ def _same(one: np.ndarray | str, other: np.ndarray | str) -> bool:
     """To single precision, to which VTK reads text."""
     if isinstance(one, str) or isinstance(other, str):
         return isinstance(one, str) and one == other
+    one, other = one.astype(np.float32), other.astype(np.float32)
     return one.shape == other.shape and np.allclose(one, other, rtol=1e-6, atol=1e-30, equal_nan=True)
 
 

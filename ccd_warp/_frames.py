@@ -64,7 +64,7 @@ def read_frames(
         kinematic: Indices or names of the bodies that move as they are told, as of
             :meth:`ccd_warp.CollisionMesh.from_arrays`.
         self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         The mesh and its positions at both ends, as all functions on meshes take them.

@@ -101,6 +101,8 @@ def test_all_pieces_are_read(tmp_path):
     piece = re.search(rb"<Piece.*</Piece>", data, re.DOTALL)[0]
     moved = [[corner + 7 for corner in face] for face in FACES]
     assert _read(tmp_path / "a.vtu", data.replace(piece, 2 * piece)) == FACES + moved
+    beyond = re.sub(rb"\b0\s+1\s+2\b", b"0 7 2", piece, count=1)
+    _refused(tmp_path / "a.vtu", data.replace(piece, beyond + piece), "its piece of 7 vertices lacks")
 
 
 _XDMF = (

@@ -298,6 +298,7 @@ def test_gltf_that_would_be_read_in_part_is_refused(tmp_path):
         (lambda tree: tree["accessors"][0].update(sparse={}), "mesh 0 is compressed or sparse"),
         (lambda tree: tree["accessors"][1].update(normalized=True), "mesh 0 has positions in normalized integers"),
         (lambda tree: tree["buffers"][0].update(uri=tree["buffers"][0]["uri"] + "!!!!"), "buffer 0 is no base64"),
+        (lambda tree: tree["bufferViews"][1].update(byteLength=999), "its buffer view 1 goes beyond its buffer 0"),
         (lambda tree: tree["buffers"][0].update(byteLength=9999), r"buffer 0 has \d+ bytes, expected 9999"),
     ):
         tree = json.loads(WHOLE["scene.gltf"])

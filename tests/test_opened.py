@@ -21,7 +21,7 @@ _CELLS = _ITEM.format("Int", "1 3", "XML", "0 1 2")
 def _xdmf(folder, how, place):
     text = (
         f'<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Triangle">{_CELLS}</Topology>'
-        f"<Geometry GeometryType="XYZ">{_ITEM.format('Float', '3 3', how, place)}</Geometry></Grid></Domain></Xdmf>"
+        f'<Geometry GeometryType="XYZ">{_ITEM.format("Float", "3 3", how, place)}</Geometry></Grid></Domain></Xdmf>'
     )
     (folder / "a.xdmf").write_text(text)
     return folder / "a.xdmf"

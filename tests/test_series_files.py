@@ -118,7 +118,7 @@ def test_cache_that_is_cut_or_unpacks_to_too_much_is_refused(tmp_path):
 
 @pytest.fixture
 def meshio():
-    return pytest.importorskip("meshio", reason="the extra formats is not installed")
+    return pytest.importorskip("meshio", reason="the extra examples is not installed")
 
 
 def _cells(meshio, frame):
@@ -192,6 +192,33 @@ def test_series_of_xdmf_moves_by_its_displacements(tmp_path, meshio, data_format
         _open(tmp_path / "a.xdmf")
     with pytest.raises(InputError, match="has no field 'v' at its points; expected one of them: 'u', 'p'"):
         _open(tmp_path / "a.xdmf", displacement="v")[0].read(0)
+
+
+def test_series_of_xdmf_with_a_collection_for_each_field(tmp_path):
+    def item(kind, values):
+        values = np.asarray(values)
+        shape = " ".join(map(str, values.shape))
+        text = " ".join(map(repr, values.ravel().tolist()))
+        return f'<DataItem DataType="{kind}" Precision="8" Dimensions="{shape}" Format="XML">{text}</DataItem>'
+
+    mesh = (
+        f'<Grid><Topology TopologyType="Triangle">{item("Int", FACES)}</Topology>'
+        f'<Geometry GeometryType="XYZ">{item("Float", POSITIONS[0])}</Geometry></Grid>'
+    )
+    times = '<Grid><Time Value="{}"/><Attribute Name="{}" Center="Node">{}</Attribute></Grid>'
+    fields = "".join(
+        '<Grid GridType="Collection" CollectionType="Temporal">'
+        + "".join(times.format(k, name, item("Float", values)) for k in range(3))
+        + "</Grid>"
+        for name, values in (("u", POSITIONS[1]), ("p", np.zeros(4)))
+    )
+    text = f'<Xdmf Version="3.0"><Domain>{mesh}{fields}</Domain></Xdmf>'
+    (tmp_path / "a.xdmf").write_text(text)
+    (series,) = _open(tmp_path / "a.xdmf", displacement="u")
+    assert np.array_equal(series.read(2).vertices, POSITIONS[0] + POSITIONS[1])
+    (tmp_path / "a.xdmf").write_text(text.replace('Value="2"', 'Value="3"', 1))
+    with pytest.raises(InputError, match="temporal collections of the same times"):
+        _open(tmp_path / "a.xdmf", displacement="u")
 
 
 def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path, meshio):

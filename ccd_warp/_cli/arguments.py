@@ -101,7 +101,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="BYTES",
         default=MAX_BYTES,
-        help=f"what an archive of meshes (ZIP, …) may unpack to ({MAX_BYTES >> 20} MiB)",
+        help=f"what an archive of meshes (ZIP, …) may unpack to ({MAX_BYTES >> 20} MiB); a file may have 1 GiB",
     )
     parser.add_argument("--fail-on-contact", action="store_true", help="end with exit status 1 if there is a contact")
     add_verbosity(parser)

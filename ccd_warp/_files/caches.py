@@ -95,8 +95,9 @@ def _npy(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
         shape, is_fortran, dtype = read_header(stream)
         if dtype.hasobject or min(shape, default=0) < 0:
             raise ValueError(f"{member.filename} holds {dtype} of shape {shape}")
-        data = stream.read()
-    if len(data) != math.prod(shape) * dtype.itemsize:
+        size = math.prod(shape) * dtype.itemsize
+        data = stream.read(min(size, member.file_size) + 1)  # with a length, or it would unpack all that there is
+    if len(data) != size:
         raise ValueError(f"{member.filename} holds {len(data)} bytes, not {dtype} of shape {shape}")
     return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
 

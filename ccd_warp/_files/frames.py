@@ -123,7 +123,7 @@ def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int 
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         A moving body.
@@ -203,7 +203,7 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
 
     Args:
         path: Mesh file.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         A static body.

@@ -81,6 +81,13 @@ def _check_tree(tree: dict[str, Any], binary: bytes, fetch: Callable[[str], byte
         if found < buffer["byteLength"]:
             where = "" if uri is None or uri.startswith("data:") else f" ({uri})"
             raise InputError(f"buffer {k}{where} has {found} bytes, expected {buffer['byteLength']}; {CUT}")
+    sizes = [buffer["byteLength"] for buffer in tree.get("buffers", ())]
+    for k, view in enumerate(tree.get("bufferViews", ())):
+        if (
+            not 0 <= view["buffer"] < len(sizes)
+            or view.get("byteOffset", 0) + view["byteLength"] > sizes[view["buffer"]]
+        ):
+            raise InputError(f"its buffer view {k} goes beyond its buffer {view['buffer']}; {CUT}")
     accessors = tree.get("accessors", ())
     for k, mesh in enumerate(tree.get("meshes", ())):
         for primitive in mesh["primitives"]:

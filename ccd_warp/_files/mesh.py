@@ -90,7 +90,7 @@ def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Me
 
     Args:
         path: Mesh file, or an archive of mesh files.
-        max_bytes: Limit on the unpacked size of an archive; on that of a plain file if it is above 1 GiB.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         displacement: Field of a VTK or XDMF file that is added to its positions.
 
     Raises:

@@ -116,7 +116,7 @@ def _files_of(folder: Path) -> list[Path]:
     known = [
         path
         for path in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
-        if path.is_file() and not path.name.startswith(".")
+        if not path.is_dir() and not path.name.startswith(".")
     ]
     caches = [path for path in known if path.suffix.lower() in (".npz", ".pvd")]
     frames = [path for path in known if path.name.lower().endswith((*MESH_SUFFIXES, *CELL_SUFFIXES))]

@@ -4,6 +4,7 @@ import base64
 import lzma
 import re
 import zlib
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -44,12 +45,14 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
         num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
         (positions,) = _one(piece, "Points")
         points.append(arrays.read(positions, "f", num_points, 3))
-        blocks += [(name, cells + first) for name, cells in _cells(arrays, _one(piece, "Cells"), num_cells)]
+        for name, cells in _cells(arrays, _one(piece, "Cells"), num_cells):
+            if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
+                raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
+            blocks.append((name, cells + first))
         fields.append({each.get("Name", ""): partial(arrays.read, each, "fiu", num_points) for each in _fields(piece)})
         first += num_points
     names = [name for name in fields[0] if all(name in each for each in fields)] if fields else []
-    joined = {name: lambda name=name: np.concatenate([each[name]() for each in fields]) for name in names}
-    return Grid(np.concatenate(points), blocks, joined)
+    return Grid(np.concatenate(points), blocks, {name: partial(_joined, [f[name] for f in fields]) for name in names})
 
 
 def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
@@ -60,6 +63,10 @@ def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
     types = arrays.read(by_name["types"], "iu", count)
     corners = arrays.read(by_name["connectivity"], "iu", int(ends[-1]) if count else 0).astype(np.int64)
     return vtk_blocks(types, ends, corners)
+
+
+def _joined(parts: list[Callable[[], np.ndarray]]) -> np.ndarray:
+    return np.concatenate([read() for read in parts])
 
 
 def _fields(piece: ET.Element) -> list[ET.Element]:

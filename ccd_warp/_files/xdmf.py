@@ -45,15 +45,19 @@ class Xdmf:
         grids = domains[0].findall("Grid")
         collections = [grid for grid in grids if grid.get("GridType") == "Collection"]
         self.is_series = bool(collections)
-        self.frames = collections[0].findall("Grid") if collections else grids
+        # Some programs write a collection for each field.
+        self._series = [each.findall("Grid") for each in collections] if collections else [grids]
+        self.frames = self._series[0]
+        times = [[time.get("Value") for grid in each for time in grid.findall("Time")] for each in self._series]
         if (
-            len(collections) > 1
-            or not self.frames
-            or len(grids) > (2 if self.is_series else 1)
+            not self.frames
+            or len(grids) - len(collections) > 1
             or any(grid.get("CollectionType") != "Temporal" for grid in collections)
-            or any(grid.get("GridType", "Uniform") != "Uniform" for grid in self.frames)
+            or any(grid.get("GridType", "Uniform") != "Uniform" for each in self._series for grid in each)
+            or any(len(each) != len(self.frames) for each in self._series)
+            or any(each != times[0] for each in times)
         ):
-            raise InputError("holds other grids than one, or a temporal collection of them and one beside it")
+            raise InputError("holds other grids than one, or temporal collections of the same times and one beside")
         # A frame without points or cells has those of this grid.
         self._base = next((grid for grid in grids if grid not in collections), self.frames[0])
 
@@ -76,7 +80,8 @@ class Xdmf:
         return Grid(points, self._cells(topology), dict(zip(names, fields, strict=True)))
 
     def _fields(self, k: int) -> list[ET.Element]:
-        return [each for each in self.frames[k].findall("Attribute") if each.get("Center", "Node") == "Node"]
+        fields = [field for each in self._series for field in each[k].findall("Attribute")]
+        return [field for field in fields if field.get("Center", "Node") == "Node"]
 
     def _part(self, k: int, tag: str) -> ET.Element:
         found = self.frames[k].findall(tag) or self._base.findall(tag)
