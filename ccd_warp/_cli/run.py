@@ -12,6 +12,7 @@ from ccd_warp._cli.output import STDOUT, check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.process import start_quietly, warn
 from ccd_warp._cli.report import format_report
+from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
 from ccd_warp._files.frames import read_frames, read_static
 from ccd_warp._input.messages import printable
@@ -29,8 +30,9 @@ def run_step(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
-    files = [read_frames(arguments.start, arguments.end, max_bytes=arguments.max_bytes)]
-    files += [read_static(path, max_bytes=arguments.max_bytes) for path in arguments.static]
+    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface}
+    files = [read_frames(arguments.start, arguments.end, **how)]
+    files += [read_static(path, **how) for path in arguments.static]
     bodies = [body for file in files for body in file.split()] + half_space_bodies(arguments.half_space)
     timings = {"read files": time.perf_counter() - begin}
 
@@ -41,14 +43,12 @@ def run_step(arguments: argparse.Namespace) -> int:
         has_radius=bool(arguments.radius),
         has_half_space=bool(arguments.half_space),
     )
-    self_collision = not arguments.no_self_collision
     step = solve_scene(
         bodies,
         options,
-        self_collision=self_collision,
+        scene=SceneArguments.of(arguments),
         is_quiet=arguments.quiet,
-        radius=arguments.radius,
-        kinematic=arguments.kinematic,
+        ignores_start=arguments.ignore_start_contacts,
     )
     timings.update(step.timings)
     if not arguments.quiet:

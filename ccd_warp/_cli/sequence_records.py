@@ -69,7 +69,7 @@ class StepRecord:
     warnings: list[str]
 
     @classmethod
-    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep) -> "StepRecord":
+    def of(cls, number: int, labels: Sequence[str], step: SolvedStep) -> "StepRecord":
         """The record of a solved step."""
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)

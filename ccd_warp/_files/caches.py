@@ -36,7 +36,9 @@ class NpzSeries:
         Raises:
             InputError: If the archive is damaged, too large, or lacks an array.
         """
-        arrays = _npz_arrays(path, max_bytes)
+        arrays = npz_arrays(path, max_bytes)
+        if "positions" not in arrays:
+            raise InputError(f"{path}: holds {', '.join(map(repr, arrays)) or 'nothing'}; {_EXPECTED}")
         positions, files = arrays["positions"], [path]
         if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
             raise InputError(f"{path}: 'positions' is {positions.dtype} of shape {positions.shape}; {_EXPECTED}")
@@ -56,12 +58,18 @@ class NpzSeries:
         """Number of each frame."""
         return [f"{self.name}[{k}]" for k in range(len(self.positions))]
 
+    @property
+    def times(self) -> list[float] | None:
+        """None: the archive holds no times."""
+        return None
+
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
         return _mesh(self.files[0], self.labels[k], self.positions[k].astype(np.float64), self.faces)
 
 
-def _npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+    """All arrays of a NumPy archive that unpacks to at most ``max_bytes``, or to no more than it takes on the disk."""
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked = sum(member.file_size for member in archive.infolist())
@@ -71,9 +79,7 @@ def _npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
                 f"{path}: unpacks to {unpacked:,} bytes, and the limit is {max_bytes:,}; raise it with --max-bytes"
             )
         with np.load(path, allow_pickle=False) as data:
-            if "positions" not in data.files:
-                raise InputError(f"{path}: holds {', '.join(map(repr, data.files)) or 'nothing'}; {_EXPECTED}")
-            return {name: data[name] for name in data.files if name in ("positions", "faces")}
+            return dict(data)
     except InputError:
         raise
     except Exception as error:  # zipfile, zlib and NumPy each raise their own
@@ -91,9 +97,10 @@ class XdmfSeries:
     points: np.ndarray
     faces: np.ndarray
     displacement: str | None
+    surface: bool
 
     @classmethod
-    def open(cls, path: Path, displacement: str | None) -> "XdmfSeries":
+    def open(cls, path: Path, displacement: str | None, surface: bool) -> "XdmfSeries":
         """Read the mesh of a series.
 
         Raises:
@@ -103,7 +110,7 @@ class XdmfSeries:
         with reading(path):
             reader = meshio.xdmf.TimeSeriesReader(str(path))
             points, cells = reader.read_points_cells()
-            faces = triangles(path, [(block.type, block.data) for block in cells])
+            faces = triangles(path, [(block.type, block.data) for block in cells], len(points), surface)
             has_geometry = [_has_geometry(grid) for grid in reader.collection]
             if not all(has_geometry[1:]) and displacement is None:
                 _, fields, _ = reader.read_data(reader.num_steps - 1)
@@ -112,12 +119,21 @@ class XdmfSeries:
                     f"{path}: all its frames have the same geometry; expected --displacement NAME with the field that "
                     f"moves it, and found {', '.join(names) or 'no field of vectors at the points'}"
                 )
-        return cls(path.name, [path, *_data_files(path)], reader, points, faces, displacement)
+        return cls(path.name, [path, *_data_files(path)], reader, points, faces, displacement, surface)
 
     @property
     def labels(self) -> list[str]:
         """Number of each frame."""
         return [f"{self.name}[{k}]" for k in range(self.reader.num_steps)]
+
+    @property
+    def times(self) -> list[float] | None:
+        """Time of each frame, if the file says it."""
+        found = [grid.find("Time") for grid in self.reader.collection]
+        try:
+            return [float(time.attrib["Value"]) for time in found]
+        except (AttributeError, KeyError, ValueError):
+            return None
 
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
@@ -127,10 +143,12 @@ class XdmfSeries:
                 # The reader takes points and cells from this grid.
                 self.reader.mesh_grid = self.reader.collection[k]
                 points, cells = self.reader.read_points_cells()
-                faces = triangles(path, [(block.type, block.data) for block in cells]) if cells else faces
+                if cells:
+                    blocks = [(block.type, block.data) for block in cells]
+                    faces = triangles(path, blocks, len(points), self.surface)
             fields = self.reader.read_data(k)[1] if self.displacement is not None else {}
             vertices = displaced(path, points, fields, self.displacement)
-        return _mesh(path, self.labels[k], vertices, faces)
+        return _mesh(path, self.labels[k], vertices, faces, self.surface)
 
 
 def is_xdmf_series(path: Path) -> bool:
@@ -152,9 +170,9 @@ def _has_geometry(grid: Any) -> bool:
     return any(child.tag == "Geometry" for child in grid)
 
 
-def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray, is_surface: bool = False) -> Mesh:
     try:
         check_part(vertices, faces)
     except InputError as error:
         raise InputError(f"{label}: {error}") from error
-    return Mesh(path.with_name(label), vertices, faces, "indexed")
+    return Mesh(path.with_name(label), vertices, faces, "indexed", is_surface=is_surface)

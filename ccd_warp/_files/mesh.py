@@ -69,6 +69,7 @@ class Mesh:
         sharing: How it stores a vertex that several faces share.
         names: Names of its objects, groups and nodes; "" stands for what has none.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
+        is_surface: Whether it is the surface of volumes, so that the other vertices are inside them.
     """
 
     path: Path
@@ -77,15 +78,17 @@ class Mesh:
     sharing: Sharing
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
+    is_surface: bool = False
 
 
-def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Mesh:
+def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surface: bool = False) -> Mesh:
     """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
         path: Mesh file, or an archive of mesh files.
         max_bytes: Limit on the unpacked size of an archive.
         displacement: Field of a VTK or XDMF file that is added to its positions.
+        surface: Whether volume cells of such a file stand for their boundary surface.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
@@ -94,14 +97,14 @@ def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Me
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
     if path.suffix.lower() in SUFFIXES:
-        vertices, faces = read_through_meshio(path, displacement)
+        vertices, faces = read_through_meshio(path, displacement, surface)
         try:
             if not len(faces):
                 raise InputError("holds no triangles; give a triangle mesh")
             check_part(vertices, faces)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        return Mesh(path, vertices, faces, "indexed")
+        return Mesh(path, vertices, faces, "indexed", is_surface=surface)
     try:
         data = path.read_bytes()
     except OSError as error:

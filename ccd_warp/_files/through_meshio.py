@@ -9,32 +9,32 @@ from typing import Any
 
 import numpy as np
 
+from ccd_warp._input.cells import SHELLS, VOLUMES, surface_of
 from ccd_warp._input.messages import InputError
 
 SUFFIXES = (".vtu", ".vtk", ".xdmf", ".xmf")
 _MODULES = {".vtu": "vtu", ".vtk": "vtk", ".xdmf": "xdmf", ".xmf": "xdmf"}
 _INSTALL = "install with: pip install 'ccd-warp[formats]'"
-# Corners of each cell that is read; four corners are two triangles.
-_CORNERS = {"triangle": ((0, 1, 2),), "quad": ((0, 1, 2), (0, 2, 3))}
 
 Part = tuple[np.ndarray, np.ndarray]
 
 
-def read_through_meshio(path: Path, displacement: str | None = None) -> Part:
+def read_through_meshio(path: Path, displacement: str | None = None, surface: bool = False) -> Part:
     """Positions and triangles of one file.
 
     Args:
         path: A file that ends in one of ``SUFFIXES`` and holds one mesh.
         displacement: Name of the vectors at the points that are added to the positions.
+        surface: Whether volume cells stand for their boundary surface.
 
     Raises:
-        InputError: If the file is damaged or holds other cells than triangles and quads, or meshio is not installed.
+        InputError: If the file is damaged or holds other cells, or meshio is not installed.
     """
     meshio = import_meshio(path)
     with reading(path):
         reader = getattr(meshio, _MODULES[path.suffix.lower()])
         mesh = reader.read(str(path))
-        faces = triangles(path, [(block.type, block.data) for block in mesh.cells])
+        faces = triangles(path, [(block.type, block.data) for block in mesh.cells], len(mesh.points), surface)
         return displaced(path, mesh.points, mesh.point_data, displacement), faces
 
 
@@ -65,16 +65,18 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: meshio would leave something out ({reason}); save it as PLY")
 
 
-def triangles(path: Path, blocks: list[tuple[str, Any]]) -> np.ndarray:
-    """Triangles of all cells, in their order."""
-    faces = [np.zeros((0, 3), dtype=np.int64)]
-    for kind, cells in blocks:
-        if kind not in _CORNERS:
-            raise InputError(
-                f"{path}: holds cells of the type {kind}; expected triangles and quads, such as the surface of a volume"
-            )
-        faces.append(np.stack([np.asarray(cells)[:, corners] for corners in _CORNERS[kind]], axis=1).reshape(-1, 3))
-    return np.concatenate(faces).astype(np.int64)
+def triangles(path: Path, blocks: list[tuple[str, Any]], num_points: int, surface: bool) -> np.ndarray:
+    """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others."""
+    cells: list[tuple[str, Any]] = []
+    for kind, rows in blocks:
+        if kind not in (*SHELLS, *(VOLUMES if surface else ())):
+            advice = "; --surface, in Python surface=True, takes the boundary surface" if kind in VOLUMES else ""
+            raise InputError(f"{path}: holds cells of the type {kind}; expected triangles and quads{advice}")
+        cells.append((kind, rows))
+    try:
+        return surface_of(cells, "cells", num_points)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def displaced(path: Path, points: Any, point_data: dict[str, Any], displacement: str | None) -> np.ndarray:
