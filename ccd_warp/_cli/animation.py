@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._cli.process import closed_stderr
 from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.sequence_records import StepRecord
-from ccd_warp._files.frames import InputError
 from ccd_warp._sequence import FrameSequence
 
 
@@ -18,11 +18,8 @@ def draw_animation(path: Path, sequence: FrameSequence, records: dict[int, StepR
     from ccd_warp.viz._animation import write_animation
 
     line.begin("pictures", 2 * (len(sequence) - 1))
-    try:
-        with closed_stderr():
-            write_animation(path, _images(sequence, records, line))
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
+    with replacing(path) as beside, closed_stderr():
+        write_animation(beside, _images(sequence, records, line))
     return path
 
 

@@ -1,16 +1,15 @@
 """``ccd-warp run``: CCD of one step between two mesh files."""
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import motion_warnings
-from ccd_warp._cli.output import STDOUT, check_output_path, write_result
+from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
-from ccd_warp._cli.process import start_quietly, warn
+from ccd_warp._cli.process import report_on, start_quietly, warn
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
@@ -64,8 +63,7 @@ def run_step(arguments: argparse.Namespace) -> int:
         written.append(draw_step(arguments.picture, step))
         timings["draw picture"] = time.perf_counter() - begin
     if not arguments.quiet:
-        # Standard output belongs to the result where that is written to it.
-        report = sys.stderr if arguments.output == STDOUT else sys.stdout
+        report = report_on(arguments.output)
         title = f"{arguments.start} -> {arguments.end}"
         print(format_report(title, step, timings, is_verbose=arguments.verbose), file=report)
         for path in written:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.exclusions import read_exclusions
+from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.radii import radii_of
 from ccd_warp._display import counted
 from ccd_warp._files.frames import Body
@@ -93,9 +94,9 @@ class StartContacts:
     crossing: np.ndarray
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options) -> "StartContacts":
+    def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options, *, is_quiet: bool) -> "StartContacts":
         """Of positions, by the step in which nothing moves: what comes within the separation, and what crosses."""
-        with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        with CollisionPipeline.borrowed(mesh, options) as pipeline, warnings_on_stderr(is_quiet=is_quiet):
             contacts = pipeline.mesh_ccd(vertices, vertices).contacts
             start = pipeline.find_intersections(vertices)
         touching = contacts[contacts.status == int(CCDStatus.INITIAL_CONTACT)]

@@ -1,7 +1,6 @@
 """``ccd-warp sequence``: CCD of every step of a sequence of frames, each saved so that a run can be resumed."""
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +13,9 @@ from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
-from ccd_warp._cli.process import INTERRUPTED, say, start_quietly, warn
+from ccd_warp._cli.process import INTERRUPTED, check_standard_output, report_on, say, start_quietly, warn
 from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_plot
 from ccd_warp._cli.sequence_report import format_sequence
@@ -49,7 +49,9 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     num_steps = len(sequence) - 1
     folder: Path | None = None if arguments.output == STDOUT else arguments.output
     journal = None
-    if folder is not None:
+    if folder is None:
+        check_standard_output()
+    else:
         make_folder(folder, "--output")
         journal = _journal(folder, arguments, sequence, options)
     load_kernels(
@@ -59,11 +61,13 @@ def run_sequence(arguments: argparse.Namespace) -> int:
         has_half_space=bool(arguments.half_space),
     )
     if arguments.ignore_start_contacts:
-        ignored = StartContacts.of(sequence.mesh, sequence[0], options)
+        ignored = StartContacts.of(sequence.mesh, sequence[0], options, is_quiet=arguments.quiet)
         sequence.mesh = sequence.mesh.excluding(ignored.pairs)
 
-    report = sys.stderr if folder is None else sys.stdout
-    records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
+    report = report_on(arguments.output)
+    records = {} if journal is None else StepRecord.from_journal(journal.records, num_steps)
+    if journal is not None and (foreign := journal.num_foreign + len(journal.records) - len(records)):
+        warn(f"{journal.path}: {foreign} lines are no records of a step; what they stood for is computed again")
     if records and not arguments.quiet:
         print(f"{len(records)} of {num_steps} steps were computed before", file=report)
     line = ItemsLine(arguments.quiet)
@@ -173,18 +177,15 @@ def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: b
     if not records:
         return []
     written = [folder / CSV]
+    with replacing(folder / CSV) as beside:
+        beside.write_text(csv_text(records), encoding="utf-8")
     try:
-        unfinished = folder / f"{CSV}.new"
-        unfinished.write_text(csv_text(records), encoding="utf-8")
-        os.replace(unfinished, folder / CSV)
-        try:
-            draw_plot(folder / PLOT, records, t_max)
-            written.append(folder / PLOT)
-        except ImportError:
-            if not is_quiet:
-                warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
-    except OSError as error:
-        raise InputError(f"cannot write to {folder} ({error.strerror or error})") from error
+        with replacing(folder / PLOT) as beside:
+            draw_plot(beside, records, t_max)
+        written.append(folder / PLOT)
+    except ImportError:
+        if not is_quiet:
+            warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
     return written
 
 

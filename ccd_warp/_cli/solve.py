@@ -99,15 +99,16 @@ def solve_scene(
     *,
     scene: SceneArguments,
     is_quiet: bool,
+    shows_progress: bool = True,
     ignores_start: bool = False,
 ) -> SolvedStep:
     """Make the mesh of one step and run ``mesh_ccd``."""
     begin = time.perf_counter()
     mesh = scene.mesh(bodies)
     build_seconds = time.perf_counter() - begin
-    options, line, ignored = make_options(given, mesh), ProgressLine(is_quiet), None
+    options, line, ignored = make_options(given, mesh), ProgressLine(is_quiet or not shows_progress), None
     if ignores_start:
-        ignored = StartContacts.of(mesh, positions_of(bodies)[0], options)
+        ignored = StartContacts.of(mesh, positions_of(bodies)[0], options, is_quiet=is_quiet)
         mesh = mesh.excluding(ignored.pairs)
     try:
         step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored)
@@ -132,5 +133,5 @@ def load_kernels(
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
     with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
         scene = SceneArguments(self_collision=False, radius=["0.1"] if has_radius else [])
-        solve_scene(bodies, chosen, scene=scene, is_quiet=True)
+        solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False)
     return time.perf_counter() - begin

@@ -1,0 +1,47 @@
+"""Warp's kernel cache on the disk: what is damaged there is compiled again, and what cannot be written is named."""
+
+import os
+import shutil
+import warnings
+from typing import Any
+
+import warp as wp
+
+_ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
+
+
+def load_or_repair(module: Any, device: Any, block_dim: int | None) -> None:
+    """Load a module, compiled or from the cache; where files of it there are damaged, name them and compile it again.
+
+    Raises:
+        OSError: If the cache cannot be written.
+    """
+
+    try:
+        wp.load_module(module=module, device=device, block_dim=block_dim)
+        return
+    except Exception as error:  # Warp raises whatever a damaged file leads to
+        failure = error
+    # There is a folder of the module only if it was compiled before; on the CPU Warp takes blocks of one thread.
+    name = module.get_module_identifier(1 if device.is_cpu else block_dim)
+    folder = os.path.join(str(wp.config.kernel_cache_dir), name)
+    if os.path.isdir(folder):
+        reason = " ".join(str(failure).split())
+        warnings.warn(
+            f"Warp's kernel cache is damaged in {folder} ({reason}); it is compiled again", RuntimeWarning, stacklevel=2
+        )
+        shutil.rmtree(folder, ignore_errors=True)
+        try:
+            wp.load_module(module=module, device=device, block_dim=block_dim)
+            return
+        except Exception as error:
+            failure = error
+    if isinstance(failure, OSError) or os.path.isdir(folder):
+        raise OSError(unwritable_cache(folder, failure)) from failure
+    raise failure
+
+
+def unwritable_cache(folder: Any, error: Exception) -> str:
+    """What a message says of a cache that cannot be written."""
+    reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+    return f"Warp's kernel cache cannot be written in {os.fspath(folder)} ({reason}); {_ADVICE}"
