@@ -123,6 +123,8 @@ def surface_of(
         return _triangles(shell)
     _check_cells_differ(keys, label)
     sides, is_inward = (np.concatenate(parts) for parts in zip(*volumes, strict=True))
+    has_area = _distinct(sides)[:, 1] >= 0  # three corners or more, not those of which only an edge is left
+    sides, is_inward = sides[has_area], is_inward[has_area]
     number, of_side = _numbered(_distinct(np.concatenate([sides, shell])))
     count = np.bincount(number[: len(sides)], minlength=of_side)
     if count.max(initial=0) > 2:

@@ -50,7 +50,7 @@ def load(kernel: Any, device: Any) -> None:
 
     def compile_module() -> None:
         with building:
-            load_or_repair(kernel.module, device, block_dim_of(kernel, device))
+            load_or_repair(kernel, device, block_dim_of(kernel, device))
 
     if device.is_capturing:  # Warp allows it only on the thread of the capture
         compile_module()
