@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.caches import npz_arrays
 from ccd_warp._input.excluded_pairs import KEYS
 from ccd_warp._input.messages import InputError
 from ccd_warp._mesh import CollisionMesh
@@ -38,6 +37,8 @@ def read_exclusions(path: Path, mesh: CollisionMesh) -> CollisionMesh:
 def _pairs_in(path: Path, mesh: CollisionMesh) -> dict[str, Any]:
     suffix = path.suffix.lower()
     if suffix == ".npz":
+        from ccd_warp._files.caches import npz_arrays
+
         return npz_arrays(path, MAX_BYTES)
     if path.stat().st_size > MAX_BYTES:
         raise InputError(f"--exclude {path}: has {path.stat().st_size:,} bytes; expected at most {MAX_BYTES:,}")

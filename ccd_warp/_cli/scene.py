@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.exclusions import read_exclusions
 from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.radii import radii_of
 from ccd_warp._display import counted
@@ -62,7 +61,11 @@ class SceneArguments:
             radius=radii_of(self.radius, names, [body.half_space is not None for body in bodies]),
             exclusion_rings=self.exclusion_rings,
         )
-        return mesh if self.exclude is None else read_exclusions(self.exclude, mesh)
+        if self.exclude is None:
+            return mesh
+        from ccd_warp._cli.exclusions import read_exclusions
+
+        return read_exclusions(self.exclude, mesh)
 
     def plain(self) -> dict[str, Any]:
         """What JSON holds of them: the text of the file is its business."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._input.cells import SHELLS, VOLUMES, surface_of
 from ccd_warp._input.messages import InputError
 
 SUFFIXES = (".vtu", ".vtk", ".xdmf", ".xmf")
@@ -67,6 +66,8 @@ def reading(path: Path) -> Iterator[None]:
 
 def triangles(path: Path, blocks: list[tuple[str, Any]], num_points: int, surface: bool) -> np.ndarray:
     """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others."""
+    from ccd_warp._input.cells import SHELLS, VOLUMES, surface_of
+
     cells: list[tuple[str, Any]] = []
     for kind, rows in blocks:
         if kind not in (*SHELLS, *(VOLUMES if surface else ())):
