@@ -5,6 +5,7 @@ import io
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ class StepRecord:
     files: list[Stamp]
 
     @classmethod
-    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
+    def of(cls, number: int, labels: Sequence[str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
         """The record of a solved step."""
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
@@ -124,6 +125,17 @@ class StepRecord:
         toi = math.inf if plain["toi"] is None else plain["toi"]
         pairs = {name: [(a, b, count) for a, b, count in plain[name]] for name in ("at_start", "crossing")}
         return cls(**{**plain, "toi": toi, **pairs})
+
+    @classmethod
+    def from_journal(cls, records: dict[str, Any], num_steps: int) -> "dict[int, StepRecord]":
+        """The records of a journal by the numbers of their steps, without what is none."""
+        found = {}
+        for key, plain in records.items():
+            with suppress(KeyError, TypeError, ValueError, AttributeError):
+                record = cls.from_plain(plain)
+                if record.step == int(key) and 0 <= record.step < num_steps and len(record.row()) == len(COLUMNS):
+                    found[record.step] = record
+        return found
 
     def row(self) -> list[Any]:
         """The row of the CSV file; numbers read back bit for bit."""

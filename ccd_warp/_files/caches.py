@@ -38,7 +38,9 @@ class NpzSeries:
         Raises:
             InputError: If the archive is damaged, too large, or lacks an array.
         """
-        arrays = _npz_arrays(path, max_bytes)
+        arrays = npz_arrays(path, max_bytes)
+        if "positions" not in arrays:
+            raise InputError(f"{path}: holds {', '.join(map(repr, arrays)) or 'nothing'}; {_EXPECTED}")
         positions, files = arrays["positions"], [path]
         if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
             raise InputError(f"{path}: 'positions' is {positions.dtype} of shape {positions.shape}; {_EXPECTED}")
@@ -58,30 +60,32 @@ class NpzSeries:
         """Number of each frame."""
         return [f"{self.name}[{k}]" for k in range(len(self.positions))]
 
+    @property
+    def times(self) -> list[float] | None:
+        """None: the archive holds no times."""
+        return None
+
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
         return _mesh(self.files[0], self.labels[k], self.positions[k].astype(np.float64), self.faces)
 
 
-def _npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+    """All arrays of a NumPy archive that unpacks to at most ``max_bytes``, or to no more than it takes on the disk."""
     size = note(path)
     check_size(f"{path}: it", size, max(max_bytes, PLAIN_BYTES))
     try:
         with zipfile.ZipFile(path) as archive:
             members = {member.filename.removesuffix(".npy"): member for member in plain_members(archive)}
             if len(members) != len(archive.infolist()):
-                raise InputError(f"{path}: holds two arrays of one name; {_EXPECTED}")
-            # What is stored uncompressed takes no more memory than it takes on the disk.
+                raise InputError("holds two arrays of one name")
             unpacked = sum(member.file_size for member in members.values())
             if unpacked > max(max_bytes, size):
-                raise InputError(
-                    f"{path}: unpacks to {unpacked:,} bytes, and the limit is {max_bytes:,}; raise it with --max-bytes"
-                )
-            if "positions" not in members:
-                raise InputError(f"{path}: holds {', '.join(map(repr, members)) or 'nothing'}; {_EXPECTED}")
-            return {name: _npy(archive, members[name]) for name in ("positions", "faces") if name in members}
+                limit = f"the limit is {max_bytes:,}; raise it with --max-bytes"
+                raise InputError(f"unpacks to {unpacked:,} bytes, and {limit}")
+            return {name: _npy(archive, member) for name, member in members.items()}
     except InputError as error:
-        raise (error if str(error).startswith(f"{path}") else InputError(f"{path}: {error}")) from error
+        raise InputError(f"{path}: {error}") from error
     except Exception as error:  # zipfile, zlib and NumPy each raise their own
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot be read as a NumPy archive ({reason}); write it again") from error
@@ -110,9 +114,10 @@ class XdmfSeries:
     files: list[Path]
     xdmf: Xdmf
     displacement: str | None
+    surface: bool
 
     @classmethod
-    def open(cls, xdmf: Xdmf, displacement: str | None) -> "XdmfSeries":
+    def open(cls, xdmf: Xdmf, displacement: str | None, surface: bool) -> "XdmfSeries":
         """The series of a file.
 
         Raises:
@@ -127,20 +132,29 @@ class XdmfSeries:
                 f"{path}: all its frames have the same geometry; expected --displacement NAME with the field that "
                 f"moves it, and found {', '.join(names) or 'no field of vectors at the points'}"
             )
-        return cls(path.name, [path], xdmf, displacement)
+        return cls(path.name, [path], xdmf, displacement, surface)
 
     @property
     def labels(self) -> list[str]:
         """Number of each frame."""
         return [f"{self.name}[{k}]" for k in range(len(self.xdmf.frames))]
 
+    @property
+    def times(self) -> list[float] | None:
+        """Time of each frame, if the file says it."""
+        try:
+            found = [float(time.attrib["Value"]) for grid in self.xdmf.frames for time in grid.findall("Time")]
+            return found if len(found) == len(self.xdmf.frames) else None
+        except (KeyError, ValueError):
+            return None
+
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
         path = self.files[0]
         with reading(path):
             grid = self.xdmf.grid(k)
-            vertices, faces = displaced(path, grid, self.displacement), triangles(path, grid.blocks)
-        return _mesh(path, self.labels[k], vertices, faces)
+            vertices, faces = displaced(path, grid, self.displacement), triangles(path, grid, self.surface)
+        return _mesh(path, self.labels[k], vertices, faces, self.surface)
 
 
 def open_xdmf(path: Path, max_bytes: int) -> Xdmf:
@@ -149,9 +163,9 @@ def open_xdmf(path: Path, max_bytes: int) -> Xdmf:
         return Xdmf(path, max_bytes)
 
 
-def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray, is_surface: bool = False) -> Mesh:
     try:
         check_part(vertices, faces)
     except InputError as error:
         raise InputError(f"{label}: {error}") from error
-    return Mesh(path.with_name(label), vertices, faces, "indexed")
+    return Mesh(path.with_name(label), vertices, faces, "indexed", is_surface=is_surface)

@@ -15,10 +15,6 @@ VTK_CELLS = {
     **{13: ("wedge", 6), 14: ("pyramid", 5), 21: ("line3", 3), 22: ("triangle6", 6), 23: ("quad8", 8)},
     **{24: ("tetra10", 10), 25: ("hexahedron20", 20)},
 }
-# Corners of each cell that is read; four corners are two triangles.
-_CORNERS = {"triangle": ((0, 1, 2),), "quad": ((0, 1, 2), (0, 2, 3))}
-
-Part = tuple[np.ndarray, np.ndarray]
 Blocks = list[tuple[str, Any]]
 
 
@@ -66,22 +62,26 @@ def vtk_blocks(types: np.ndarray, ends: np.ndarray, corners: np.ndarray) -> Bloc
         if bad.size:
             k = begin + int(bad[0])
             raise InputError(f"cell {k} is a {name} of {ends[k] - begins[k]} corners; expected {count}: it is damaged")
-        blocks.append((name, corners[begins[begin] : ends[end - 1]].reshape(-1, count)))
+        cells = corners[begins[begin] : ends[end - 1]].reshape(-1, count)
+        # VTK's wedge is the mirror image of everybody else's.
+        blocks.append((name, cells[:, [0, 2, 1, 3, 5, 4]] if name == "wedge" else cells))
     if len(corners) != (ends[-1] if len(ends) else 0):
         raise InputError(f"its cells have {len(corners)} corners, and their offsets end elsewhere; it is damaged")
     return blocks
 
 
-def triangles(path: Path, blocks: Blocks) -> np.ndarray:
-    """Triangles of all cells, in their order."""
-    faces = [np.zeros((0, 3), dtype=np.int64)]
-    for kind, cells in blocks:
-        if kind not in _CORNERS:
-            raise InputError(
-                f"{path}: holds cells of the type {kind}; expected triangles and quads, such as the surface of a volume"
-            )
-        faces.append(np.stack([np.asarray(cells)[:, corners] for corners in _CORNERS[kind]], axis=1).reshape(-1, 3))
-    return np.concatenate(faces).astype(np.int64)
+def triangles(path: Path, grid: Grid, surface: bool) -> np.ndarray:
+    """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others."""
+    from ccd_warp._input.cells import SHELLS, VOLUMES, surface_of
+
+    for kind, _ in grid.blocks:
+        if kind not in (*SHELLS, *(VOLUMES if surface else ())):
+            advice = "; --surface, in Python surface=True, takes the boundary surface" if kind in VOLUMES else ""
+            raise InputError(f"{path}: holds cells of the type {kind}; expected triangles and quads{advice}")
+    try:
+        return surface_of(grid.blocks, "cells", len(grid.points))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def displaced(path: Path, grid: Grid, displacement: str | None) -> np.ndarray:

@@ -75,6 +75,7 @@ class Mesh:
         sharing: How it stores a vertex that several faces share.
         names: Names of its objects, groups and nodes; "" stands for what has none.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
+        is_surface: Whether it is the surface of volumes, so that the other vertices are inside them.
     """
 
     path: Path
@@ -83,15 +84,17 @@ class Mesh:
     sharing: Sharing
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
+    is_surface: bool = False
 
 
-def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Mesh:
+def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surface: bool = False) -> Mesh:
     """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
         path: Mesh file, or an archive of mesh files.
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         displacement: Field of a VTK or XDMF file that is added to its positions.
+        surface: Whether volume cells of such a file stand for their boundary surface.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
@@ -100,11 +103,11 @@ def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Me
     if path.suffix.lower() in CELL_SUFFIXES:
         with reading(path):
             grid = _read_cells(path, max_bytes)
-            vertices, faces = displaced(path, grid, displacement), triangles(path, grid.blocks)
+            vertices, faces = displaced(path, grid, displacement), triangles(path, grid, surface)
             if not len(faces):
                 raise InputError("holds no triangles; give a triangle mesh")
             check_part(vertices, faces)
-        return Mesh(path, vertices, faces, "indexed")
+        return Mesh(path, vertices, faces, "indexed", is_surface=surface)
     data = read_file(path, max_bytes)
     end = archive_end(path.name)
     if end is None or end == ".3mf":
