@@ -141,6 +141,8 @@ def test_without_the_cells_a_node_inside_would_hit_its_own_surface(bar):
     end = nodes.copy()
     end[mesh.inner_vertices] += [0.0, 0.0, 9.0]
     assert ccd.mesh_ccd(mesh, nodes, end).toi == np.inf
+    end[mesh.inner_vertices[0]] = [0.5, 0.25, 0.0]  # on a face
+    assert len(ccd.find_intersections(mesh, end)) == 0
     assert ccd.mesh_ccd(ccd.CollisionMesh.from_arrays([(nodes, mesh.faces)]), nodes, end).toi < 0.4
 
 

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.radii import radii_of
 from ccd_warp._display import counted
 from ccd_warp._files.frames import Body
-from ccd_warp._frames import mesh_of
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
@@ -53,6 +51,8 @@ class SceneArguments:
 
     def mesh(self, bodies: Sequence[Body]) -> CollisionMesh:
         """The bodies as one mesh."""
+        from ccd_warp._frames import mesh_of
+
         names = distinct_names([body.name for body in bodies])
         mesh = mesh_of(
             bodies,
@@ -97,9 +97,9 @@ class StartContacts:
     crossing: np.ndarray
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options, *, is_quiet: bool) -> "StartContacts":
+    def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options) -> "StartContacts":
         """Of positions, by the step in which nothing moves: what comes within the separation, and what crosses."""
-        with CollisionPipeline.borrowed(mesh, options) as pipeline, warnings_on_stderr(is_quiet=is_quiet):
+        with CollisionPipeline.borrowed(mesh, options) as pipeline:
             contacts = pipeline.mesh_ccd(vertices, vertices).contacts
             start = pipeline.find_intersections(vertices)
         touching = contacts[contacts.status == int(CCDStatus.INITIAL_CONTACT)]

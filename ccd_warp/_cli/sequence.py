@@ -13,7 +13,15 @@ from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
-from ccd_warp._cli.process import INTERRUPTED, check_standard_output, report_on, say, start_quietly, warn
+from ccd_warp._cli.process import (
+    INTERRUPTED,
+    check_standard_output,
+    report_on,
+    say,
+    start_quietly,
+    warn,
+    warnings_on_stderr,
+)
 from ccd_warp._cli.progress import ItemsLine
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.scene import SceneArguments, StartContacts
@@ -63,7 +71,8 @@ def run_sequence(arguments: argparse.Namespace) -> int:
         has_half_space=bool(arguments.half_space),
     )
     if arguments.ignore_start_contacts:
-        ignored = StartContacts.of(sequence.mesh, sequence[0], options, is_quiet=arguments.quiet)
+        with warnings_on_stderr(is_quiet=arguments.quiet):
+            ignored = StartContacts.of(sequence.mesh, sequence[0], options)
         sequence.mesh = sequence.mesh.excluding(ignored.pairs)
 
     report = report_on(arguments.output)

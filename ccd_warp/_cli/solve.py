@@ -108,7 +108,8 @@ def solve_scene(
     build_seconds = time.perf_counter() - begin
     options, line, ignored = make_options(given, mesh), ProgressLine(is_quiet or not shows_progress), None
     if ignores_start:
-        ignored = StartContacts.of(mesh, positions_of(bodies)[0], options, is_quiet=is_quiet)
+        with warnings_on_stderr(is_quiet=is_quiet):
+            ignored = StartContacts.of(mesh, positions_of(bodies)[0], options)
         mesh = mesh.excluding(ignored.pairs)
     try:
         step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored)
