@@ -185,7 +185,7 @@ def _check_chunks(dataset: Any, limit: int) -> None:
         mask, packed = dataset.id.read_direct_chunk(dataset.id.get_chunk_info(k).chunk_offset)
         most = size + 4  # with a checksum
         if not mask and len(zlib.decompressobj().decompress(packed, most + 1)) > most:
-            raise InputError(f"are a chunk that unpacks to more than its {size:,} bytes; {CUT}")
+            raise InputError(f"hold a chunk that unpacks to more than its {size:,} bytes; {CUT}")
 
 
 def _mixed(values: list[int]) -> Blocks:
