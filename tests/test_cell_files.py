@@ -1,6 +1,7 @@
 """VTK, VTU and XDMF files, damaged in what says how many cells there are and of which corners."""
 
 import re
+import zlib
 
 import numpy as np
 import pytest
@@ -141,8 +142,11 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     _refused(path, data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"'), "no dataset of shape")
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file["data9"] = h5py.ExternalLink("other.h5", "data0")
+        bomb = file.create_dataset("bomb", (7, 3), "f8", chunks=(7, 3), compression="gzip")
+        bomb.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 22)))
         file.create_dataset("huge", (1 << 27, 3), "f8", chunks=(1 << 10, 3))  # 3 GiB of which nothing is stored
     name = re.search(rb"a\.h5:/(\w+)", data)[1]
     _refused(path, data.replace(b"/" + name, b"/data9"), "as a link alone")
+    _refused(path, data.replace(b"/" + name, b"/bomb"), "a chunk that unpacks to more than its 168 bytes")
     huge = data.replace(b"/" + name, b"/huge").replace(b'Dimensions="7 3"', b'Dimensions="%d 3"' % (1 << 27))
     _refused(path, huge, "has 3,221,225,472 bytes, and the limit is")

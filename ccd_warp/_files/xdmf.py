@@ -2,6 +2,7 @@
 
 import math
 import posixpath
+import zlib
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -170,7 +171,21 @@ class Xdmf:
             stored = group.id.get_storage_size()
             limit = max(self.max_bytes, PLAIN_BYTES) if stored >= group.nbytes else self.max_bytes
             check_size(f"the dataset {key!r} in {name}", group.nbytes, limit)
+            _check_chunks(group, limit)
             return np.asarray(group[()])
+
+
+def _check_chunks(dataset: Any, limit: int) -> None:
+    """Refuse a deflated chunk that unpacks to more than a chunk holds: HDF5 would unpack all that there is."""
+    if dataset.compression != "gzip":
+        return
+    size = math.prod(dataset.chunks) * dataset.dtype.itemsize
+    check_size("a chunk", size, limit)
+    for k in range(dataset.id.get_num_chunks()):
+        mask, packed = dataset.id.read_direct_chunk(dataset.id.get_chunk_info(k).chunk_offset)
+        most = size + 4  # with a checksum
+        if not mask and len(zlib.decompressobj().decompress(packed, most + 1)) > most:
+            raise InputError(f"hold a chunk that unpacks to more than its {size:,} bytes; {CUT}")
 
 
 def _mixed(values: list[int]) -> Blocks:
