@@ -1,7 +1,6 @@
 """Read VTU files, VTK's unstructured grids in XML: every array exactly as long as the header of its piece says."""
 
 import base64
-import lzma
 import re
 import zlib
 from collections.abc import Callable
@@ -151,6 +150,8 @@ class _Arrays:
         if self.compressor == "vtkZLibDataCompressor":
             stream = zlib.decompressobj()
         elif self.compressor == "vtkLZMADataCompressor":
+            import lzma  # which some builds of Python lack
+
             stream = lzma.LZMADecompressor(memlimit=_LZMA_BYTES)
         else:
             raise InputError(f"is packed by {self.compressor!r}, which is not read; save it with zlib")
