@@ -29,17 +29,23 @@ class Journal:
     Attributes:
         records: Results by key.
         set_aside: Path to which the journal of another run was moved, if there was one.
+        num_foreign: Number of lines that are no records; the last one may be incomplete, and is not counted.
     """
 
     def __init__(self, path: Path, mark: str) -> None:
         self.path = path
         self.records: dict[str, Any] = {}
         self.set_aside: Path | None = None
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        self.num_foreign = 0
+        text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+        lines = text.splitlines()
         if lines and _parsed(lines[0]) == {"fingerprint": mark}:
-            for line in lines[1:]:
-                if (entry := _parsed(line)) is not None:  # the last line may be incomplete
+            for number, line in enumerate(lines[1:], start=2):
+                entry = _parsed(line)
+                if isinstance(entry, dict) and entry.keys() == {"key", "record"} and isinstance(entry["key"], str):
                     self.records[entry["key"]] = entry["record"]
+                else:
+                    self.num_foreign += number < len(lines) or text.endswith("\n")
         elif len(lines) > 1:
             self.set_aside = path.with_suffix(".old")
             os.replace(path, self.set_aside)

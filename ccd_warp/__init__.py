@@ -45,6 +45,7 @@ from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
+from ccd_warp._sequence import FrameSequence, read_sequence
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._version import __version__
 
@@ -63,6 +64,7 @@ __all__ = [
     "DeviceDisplacements",
     "DeviceProximities",
     "DisplacementOptions",
+    "FrameSequence",
     "Frames",
     "HalfSpace",
     "HostLaunchResult",
@@ -95,6 +97,7 @@ __all__ = [
     "point_point_ccd",
     "point_segment_ccd",
     "read_frames",
+    "read_sequence",
     "vertex_face_ccd",
     "viz",
 ]

@@ -3,13 +3,15 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._files import frames as files
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._input.arguments import check_items, check_path
+from ccd_warp._half_space import HalfSpace
+from ccd_warp._input.arguments import check_flag, check_items, check_path
 from ccd_warp._input.names import distinct_names
 from ccd_warp._mesh import CollisionMesh
 
@@ -33,6 +35,17 @@ class Frames:
     source_index: NDArray[np.int64]
     num_merged: NDArray[np.int64]
 
+    @classmethod
+    def of(cls, mesh: CollisionMesh, bodies: Sequence[files.Body]) -> "Frames":
+        """The step of bodies, and the mesh that they make."""
+        return cls(
+            mesh,
+            np.concatenate([body.vertices_t0 for body in bodies]),
+            np.concatenate([body.vertices_t1 for body in bodies]),
+            np.concatenate([body.source_index for body in bodies]).astype(np.int64),
+            np.array([body.merged for body in bodies], dtype=np.int64),
+        )
+
     def __repr__(self) -> str:
         merged = f", {self.num_merged.sum():,} vertices merged" if self.num_merged.any() else ""
         return f"Frames({self.mesh!r}{merged})"
@@ -42,9 +55,10 @@ def read_frames(
     start_path: str | Path,
     end_path: str | Path,
     *,
-    static: Iterable[str | Path] = (),
+    static: Iterable[str | Path | HalfSpace] = (),
     kinematic: Iterable[int | str] = (),
     self_collision: bool | Sequence[bool] = True,
+    surface: bool = False,
     max_bytes: int = MAX_BYTES,
 ) -> Frames:
     """Read both ends of a step from mesh files, in full precision, completely or not at all.
@@ -60,11 +74,13 @@ def read_frames(
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces in the same order.
-        static: Mesh files of bodies that do not move.
+        static: Mesh files of bodies that do not move, or half-spaces.
         kinematic: Indices or names of the bodies that move as they are told, as of
             :meth:`ccd_warp.CollisionMesh.from_arrays`.
         self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
-        max_bytes: Limit on the unpacked size of an archive.
+        surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
+            :func:`ccd_warp.read_sequence`.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         The mesh and its positions at both ends, as all functions on meshes take them.
@@ -76,21 +92,29 @@ def read_frames(
     Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
     """
     start, end = check_path("start_path", start_path), check_path("end_path", end_path)
-    paths = [check_path("static", path) for path in check_items("static", static, "a list of paths")]
-    read = [files.read_frames(start, end, max_bytes=max_bytes)]
-    read += [files.read_static(path, max_bytes=max_bytes) for path in paths]
-    bodies = [body for file in read for body in file.split()]
-    mesh = CollisionMesh.from_arrays(
-        [(body.vertices_t0, body.faces) for body in bodies],
+    surface = check_flag("surface", surface)
+    obstacles = check_items("static", static, "a list of paths")
+    bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface).split()
+    bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface)
+    return Frames.of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
+
+
+def static_bodies(static: Sequence[Any], *, max_bytes: int, surface: bool) -> list[files.Body]:
+    """The bodies in mesh files, and half-spaces."""
+    bodies = []
+    for item in static:
+        if isinstance(item, HalfSpace):
+            bodies.append(files.Body.of_half_space("half-space", item))
+        else:
+            bodies += files.read_static(check_path("static", item), max_bytes=max_bytes, surface=surface).split()
+    return bodies
+
+
+def mesh_of(bodies: Sequence[files.Body], **options: Any) -> CollisionMesh:
+    """The bodies as one mesh, called by their names, with further options of ``CollisionMesh.from_arrays``."""
+    return CollisionMesh.from_arrays(
+        [body.arrays for body in bodies],
         static=[b for b, body in enumerate(bodies) if body.is_static],
-        kinematic=kinematic,
-        self_collision=self_collision,
         names=distinct_names([body.name for body in bodies]),
-    )
-    return Frames(
-        mesh,
-        np.concatenate([body.vertices_t0 for body in bodies]),
-        np.concatenate([body.vertices_t1 for body in bodies]),
-        np.concatenate([body.source_index for body in bodies]).astype(np.int64),
-        np.array([body.merged for body in bodies], dtype=np.int64),
+        **options,
     )

@@ -15,17 +15,18 @@ from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
+from ccd_warp._input.cells import cells_by_type, with_surfaces
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.half_spaces import planes_of, points_of
 from ccd_warp._input.mesh_checks import (
-    find_codimensional_points,
     validated_body_pairs,
     validated_flags,
     validated_radius,
     validated_rings,
     validated_static,
     validated_worlds,
+    vertices_without_primitive,
 )
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
@@ -41,14 +42,17 @@ MOST_WITH_PLANES = 1 << 30
 class CollisionMesh:
     """The vertices, unique edges and faces of all bodies that may collide, concatenated body by body.
 
-    Build a mesh with :meth:`from_trimesh` or :meth:`from_arrays`. It is immutable and its arrays are read-only.
-    Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies without faces are
-    valid.
+    Build a mesh with :meth:`from_trimesh`, :meth:`from_arrays` or :meth:`from_volume`. It is immutable and its arrays
+    are read-only. Duplicate faces, faces with a repeated vertex, non-manifold edges, vertices in no face and bodies
+    without faces are valid.
 
     Besides faces, a body may have **codimensional edges**, for cables, and **codimensional points**, for particles. A
     given edge that belongs to a face counts as an edge of that face. A vertex that belongs to no face and no edge is a
     codimensional point only in bodies whose ``codimensional_points`` flag is set, because meshes from files often
     contain unused vertices; in other bodies such a vertex is tested against faces only.
+
+    A body may be given by **volume cells**. It collides by their boundary surface, its faces. The nodes inside keep
+    their rows wherever there is one a vertex, and collide with nothing: no toi of theirs is finite.
 
     A mesh **in the plane** has positions with two coordinates and no faces. Every vertex is tested against every edge,
     and codimensional points against each other. Wherever positions are taken or given, by NumPy or on a device, they
@@ -71,6 +75,8 @@ class CollisionMesh:
         codimensional_edges: Indices into ``edges`` of the edges that belong to no face, ascending, int32, shape
             [E_codim].
         codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
+        inner_vertices: Indices of the vertices of volume cells that are not on a surface, ascending, int32, shape
+            [V_inner].
         vertex_body: Body of each vertex, int32, shape [V].
         edge_body: Body of each edge, int32, shape [E].
         face_body: Body of each face, int32, shape [F].
@@ -104,6 +110,7 @@ class CollisionMesh:
     edges: NDArray[np.int32] = field(init=False)
     codimensional_edges: NDArray[np.int32] = field(init=False)
     codimensional_points: NDArray[np.int32] = field(init=False)
+    inner_vertices: NDArray[np.int32] = field(init=False)
     vertex_body: NDArray[np.int32] = field(init=False)
     edge_body: NDArray[np.int32] = field(init=False)
     face_body: NDArray[np.int32] = field(init=False)
@@ -123,6 +130,7 @@ class CollisionMesh:
     # would not either, raises an error because these arguments have no defaults.
     given_edges: InitVar[NDArray[np.int32]]
     with_codimensional_points: InitVar[NDArray[np.bool_]]
+    with_inner_vertices: InitVar[NDArray[np.bool_]]
 
     def __new__(cls, *arguments: Any, **parts: Any) -> CollisionMesh:
         """Refuse what looks like the constructor of another library; a copy or a pickle is made without arguments."""
@@ -133,16 +141,22 @@ class CollisionMesh:
             )
         return object.__new__(cls)
 
-    def __post_init__(self, given_edges: NDArray[np.int32], with_codimensional_points: NDArray[np.bool_]) -> None:
+    def __post_init__(
+        self,
+        given_edges: NDArray[np.int32],
+        with_codimensional_points: NDArray[np.bool_],
+        with_inner_vertices: NDArray[np.bool_],
+    ) -> None:
         """Derive the remaining fields from the given ones, which are already validated."""
         vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
         edges, codimensional_edges = unique_edges(self.faces, given_edges)
         derived = {
             "edges": edges,
             "codimensional_edges": codimensional_edges,
-            "codimensional_points": find_codimensional_points(
-                self.faces, edges, with_codimensional_points, vertex_body
+            "codimensional_points": vertices_without_primitive(
+                self.faces, edges, with_codimensional_points & ~with_inner_vertices, vertex_body
             ),
+            "inner_vertices": vertices_without_primitive(self.faces, edges, with_inner_vertices, vertex_body),
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
             "face_body": vertex_body[self.faces[:, 0]],
@@ -190,6 +204,7 @@ class CollisionMesh:
             ("faces", self.num_faces),
             ("codimensional edges", len(self.codimensional_edges)),
             ("codimensional points", len(self.codimensional_points)),
+            ("vertices inside", len(self.inner_vertices)),
         ]
 
     @classmethod
@@ -271,7 +286,7 @@ class CollisionMesh:
     @classmethod
     def from_arrays(
         cls,
-        bodies: Sequence[tuple[ArrayLike, ...] | HalfSpace],
+        bodies: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace],
         static: Iterable[int | str] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
@@ -289,7 +304,8 @@ class CollisionMesh:
         Args:
             bodies: One tuple for each body, (vertices, faces) or (vertices, faces, edges): vertices, float, shape
                 [V_b, 3]; faces, integer indices into these vertices, shape [F_b, 3]; codimensional edges, also indices
-                into these vertices, shape [E_b, 2]. Or (vertices, edges) for each body of a mesh in the plane, with
+                into these vertices, shape [E_b, 2]. In place of faces a mapping of cells by type, as of
+                :meth:`from_volume`. Or (vertices, edges) for each body of a mesh in the plane, with
                 vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points. In place of
                 a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices.
             static: Indices or names of the bodies that do not move; their end positions are their start positions.
@@ -333,6 +349,7 @@ class CollisionMesh:
             raise ValueError("bodies is empty; expected at least one body")
         names = validated_names(names, len(bodies))
         with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
+        bodies, is_of_cells = with_surfaces(bodies, names)
         half_spaces = [(b, body_label(b, names), body) for b, body in enumerate(bodies) if isinstance(body, HalfSpace)]
         is_half_space = np.isin(np.arange(len(bodies)), [b for b, _, _ in half_spaces])
         if is_half_space.all():
@@ -357,6 +374,7 @@ class CollisionMesh:
             self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
             given_edges=joined.edges,
             with_codimensional_points=(with_points | joined.consists_of_points) & ~is_half_space,
+            with_inner_vertices=is_of_cells,
             body_pairs=validated_body_pairs(body_pairs, names),
             exclusion_rings=validated_rings(exclusion_rings),
             vertex_world=validated_worlds(
@@ -376,6 +394,41 @@ class CollisionMesh:
             planes=planes_of(half_spaces, joined.dimension, joined.offsets),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
+
+    @classmethod
+    def from_volume(
+        cls,
+        vertices: ArrayLike,
+        cells: Any,
+        others: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace] = (),
+        **options: Any,
+    ) -> CollisionMesh:
+        """Build a mesh from a volume mesh, which collides by its boundary surface, and other bodies.
+
+        Wherever positions are taken or given there is a row for every node, and so of results for each vertex. Nodes
+        inside, and those of no cell, collide with nothing.
+
+        Args:
+            vertices: Positions of all nodes, float, shape [V_0, 3].
+            cells: Indices into these nodes, integer: an array of shape [n, 4] for tetrahedra, [n, 5] for pyramids,
+                [n, 6] for wedges, or [n, 8] for hexahedra; a list of such arrays; or ``cells`` or ``cells_dict`` of
+                meshio, a mapping from the types "tetra", "pyramid", "wedge", "hexahedron" to arrays. By type there may
+                be shells, too: "triangle" and "quad"; those that are sides of a volume add nothing. The order of
+                corners is that of VTK, also mirrored. A side with four corners becomes two triangles. A hexahedron
+                with repeated corners stands for what it has shrunk to.
+            others: Further bodies, as of :meth:`from_arrays`: (vertices, faces), (vertices, cells by type), or a
+                :class:`ccd_warp.HalfSpace`. The volume is body 0, and its vertices come first.
+            options: Further arguments of :meth:`from_arrays`, such as ``static``, ``names`` and ``radius``.
+
+        Returns:
+            The mesh; its ``faces`` are the surface, turned outward, and ``inner_vertices`` the nodes that it leaves
+            out.
+
+        Raises:
+            ValueError: If there is no cell, two cells have the same corners, more than two the same side, or an
+                argument is not as described.
+        """
+        return cls.from_arrays([(vertices, cells_by_type(cells)), *others], **options)
 
     def excluding(self, exclude_pairs: Mapping[str, Any]) -> CollisionMesh:
         """The same mesh without further pairs, as given or as found in an earlier result.
@@ -427,6 +480,16 @@ class CollisionMesh:
         arguments = replicated(self, count)
         arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
         return type(self)(**arguments)
+
+    @lazy_property
+    def _surface_vertices(self) -> NDArray[np.int32]:
+        """The vertices that may collide with a face or a half-space: all but inner ones, ascending."""
+        return np.delete(np.arange(self.num_vertices, dtype=np.int32), self.inner_vertices)
+
+    @property
+    def _free_surface_vertices(self) -> NDArray[np.int32]:
+        """Those of them whose motion is not prescribed, which meet half-spaces."""
+        return self._surface_vertices[self._is_free[self.vertex_body[self._surface_vertices]]]
 
     @lazy_property
     def is_thick(self) -> bool:

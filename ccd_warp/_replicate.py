@@ -45,8 +45,9 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
     copied = np.setdiff1d(np.arange(mesh.num_bodies), planes)
     bodies = np.append(np.tile(copied, count), planes)  # the body that each body of the copies is one of
     first = (copies * mesh.num_vertices)[:, None, None]
-    with_points = np.zeros(mesh.num_bodies, dtype=bool)
+    with_points, with_inner = np.zeros((2, mesh.num_bodies), dtype=bool)
     with_points[mesh.vertex_body[mesh.codimensional_points]] = True
+    with_inner[mesh.vertex_body[mesh.inner_vertices]] = True
     return dict(
         vertices=np.tile(mesh.vertices, (count, 1)),
         faces=(mesh.faces + first).reshape(-1, 3).astype(np.int32),
@@ -56,6 +57,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         self_collision=mesh.self_collision[bodies],
         given_edges=(mesh.edges[mesh.codimensional_edges] + first).reshape(-1, 2).astype(np.int32),
         with_codimensional_points=with_points[bodies],
+        with_inner_vertices=with_inner[bodies],
         body_pairs=None if mesh.body_pairs is None else mesh.body_pairs[np.ix_(bodies, bodies)],
         exclusion_rings=mesh.exclusion_rings,
         vertex_world=(mesh.vertex_world + (copies * mesh.num_worlds)[:, None]).ravel().astype(np.int32),

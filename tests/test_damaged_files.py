@@ -5,6 +5,7 @@ import bz2
 import io
 import json
 import re
+import struct
 import sys
 import tarfile
 import zipfile
@@ -17,6 +18,7 @@ from ccd_warp import datasets
 from ccd_warp._cli.command import main
 from ccd_warp._files import text
 from ccd_warp._files.frames import InputError, read_frames, read_static, write_mesh
+from ccd_warp._files.series import find_series
 from ccd_warp._input.messages import printable
 
 # Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
@@ -228,6 +230,7 @@ _OFF = OFF.decode()
         ("a.obj", _TRIANGLE + "v 1 2\nf 1 2 3\n", "line 4 is a vertex of 2 numbers"),
         ("a.obj", _TRIANGLE + "v 1 2 nonsense\nf 1 2 3\n", "line 4 holds 'nonsense'; expected a number"),
         ("a.obj", _TRIANGLE + "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
+        ("a.obj", _TRIANGLE + "v 1/2 0 0\nf 1 2 3\n", "line 4 holds '1/2'; expected a number"),
         ("a.obj", _TRIANGLE + "v 1 2 nan\nf 1 2 3\n", r"vertex 3 is \[1.0, 2.0, nan\]"),
         ("a.stl", _STL.replace("endsolid\n", ""), "ends without 'endsolid'"),
         ("a.stl", _STL.replace("vertex 1 0 0\n", ""), "line 6 begins with 'endloop'; expected vertex"),
@@ -294,6 +297,8 @@ def test_gltf_that_would_be_read_in_part_is_refused(tmp_path):
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "mode 6, which is not read"),
         (lambda tree: tree["accessors"][0].update(sparse={}), "mesh 0 is compressed or sparse"),
         (lambda tree: tree["accessors"][1].update(normalized=True), "mesh 0 has positions in normalized integers"),
+        (lambda tree: tree["buffers"][0].update(uri=tree["buffers"][0]["uri"] + "!!!!"), "buffer 0 is no base64"),
+        (lambda tree: tree["bufferViews"][1].update(byteLength=999), "its buffer view 1 goes beyond its buffer 0"),
         (lambda tree: tree["buffers"][0].update(byteLength=9999), r"buffer 0 has \d+ bytes, expected 9999"),
     ):
         tree = json.loads(WHOLE["scene.gltf"])
@@ -354,7 +359,6 @@ def test_stl_frames_in_archives_are_merged_as_bare_ones_are(tmp_path):
     "name, pack",
     [
         ("bomb.zip", lambda data: _zipped({"a.ply": data})),
-        ("bomb.zip", lambda data: _zipped({"a.ply": data}, zipfile.ZIP_LZMA)),
         ("bomb.3mf", lambda data: _zipped({"3D/3dmodel.model": data})),
         ("bomb.tar.gz", lambda data: _tarred({"a.ply": data})),
         ("bomb.tar.bz2", lambda data: _tarred({"a.ply": data}, "bz2")),
@@ -378,6 +382,55 @@ def test_archive_that_states_less_than_it_holds_is_refused(tmp_path):
     (tmp_path / "a.zip").write_bytes(packed)
     with pytest.raises(InputError, match=r"a\.zip: cannot be unpacked"):
         read_static(tmp_path / "a.zip", max_bytes=100_000)
+
+
+def test_member_packed_by_bzip2_or_lzma_is_refused(tmp_path):
+    """Of these, Python unpacks all that there is, whatever size is stated: here a thousand bytes."""
+    for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
+        for name, member in (("a.zip", "a.ply"), ("a.3mf", "3D/3dmodel.model"), ("a.npz", "positions.npy")):
+            packed = bytearray(_zipped({member: bytes(3_000_000)}, method))
+            at = packed.index(b"PK\x01\x02") + 24
+            packed[at : at + 4] = (1000).to_bytes(4, "little")
+            (tmp_path / name).write_bytes(packed)
+            with pytest.raises(InputError, match=f"{name}: .*{member} is packed in a way that is not read"):
+                find_series([tmp_path / name], max_bytes=1 << 28) if name == "a.npz" else read_static(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["zip", "npz"])
+def test_archive_whose_end_loses_a_member_is_refused(tmp_path, kind):
+    """The directory is one entry shorter: what is listed is whole, and one of two meshes is gone."""
+    if kind == "zip":
+        data = _zipped({"one.ply": ASCII_PLY, "two.off": OFF})
+    else:
+        buffer = io.BytesIO()
+        np.savez(buffer, extra=FACES, positions=np.stack([VERTICES, VERTICES]), faces=FACES)
+        data = buffer.getvalue()
+    path = tmp_path / f"a.{kind}"
+    read = read_static if kind == "zip" else lambda path: find_series([path], max_bytes=1 << 28)
+    path.write_bytes(data)
+    read(path)
+    end, first = data.rindex(b"PK\5\6"), data.index(b"PK\1\2")
+    second = data.index(b"PK\1\2", first + 1)
+    fewer = struct.pack("<II", end - second, second)  # size and place of the directory
+    last = data.rindex(b"PK\1\2")
+    without_last = data[:last] + data[end : end + 12] + struct.pack("<II", last - first, first) + data[end + 20 :]
+    for damaged in (data[: end + 12] + fewer + data[end + 20 :], without_last):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="that its directory does not list"):
+            read(path)
+    if kind == "zip":  # a mesh that would be taken for a folder
+        path.write_bytes(data[:last] + data[last:].replace(b"two.off", b"two.of/"))
+        with pytest.raises(InputError, match="cannot be unpacked"):
+            read(path)
+
+
+def test_array_that_is_shorter_than_its_header_says_is_refused(tmp_path):
+    """And at once: NumPy would first take the memory."""
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (2, 1 << 40, 3)})
+    (tmp_path / "a.npz").write_bytes(_zipped({"positions.npy": buffer.getvalue() + bytes(80)}))
+    with pytest.raises(InputError, match=r"positions\.npy holds 80 bytes, not float64 of shape"):
+        find_series([tmp_path / "a.npz"], max_bytes=1 << 28)
 
 
 def test_limit_holds_for_archives_alone(tmp_path):

@@ -54,6 +54,7 @@ READ = {
     "README.md": "bodies gap parameters points",
     "benchmarks/distance_queries.py": "gap",
     "benchmarks/distributed_simulation.py": "bounds primitives",
+    "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",
     "benchmarks/gpu_check/cases.py": "primitives",
     "benchmarks/virtual_mesh.py": "bodies primitives",

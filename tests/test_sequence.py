@@ -193,6 +193,35 @@ def test_exit_status_tells_a_script_of_a_contact(ball):
     assert _run(*arguments, "--fail-on-contact") == 1
 
 
+def test_step_is_computed_again_where_a_file_beside_its_frames_has_changed(ball, monkeypatch):
+    """The positions of a glTF lie in its buffer, and the .gltf stays as it is."""
+    for k in range(4, 8):
+        mesh = trimesh.load(ball / f"ball_{k}.ply", process=False)
+        files = trimesh.Scene(mesh).export(file_type="gltf", merge_buffers=True)
+        tree, (buffer,) = json.loads(files.pop("model.gltf")), files.values()
+        tree["buffers"][0]["uri"] = f"{k}.bin"
+        (ball / f"{k}.bin").write_bytes(buffer)
+        (ball / f"ball_{k}.gltf").write_text(json.dumps(tree))
+    given = [*sorted(ball.glob("ball_*.gltf")), "--static", ball / "floor.ply", "--quiet", "--output"]
+    solve, solved = sequence_command.solve, []
+
+    def solve_and_press(*arguments, **options):
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        solved.append(arguments)
+        return solve(*arguments, **options)
+
+    monkeypatch.setattr(sequence_command, "solve", solve_and_press)
+    assert _run(*given, ball / "out") == 130  # the steps 4 to 5 and 5 to 6 are kept; the ball strikes in the second
+    (ball / "6.bin").write_bytes((ball / "5.bin").read_bytes())
+    solved.append(None)
+    assert _run(*given, ball / "out") == 0
+    assert len(solved) == 3 + 2  # the second step again, and the last one
+    assert _run(*given, ball / "afresh") == 0
+    assert (ball / "out" / "steps.csv").read_bytes() == (ball / "afresh" / "steps.csv").read_bytes()
+    assert _rows(ball / "out" / "steps.csv")[1]["toi"] == "inf"
+
+
 def test_standard_output_takes_the_csv_alone(ball, capfd):
     assert _run(*_frames_of(ball), "--static", ball / "floor.ply", "--output", "-") == 0
     captured = capfd.readouterr()

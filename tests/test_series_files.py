@@ -10,6 +10,7 @@ from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import write_mesh
 from ccd_warp._files.mesh import read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
+from ccd_warp._files.opened import noted_files
 from ccd_warp._files.series import find_series
 from ccd_warp._input.messages import InputError
 
@@ -117,7 +118,7 @@ def test_cache_that_is_cut_or_unpacks_to_too_much_is_refused(tmp_path):
 
 @pytest.fixture
 def meshio():
-    return pytest.importorskip("meshio", reason="the extra formats is not installed")
+    return pytest.importorskip("meshio", reason="the extra examples is not installed")
 
 
 def _cells(meshio, frame):
@@ -184,11 +185,40 @@ def test_series_of_xdmf_moves_by_its_displacements(tmp_path, meshio, data_format
     (series,) = _open(tmp_path / "a.xdmf", displacement="u")
     _check(series, moved)
     if data_format == "HDF":
-        assert [path.name for path in series.files] == ["a.xdmf", "a.h5"]
+        with noted_files() as noted:
+            series.read(2)
+        assert {Path(name).name for name, *_ in noted} == {"a.h5"}
     with pytest.raises(InputError, match=r"the same geometry; expected --displacement NAME .* and found 'u'"):
         _open(tmp_path / "a.xdmf")
     with pytest.raises(InputError, match="has no field 'v' at its points; expected one of them: 'u', 'p'"):
         _open(tmp_path / "a.xdmf", displacement="v")[0].read(0)
+
+
+def test_series_of_xdmf_with_a_collection_for_each_field(tmp_path):
+    def item(kind, values):
+        values = np.asarray(values)
+        shape = " ".join(map(str, values.shape))
+        text = " ".join(map(repr, values.ravel().tolist()))
+        return f'<DataItem DataType="{kind}" Precision="8" Dimensions="{shape}" Format="XML">{text}</DataItem>'
+
+    mesh = (
+        f'<Grid><Topology TopologyType="Triangle">{item("Int", FACES)}</Topology>'
+        f'<Geometry GeometryType="XYZ">{item("Float", POSITIONS[0])}</Geometry></Grid>'
+    )
+    times = '<Grid><Time Value="{}"/><Attribute Name="{}" Center="Node">{}</Attribute></Grid>'
+    fields = "".join(
+        '<Grid GridType="Collection" CollectionType="Temporal">'
+        + "".join(times.format(k, name, item("Float", values)) for k in range(3))
+        + "</Grid>"
+        for name, values in (("u", POSITIONS[1]), ("p", np.zeros(4)))
+    )
+    text = f'<Xdmf Version="3.0"><Domain>{mesh}{fields}</Domain></Xdmf>'
+    (tmp_path / "a.xdmf").write_text(text)
+    (series,) = _open(tmp_path / "a.xdmf", displacement="u")
+    assert np.array_equal(series.read(2).vertices, POSITIONS[0] + POSITIONS[1])
+    (tmp_path / "a.xdmf").write_text(text.replace('Value="2"', 'Value="3"', 1))
+    with pytest.raises(InputError, match="temporal collections of the same times"):
+        _open(tmp_path / "a.xdmf", displacement="u")
 
 
 def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path, meshio):
@@ -208,8 +238,12 @@ def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path, meshio):
     _check(series)
 
 
-def test_without_meshio_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "meshio", None)
-    (tmp_path / "a.vtu").write_text("")
-    with pytest.raises(InputError, match=r"read by meshio; install with: pip install 'ccd-warp\[formats\]'"):
-        read_mesh(tmp_path / "a.vtu", MAX_BYTES)
+def test_without_h5py_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    text = '<DataItem Dimensions="3 3" DataType="{}" Format="HDF">a.h5:/a</DataItem>'
+    (tmp_path / "a.xdmf").write_text(
+        f'<Xdmf><Domain><Grid><Topology Type="Triangle">{text.format("Int")}</Topology>'
+        f"<Geometry>{text.format('Float')}</Geometry></Grid></Domain></Xdmf>"
+    )
+    with pytest.raises(InputError, match=r"lie in an HDF5 file; install with: pip install 'ccd-warp\[formats\]'"):
+        read_mesh(tmp_path / "a.xdmf", MAX_BYTES)

@@ -95,13 +95,37 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="half the thickness of all bodies, or of one, in the unit of the files; may be given several times",
     )
+    parser.add_argument(
+        "--exclude",
+        metavar="FILE",
+        type=Path,
+        help="pairs to leave out: rows of text KEY,A,B, as vertices,12,340 or bodies,cloth,wall; a .npz of arrays by "
+        "key; or a .npy of pairs of vertices",
+    )
+    parser.add_argument(
+        "--exclusion-rings",
+        type=int,
+        metavar="N",
+        default=1,
+        help="leave out pairs with two vertices that fewer than N edges connect (1: pairs that share a vertex)",
+    )
+    parser.add_argument(
+        "--ignore-start-contacts",
+        action="store_true",
+        help="leave out of every step the pairs that are in contact in the first frame, as at a clamped edge",
+    )
+    parser.add_argument(
+        "--surface",
+        action="store_true",
+        help="take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF",
+    )
     parser.add_argument("--no-self-collision", action="store_true", help="leave out contacts of a body with itself")
     parser.add_argument(
         "--max-bytes",
         type=int,
         metavar="BYTES",
         default=MAX_BYTES,
-        help=f"what an archive of meshes (ZIP, …) may unpack to ({MAX_BYTES >> 20} MiB)",
+        help=f"what an archive of meshes (ZIP, …) may unpack to ({MAX_BYTES >> 20} MiB); a file may have 1 GiB",
     )
     parser.add_argument("--fail-on-contact", action="store_true", help="end with exit status 1 if there is a contact")
     add_verbosity(parser)

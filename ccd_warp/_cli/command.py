@@ -3,13 +3,14 @@
 import argparse
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
 from ccd_warp._cli.arguments import add_options, add_scene_arguments, add_verbosity
-from ccd_warp._cli.process import INTERRUPTED, say, start_quietly
+from ccd_warp._cli.process import FAILED, INTERRUPTED, say, standard_output, start_quietly
 from ccd_warp._input.messages import printable
 from ccd_warp._runtime.threads import is_any_aside
 from ccd_warp._version import __version__
@@ -36,18 +37,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0 for a finished run, with a collision or without; 1 where ``--fail-on-contact`` is given and there
-        is a contact, or ``bench --compare`` found something worse; 2 for bad input, with one line on stderr; 130 after
-        Ctrl-C.
+        is a contact, or ``bench --compare`` found something worse; 2 for bad input, and for a file that cannot be
+        written, with one line on stderr; 130 after Ctrl-C. A pipe whose reader has gone changes nothing.
     """
     try:
-        arguments = _make_parser().parse_args(argv)
-        return arguments.command(arguments)
+        with standard_output():
+            arguments = _make_parser().parse_args(argv)
+            return arguments.command(arguments)
     except ValueError as error:  # of the library's own checks, too: each message names the argument and the finding
         say(f"ccd-warp: error: {printable(str(error))}")
         return 2
-    except BrokenPipeError:  # the reader of a pipe has seen enough; Python would fail again when it flushes stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename is not None else ""
+        say(f"ccd-warp: error: {printable(f'{place}{error.strerror or error}')}")
+        return 2
     except KeyboardInterrupt:
         return INTERRUPTED
 
@@ -220,7 +223,11 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 def run_program() -> NoReturn:
     """The command ``ccd-warp``: :func:`main`, and the end of the process."""
-    status = main()
+    try:
+        status = main()
+    except Exception:  # Python's own status of a traceback is 1, which means contact here
+        traceback.print_exc()
+        status = FAILED
     # After Ctrl-C nobody waits for modules to be cleared; a compiler at work would delay the end, or end with a fault.
     if status == INTERRUPTED or is_any_aside():
         if sys.stdout is not None:

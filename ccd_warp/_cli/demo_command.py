@@ -9,6 +9,7 @@ from ccd_warp._cli.output import make_folder, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.process import start_quietly
 from ccd_warp._cli.report import format_report, format_toi
+from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import SolvedStep, load_kernels, solve_scene
 from ccd_warp._files.frames import write_mesh
 from ccd_warp._input.messages import printable
@@ -28,7 +29,12 @@ def run_demo(arguments: argparse.Namespace) -> int:
     options = given_options(arguments)
     timings = {"load kernels": load_kernels(options, is_quiet=arguments.quiet)}
     for number, scene in enumerate(scenes):
-        step = solve_scene(scene.bodies, options, self_collision=scene.self_collision, is_quiet=arguments.quiet)
+        step = solve_scene(
+            scene.bodies,
+            options,
+            scene=SceneArguments(self_collision=scene.self_collision),
+            is_quiet=arguments.quiet,
+        )
         if not arguments.quiet:
             _print(number, scene, step, {**timings, **step.timings} if number == 0 else step.timings, arguments.verbose)
         if pictures is not None:

@@ -3,6 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
+from ccd_warp._cli.replacing import replacing
 from ccd_warp._files.frames import InputError
 from ccd_warp._version import __version__
 
@@ -77,8 +78,6 @@ def write_page(path: Path) -> Path:
         raise InputError(f"--output {path}: the name must end in {', '.join(PAGE_SUFFIXES)}")
     if not path.parent.is_dir():
         raise InputError(f"--output {path}: the folder {path.parent} does not exist; create it first")
-    try:
-        path.write_text(make_page(), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
+    with replacing(path) as beside:
+        beside.write_text(make_page(), encoding="utf-8")
     return path

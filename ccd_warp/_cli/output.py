@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from ccd_warp._cli.places import ContactTable
+from ccd_warp._cli.process import check_standard_output
+from ccd_warp._cli.replacing import replacing
+from ccd_warp._cli.scope import left_out
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.frames import Body, InputError
 from ccd_warp._input.options import Options
@@ -33,6 +37,7 @@ VERTEX_COLUMNS = ("body", "vertex", "toi", "source_vertex", "mesh_vertex")
 def check_output_path(path: Path) -> None:
     """Refuse a result file that cannot be written, before the computation."""
     if path == STDOUT:
+        check_standard_output()
         return
     if path.suffix.lower() not in RESULT_SUFFIXES:
         raise InputError(f"--output {path}: the name must end in {', '.join(RESULT_SUFFIXES)}, or be - alone")
@@ -66,25 +71,28 @@ def write_result(path: Path, step: SolvedStep) -> list[Path]:
         InputError: If a file cannot be written.
     """
     table = ContactTable.of(step.mesh, step.result.contacts)
-    try:
+    if path == STDOUT:
+        sys.stdout.write(_json(step, table))
+        return []
+    with ExitStack() as stack:
+
+        def place(each: Path) -> Path:
+            return stack.enter_context(replacing(each))
+
         match path.suffix.lower():
-            case _ if path == STDOUT:
-                sys.stdout.write(_json(step, table))
-                return []
             case ".npz":
-                _write_npz(path, step, table)
+                _write_npz(place(path), step, table)
                 return [path]
             case ".json":
-                path.write_text(_json(step, table), encoding="utf-8")
+                place(path).write_text(_json(step, table), encoding="utf-8")
                 return [path]
             case ".csv":
-                return _write_csv(path, step, table)
+                vertices_path = path.with_name(f"{path.stem}_vertices{path.suffix}")
+                _write_contacts(place(path), table)
+                _write_vertices(place(vertices_path), step)
+                return [path, vertices_path]
             case _:
                 raise InputError(f"{path}: the name must end in {', '.join(RESULT_SUFFIXES)}")
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
 
 
 def plain_options(options: Options) -> dict[str, Any]:
@@ -115,6 +123,7 @@ def _write_npz(path: Path, step: SolvedStep, table: ContactTable) -> None:
         "version": np.array(__version__),
         "options": np.array(json.dumps(plain_options(step.options))),
         "units": np.array(json.dumps(UNITS)),
+        "left_out": np.array(left_out(mesh, step.options, step.ignored)),
         "kind_name": np.array([kind.name.lower() for kind in PairKind]),
         "status_name": np.array([status.name.lower() for status in CCDStatus]),
         "toi": np.float64(result.toi),
@@ -185,6 +194,7 @@ def _json(step: SolvedStep, table: ContactTable) -> str:
         "version": __version__,
         "options": plain_options(step.options),
         "units": UNITS,
+        "left_out": left_out(mesh, step.options, step.ignored),
         "kinds": {kind.name.lower(): int(kind) for kind in PairKind},
         "toi": finite_or_none(result.toi),
         "bodies": [
@@ -225,8 +235,7 @@ def _radius_of(mesh: CollisionMesh, body: int) -> dict[str, float]:
     return {} if mesh.radius is None else {"radius": float(mesh.radius[begin:end].max(initial=0.0))}
 
 
-def _write_csv(path: Path, step: SolvedStep, table: ContactTable) -> list[Path]:
-    vertices_path = path.with_name(f"{path.stem}_vertices{path.suffix}")
+def _write_contacts(path: Path, table: ContactTable) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(CONTACT_COLUMNS)
@@ -239,12 +248,14 @@ def _write_csv(path: Path, step: SolvedStep, table: ContactTable) -> list[Path]:
                 + row["normal"]
                 + [row["status"], row["gap"], row["width"], *row["primitives"]]
             )
+
+
+def _write_vertices(path: Path, step: SolvedStep) -> None:
     mesh = step.mesh
-    with vertices_path.open("w", newline="", encoding="utf-8") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(VERTEX_COLUMNS)
         toi = step.result.vertex_toi.tolist()
         source = np.concatenate([body.source_index for body in step.bodies]).tolist()
         for k, body in enumerate(mesh.vertex_body.tolist()):
             writer.writerow([mesh.names[body], k - mesh.body_vertex_range[body], toi[k], source[k], k])
-    return [path, vertices_path]

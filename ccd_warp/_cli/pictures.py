@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ccd_warp._cli.process import closed_stderr
+from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.frames import InputError
 
@@ -30,11 +31,8 @@ def draw_step(path: Path, step: SolvedStep) -> Path:
     """Draw a step at its start, toi and end; return the path."""
     from ccd_warp import viz
 
-    try:
-        with closed_stderr():
-            viz.render_step(step.mesh, step.vertices_t0, step.vertices_t1, step.result, path, t_max=step.options.t_max)
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({error.strerror or error})") from error
+    with replacing(path) as to, closed_stderr():
+        viz.render_step(step.mesh, step.vertices_t0, step.vertices_t1, step.result, to, t_max=step.options.t_max)
     return path
 
 

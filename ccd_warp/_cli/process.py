@@ -7,21 +7,85 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._input.messages import printable
+from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.options import resolve_device
+from ccd_warp._runtime.launch import start_warp
 
+FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
 
 
 def say(line: str) -> None:
     """Print a line on stderr, where there is one; ``print`` would take stdout where there is none."""
     if sys.stderr is not None:
-        print(line, file=sys.stderr, flush=True)
+        with suppress(OSError):
+            print(line, file=sys.stderr, flush=True)
+
+
+def check_standard_output() -> None:
+    """Refuse ``--output -`` where the process was started without a standard output."""
+    if sys.stdout is None:
+        raise InputError("--output -: there is no standard output; give a file, or do not close it")
+
+
+class _StandardOutput:
+    """Standard output that stays silent once its reader has gone, so that the command ends with its own status."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text, or drop it where nobody reads it."""
+        with self._heeding():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, or drop it likewise."""
+        with self._heeding():
+            self._stream.flush()
+
+    @contextmanager
+    def _heeding(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            # what is still buffered must go somewhere: Python would fail again when it flushes at the end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            if not isinstance(error, BrokenPipeError):
+                raise InputError(f"cannot write to standard output ({error.strerror or error})") from error
+
+
+@contextmanager
+def standard_output() -> Iterator[None]:
+    """Standard output as :class:`_StandardOutput`, written completely when the work inside is done."""
+    stream = sys.stdout
+    if stream is None:
+        yield
+        return
+    sys.stdout = _StandardOutput(stream)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        try:
+            sys.stdout.flush()
+        finally:
+            sys.stdout = stream
+
+
+def report_on(output: Path | None) -> TextIO:
+    """Where the report goes: to stderr where standard output belongs to the result; nowhere if that is closed."""
+    stream = sys.stderr if output == Path("-") else sys.stdout
+    return stream if stream is not None else open(os.devnull, "w")
 
 
 def warn(line: str) -> None:
@@ -42,7 +106,7 @@ def start_quietly(device: str | None) -> None:
     with closed_stderr(), _heeded_interrupts():
         import trimesh  # noqa: F401
 
-        wp.init()
+        start_warp()
         resolve_device(device)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())
@@ -106,7 +170,7 @@ def notice(message: str, *, seconds: float, is_quiet: bool) -> Iterator[None]:
 
 
 @contextmanager
-def warnings_on_stderr(before: Callable[[], None], *, is_quiet: bool) -> Iterator[None]:
+def warnings_on_stderr(before: Callable[[], None] = lambda: None, *, is_quiet: bool) -> Iterator[None]:
     """Print what the library warns of as one line each, after a call of ``before``, which clears the line there."""
 
     def show(message: Any, *_: Any, **__: Any) -> None:

@@ -9,6 +9,7 @@ import warp as wp
 
 from ccd_warp._cli.motion import Lengths, largest_displacement
 from ccd_warp._cli.places import ContactTable, kind_name
+from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.scope import NOT_SEEN, left_out, looked_at
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._display import counted, named_counts, start_sentence
@@ -104,9 +105,9 @@ def merged_lines(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[str]:
     ][:_MOST_BODIES]
 
 
-def scope_lines(mesh: CollisionMesh, options: Options) -> list[str]:
+def scope_lines(mesh: CollisionMesh, options: Options, ignored: StartContacts | None) -> list[str]:
     """What was left out, and what CCD does not see."""
-    return [f"left out  {left_out(mesh, options)}", f"not seen  {NOT_SEEN}"]
+    return [f"left out  {left_out(mesh, options, ignored)}", f"not seen  {NOT_SEEN}"]
 
 
 def _bodies(step: SolvedStep) -> list[str]:
@@ -123,7 +124,7 @@ def _outcome(step: SolvedStep) -> list[str]:
     if not result.hit:
         pairs = looked_at(step.mesh, step.options)
         line = f"scene toi  none   (certain for the pairs looked at: {pairs})"
-        return [line, *_at_start(step), *scope_lines(step.mesh, step.options)]
+        return [line, *_at_start(step), *scope_lines(step.mesh, step.options, step.ignored)]
     lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
     if len(contacts):
         first = ContactTable.of(step.mesh, contacts, 1)
@@ -138,7 +139,7 @@ def _outcome(step: SolvedStep) -> list[str]:
             f"{num_capped:,} of {len(contacts):,} contacts stopped at the iteration limit: their toi is early, never "
             "late; raise --max-iterations or --max-work to refine them"
         )
-    return [*lines, *scope_lines(step.mesh, step.options)]
+    return [*lines, *scope_lines(step.mesh, step.options, step.ignored)]
 
 
 def crossing_sentence(pairs: Counter[tuple[str, str]]) -> str:

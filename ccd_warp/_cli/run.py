@@ -1,17 +1,17 @@
 """``ccd-warp run``: CCD of one step between two mesh files."""
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import motion_warnings
-from ccd_warp._cli.output import STDOUT, check_output_path, write_result
+from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
-from ccd_warp._cli.process import start_quietly, warn
+from ccd_warp._cli.process import report_on, start_quietly, warn
 from ccd_warp._cli.report import format_report
+from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
 from ccd_warp._files.frames import read_frames, read_static
 from ccd_warp._input.messages import printable
@@ -29,8 +29,9 @@ def run_step(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
-    files = [read_frames(arguments.start, arguments.end, max_bytes=arguments.max_bytes)]
-    files += [read_static(path, max_bytes=arguments.max_bytes) for path in arguments.static]
+    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface}
+    files = [read_frames(arguments.start, arguments.end, **how)]
+    files += [read_static(path, **how) for path in arguments.static]
     bodies = [body for file in files for body in file.split()] + half_space_bodies(arguments.half_space)
     timings = {"read files": time.perf_counter() - begin}
 
@@ -41,14 +42,12 @@ def run_step(arguments: argparse.Namespace) -> int:
         has_radius=bool(arguments.radius),
         has_half_space=bool(arguments.half_space),
     )
-    self_collision = not arguments.no_self_collision
     step = solve_scene(
         bodies,
         options,
-        self_collision=self_collision,
+        scene=SceneArguments.of(arguments),
         is_quiet=arguments.quiet,
-        radius=arguments.radius,
-        kinematic=arguments.kinematic,
+        ignores_start=arguments.ignore_start_contacts,
     )
     timings.update(step.timings)
     if not arguments.quiet:
@@ -64,8 +63,7 @@ def run_step(arguments: argparse.Namespace) -> int:
         written.append(draw_step(arguments.picture, step))
         timings["draw picture"] = time.perf_counter() - begin
     if not arguments.quiet:
-        # Standard output belongs to the result where that is written to it.
-        report = sys.stderr if arguments.output == STDOUT else sys.stdout
+        report = report_on(arguments.output)
         title = f"{arguments.start} -> {arguments.end}"
         print(format_report(title, step, timings, is_verbose=arguments.verbose), file=report)
         for path in written:

@@ -1,8 +1,8 @@
 """``ccd-warp sequence``: CCD of every step of a sequence of frames, each saved so that a run can be resumed."""
 
 import argparse
-import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +10,32 @@ import warp as wp
 
 from ccd_warp._cli.animation import draw_animation
 from ccd_warp._cli.arguments import given_options
-from ccd_warp._cli.frame_sequence import FrameSequence
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
-from ccd_warp._cli.process import INTERRUPTED, say, start_quietly, warn
+from ccd_warp._cli.process import (
+    INTERRUPTED,
+    check_standard_output,
+    report_on,
+    say,
+    start_quietly,
+    warn,
+    warnings_on_stderr,
+)
 from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.replacing import replacing
+from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_plot
 from ccd_warp._cli.sequence_report import format_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
-from ccd_warp._files.frames import InputError, read_static
+from ccd_warp._files.frames import InputError
+from ccd_warp._files.opened import Stamp, noted_files, stamp
 from ccd_warp._files.series import find_series
+from ccd_warp._frames import static_bodies
 from ccd_warp._input.arguments import check_count
 from ccd_warp._input.messages import printable
 from ccd_warp._input.options import Options
+from ccd_warp._sequence import FrameSequence
 from ccd_warp._version import __version__
 from ccd_warp.benchmarks.journal import Journal, fingerprint
 
@@ -40,39 +52,54 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     start_quietly(arguments.device)
     if arguments.picture is not None:
         check_animation(arguments.picture, "--picture")
-    sequence = _open(arguments)
+    with noted_files() as opened:
+        sequence = _open(arguments)
     given = given_options(arguments)
-    options = make_options(given, sequence.first_mesh)
+    options, ignored = make_options(given, sequence.mesh), None
+    num_steps = len(sequence) - 1
     folder: Path | None = None if arguments.output == STDOUT else arguments.output
     journal = None
-    if folder is not None:
+    if folder is None:
+        check_standard_output()
+    else:
         make_folder(folder, "--output")
-        journal = _journal(folder, arguments, sequence, options)
+        journal = _journal(folder, arguments, sequence, options, opened)
     load_kernels(
         given,
         is_quiet=arguments.quiet,
         has_radius=bool(arguments.radius),
         has_half_space=bool(arguments.half_space),
     )
+    if arguments.ignore_start_contacts:
+        with warnings_on_stderr(is_quiet=arguments.quiet):
+            ignored = StartContacts.of(sequence.mesh, sequence[0], options)
+        sequence.mesh = sequence.mesh.excluding(ignored.pairs)
 
-    report = sys.stderr if folder is None else sys.stdout
-    records = {} if journal is None else {int(k): StepRecord.from_plain(r) for k, r in journal.records.items()}
+    report = report_on(arguments.output)
+    records = {} if journal is None else StepRecord.from_journal(journal.records, num_steps)
+    if journal is not None and (foreign := journal.num_foreign + len(journal.records) - len(records)):
+        warn(f"{journal.path}: {foreign} lines are no records of a step; what they stood for is computed again")
+    records = {k: record for k, record in records.items() if _is_unchanged(record)}
     if records and not arguments.quiet:
-        print(f"{len(records)} of {sequence.num_steps} steps were computed before", file=report)
+        print(f"{len(records)} of {num_steps} steps were computed before", file=report)
     line = ItemsLine(arguments.quiet)
+
+    def solved(k: int) -> SolvedStep:
+        bodies = sequence._bodies(k)
+        return solve(bodies, sequence._mesh_of(bodies), options, line, is_quiet=arguments.quiet, ignored=ignored)
+
     is_complete = True
     written: list[Path] = []
     try:
-        todo = [k for k in range(sequence.num_steps) if k not in records]
+        todo = [k for k in range(num_steps) if k not in records]
         line.begin("steps", len(todo))
         for k in todo:
-            step = _solve_step(sequence, k, options, line, is_quiet=arguments.quiet)
-            records[k] = record = StepRecord.of(k, sequence.labels(k), step)
+            records[k] = record = StepRecord.of(k, sequence.labels[k : k + 2], solved(k), sequence._opened)
             if journal is not None:
                 journal.add(str(k), record.plain())
             line.advance()
         if arguments.picture is not None:
-            written.append(_draw(arguments.picture, sequence, records, options, line, is_quiet=arguments.quiet))
+            written.append(_draw(arguments.picture, sequence, records, solved, line))
     except KeyboardInterrupt:
         is_complete = False
     finally:
@@ -85,13 +112,13 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _warn_of_motions(ordered)
         if ordered:
-            print(format_sequence(sequence, ordered, options), file=report)
+            print(format_sequence(sequence, ordered, options, ignored), file=report)
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)
     if not is_complete:
         kept = "what was computed is kept, and the same command goes on from there"
         lost = "without a folder for --output nothing is kept"
-        say(f"interrupted after {len(ordered)} of {sequence.num_steps} steps; {lost if journal is None else kept}")
+        say(f"interrupted after {len(ordered)} of {num_steps} steps; {lost if journal is None else kept}")
         return INTERRUPTED
     if journal is not None:
         journal.close()
@@ -101,36 +128,33 @@ def run_sequence(arguments: argparse.Namespace) -> int:
 def _open(arguments: argparse.Namespace) -> FrameSequence:
     """The frames of the command line, with the first step read."""
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
-    series = find_series(arguments.frames, max_bytes=limit, displacement=arguments.displacement, faces=arguments.faces)
-    static = [body for path in arguments.static for body in read_static(path, max_bytes=limit).split()]
-    static += half_space_bodies(arguments.half_space)
-    return FrameSequence(
-        series,
-        static,
-        self_collision=not arguments.no_self_collision,
-        radius=arguments.radius,
-        kinematic=arguments.kinematic,
+    series = find_series(
+        arguments.frames,
+        max_bytes=limit,
+        displacement=arguments.displacement,
+        faces=arguments.faces,
+        surface=arguments.surface,
     )
+    static = static_bodies(arguments.static, max_bytes=limit, surface=arguments.surface)
+    return FrameSequence(series, static + half_space_bodies(arguments.half_space), SceneArguments.of(arguments).mesh)
 
 
-def _solve_step(sequence: FrameSequence, k: int, options: Options, line: ItemsLine, *, is_quiet: bool) -> SolvedStep:
-    bodies = sequence.bodies(k)
-    return solve(bodies, sequence.mesh(bodies), options, line, is_quiet=is_quiet)
-
-
-def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options) -> Journal:
+def _journal(
+    folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options, opened: list[Stamp]
+) -> Journal:
     """The steps that an interrupted run of the same command has left in the folder."""
-    files = [*(path for each in sequence.series for path in each.files), *arguments.static]
+    files = {*opened, *(stamp(path) for each in sequence._series for path in each.files)}
+    files |= set() if arguments.exclude is None else {stamp(arguments.exclude)}
     settings: dict[str, Any] = {
         "options": plain_options(options),
-        "self_collision": sequence.self_collision,
-        **({"radius": list(sequence.radius)} if sequence.radius else {}),
-        **({"kinematic": list(sequence.kinematic)} if sequence.kinematic else {}),
-        **({"half_spaces": arguments.half_space} if arguments.half_space else {}),
-        "displacement": arguments.displacement,
+        **SceneArguments.of(arguments).plain(),
+        **{
+            name: getattr(arguments, name)
+            for name in ("half_space", "displacement", "surface", "ignore_start_contacts")
+        },
         "columns": COLUMNS,
-        "labels": [each.labels for each in sequence.series],
-        "files": [_stamp(path) for path in files],
+        "labels": [each.labels for each in sequence._series],
+        "files": sorted(files),
     }
     about = {"version": __version__, "device": wp.get_device(options.device).name}
     try:
@@ -139,29 +163,26 @@ def _journal(folder: Path, arguments: argparse.Namespace, sequence: FrameSequenc
         raise InputError(f"--output {folder}: cannot be written ({error.strerror or error})") from error
 
 
-def _stamp(path: Path) -> list[Any]:
-    """What tells whether a file has changed."""
+def _is_unchanged(record: StepRecord) -> bool:
+    """Whether the files from which the frames of a step were read, such as buffers beside them, are as they were."""
     try:
-        found = path.stat()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return [str(path.absolute()), found.st_size, found.st_mtime_ns]
+        return all(tuple(each) == stamp(Path(each[0])) for each in record.files)
+    except InputError:
+        return False
 
 
 def _draw(
     path: Path,
     sequence: FrameSequence,
     records: dict[int, StepRecord],
-    options: Options,
+    solved: Callable[[int], SolvedStep],
     line: ItemsLine,
-    *,
-    is_quiet: bool,
 ) -> Path:
     """Draw the animation, or the first step that has a contact."""
     if path.suffix.lower() != ".png":
         return draw_animation(path, sequence, records, line)
     bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
-    return draw_step(path, _solve_step(sequence, bad, options, line, is_quiet=is_quiet))
+    return draw_step(path, solved(bad))
 
 
 def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: bool) -> list[Path]:
@@ -169,18 +190,15 @@ def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: b
     if not records:
         return []
     written = [folder / CSV]
+    with replacing(folder / CSV) as beside:
+        beside.write_text(csv_text(records), encoding="utf-8")
     try:
-        unfinished = folder / f"{CSV}.new"
-        unfinished.write_text(csv_text(records), encoding="utf-8")
-        os.replace(unfinished, folder / CSV)
-        try:
-            draw_plot(folder / PLOT, records, t_max)
-            written.append(folder / PLOT)
-        except ImportError:
-            if not is_quiet:
-                warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
-    except OSError as error:
-        raise InputError(f"cannot write to {folder} ({error.strerror or error})") from error
+        with replacing(folder / PLOT) as beside:
+            draw_plot(beside, records, t_max)
+        written.append(folder / PLOT)
+    except ImportError:
+        if not is_quiet:
+            warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
     return written
 
 

@@ -5,6 +5,7 @@ import io
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from ccd_warp._cli.motion import largest_displacement, motion_warnings
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._files.opened import Stamp
 from ccd_warp._status import PairKind
 
 # Points of contacts that are kept for pictures, the earliest ones.
@@ -52,6 +54,7 @@ class StepRecord:
         points: Places of the earliest contacts.
         displacement: The largest of a vertex.
         warnings: What is odd about the motion.
+        files: Stamps of the files from which its frames were read.
     """
 
     step: int
@@ -67,9 +70,10 @@ class StepRecord:
     points: list[list[float]]
     displacement: float
     warnings: list[str]
+    files: list[Stamp]
 
     @classmethod
-    def of(cls, number: int, labels: tuple[str, str], step: SolvedStep) -> "StepRecord":
+    def of(cls, number: int, labels: Sequence[str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
         """The record of a solved step."""
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
@@ -93,6 +97,7 @@ class StepRecord:
             points=table.contacts.points.tolist(),
             displacement=largest_displacement(step.vertices_t0, step.vertices_t1),
             warnings=motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max),
+            files=files,
         )
 
     @property
@@ -120,6 +125,17 @@ class StepRecord:
         toi = math.inf if plain["toi"] is None else plain["toi"]
         pairs = {name: [(a, b, count) for a, b, count in plain[name]] for name in ("at_start", "crossing")}
         return cls(**{**plain, "toi": toi, **pairs})
+
+    @classmethod
+    def from_journal(cls, records: dict[str, Any], num_steps: int) -> "dict[int, StepRecord]":
+        """The records of a journal by the numbers of their steps, without what is none."""
+        found = {}
+        for key, plain in records.items():
+            with suppress(KeyError, TypeError, ValueError, AttributeError):
+                record = cls.from_plain(plain)
+                if record.step == int(key) and 0 <= record.step < num_steps and len(record.row()) == len(COLUMNS):
+                    found[record.step] = record
+        return found
 
     def row(self) -> list[Any]:
         """The row of the CSV file; numbers read back bit for bit."""

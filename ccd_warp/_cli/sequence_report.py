@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from ccd_warp._cli.frame_sequence import FrameSequence
 from ccd_warp._cli.motion import Lengths
 from ccd_warp._cli.report import (
     body_rows,
@@ -14,20 +13,24 @@ from ccd_warp._cli.report import (
     merged_lines,
     scope_lines,
 )
+from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.scope import looked_at
 from ccd_warp._cli.sequence_records import StepRecord, ranges_text
 from ccd_warp._display import start_sentence
 from ccd_warp._input.options import Options
+from ccd_warp._sequence import FrameSequence
 
 # Steps whose toi the report lists; the CSV file has all.
 _MOST_ROWS = 20
 
 
-def format_sequence(sequence: FrameSequence, records: Sequence[StepRecord], options: Options) -> str:
+def format_sequence(
+    sequence: FrameSequence, records: Sequence[StepRecord], options: Options, ignored: StartContacts | None
+) -> str:
     """The report of the steps that were computed, in their order, without a final newline."""
-    mesh, bodies = sequence.first_mesh, sequence.first_bodies
-    names = ", ".join(each.name for each in sequence.series)
-    lines = [format_title(f"{sequence.num_steps + 1} frames of {names}", options), ""]
+    mesh, bodies = sequence.mesh, sequence._first_bodies
+    names = ", ".join(each.name for each in sequence._series)
+    lines = [format_title(f"{len(sequence)} frames of {names}", options), ""]
     lines += body_table(("body", "", "vertices", "faces"), body_rows(mesh, bodies), align="<<>>")
     lines += [*merged_lines(mesh, bodies), ""]
     bad = [record for record in records if record.hit]
@@ -56,7 +59,7 @@ def format_sequence(sequence: FrameSequence, records: Sequence[StepRecord], opti
         lines.append(f"           of the first, {crossing_sentence(crossing[0].pairs_crossing)}")
     else:
         lines.append("at the start of each step  no edge passes through a face")
-    lines += [*scope_lines(mesh, options), ""]
+    lines += [*scope_lines(mesh, options, ignored), ""]
     displacement = max(record.displacement for record in records)
     lengths = Lengths.of(mesh.vertices, displacement, options)
     return "\n".join([*lines, *format_table(("in the unit of the files", ""), lengths.rows(mesh.radius), align="<<")])

@@ -12,11 +12,9 @@ from ccd_warp import CollisionPipeline
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.process import notice, warnings_on_stderr
 from ccd_warp._cli.progress import ProgressLine
-from ccd_warp._cli.radii import radii_of
+from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.scope import check_kinds
 from ccd_warp._files.frames import Body, make_body
-from ccd_warp._input.messages import InputError, printable
-from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
@@ -35,6 +33,7 @@ class SolvedStep:
         options: Validated options.
         result: Of ``mesh_ccd``.
         start: What touches, or passes through another, at the start.
+        ignored: What is left out of both, because it is in contact in the first frame; None if nothing is.
         timings: Seconds of each stage, in order.
     """
 
@@ -45,34 +44,8 @@ class SolvedStep:
     options: Options
     result: MeshResult
     start: Intersections
+    ignored: StartContacts | None
     timings: dict[str, float]
-
-
-def make_mesh(
-    bodies: Sequence[Body], *, self_collision: bool, radius: Sequence[str] = (), kinematic: Sequence[str] = ()
-) -> CollisionMesh:
-    """The bodies as one mesh, with the radii and the kinematic bodies of the command line."""
-    names = distinct_names([body.name for body in bodies])
-    return CollisionMesh.from_arrays(
-        [body.half_space or (body.vertices_t0, body.faces) for body in bodies],
-        static=[k for k, body in enumerate(bodies) if body.is_static],
-        self_collision=self_collision,
-        kinematic=_kinematic_bodies(kinematic, names, bodies),
-        names=names,
-        radius=radii_of(radius, names, [body.half_space is not None for body in bodies]),
-    )
-
-
-def _kinematic_bodies(given: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -> list[int]:
-    """The bodies that ``--kinematic`` names, each of which moves."""
-    moving = [name for name, body in zip(names, bodies, strict=True) if not body.is_static]
-    for name in given:
-        if name not in moving:
-            known = ", ".join(map(printable, moving[:8])) + (", …" if len(moving) > 8 else "")
-            raise InputError(
-                f"--kinematic {printable(name)}: no body that moves has this name; expected one of {known}"
-            )
-    return [names.index(name) for name in given]
 
 
 def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -95,11 +68,17 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh) -> Options:
 
 
 def solve(
-    bodies: Sequence[Body], mesh: CollisionMesh, options: Options, line: ProgressLine, *, is_quiet: bool
+    bodies: Sequence[Body],
+    mesh: CollisionMesh,
+    options: Options,
+    line: ProgressLine,
+    *,
+    is_quiet: bool,
+    ignored: StartContacts | None = None,
 ) -> SolvedStep:
     """Run ``mesh_ccd`` on a step of a mesh, whose bodies these are, with its progress on a line that stays there.
 
-    What intersects at its start is found, too.
+    What intersects at its start is found, too. ``ignored`` is what the mesh leaves out from the first frame on.
     """
     vertices_t0, vertices_t1 = positions_of(bodies)
     with CollisionPipeline.borrowed(mesh, options) as pipeline:
@@ -110,25 +89,30 @@ def solve(
             begin = time.perf_counter()
             start = pipeline.find_intersections(vertices_t0)
             timings["intersections at start"] = time.perf_counter() - begin
-    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, timings)
+    start = start if ignored is None else ignored.others(start)
+    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, ignored, timings)
 
 
 def solve_scene(
     bodies: Sequence[Body],
     given: dict[str, Any],
     *,
-    self_collision: bool,
+    scene: SceneArguments,
     is_quiet: bool,
-    radius: Sequence[str] = (),
-    kinematic: Sequence[str] = (),
+    shows_progress: bool = True,
+    ignores_start: bool = False,
 ) -> SolvedStep:
     """Make the mesh of one step and run ``mesh_ccd``."""
     begin = time.perf_counter()
-    mesh = make_mesh(bodies, self_collision=self_collision, radius=radius, kinematic=kinematic)
+    mesh = scene.mesh(bodies)
     build_seconds = time.perf_counter() - begin
-    options, line = make_options(given, mesh), ProgressLine(is_quiet)
+    options, line, ignored = make_options(given, mesh), ProgressLine(is_quiet or not shows_progress), None
+    if ignores_start:
+        with warnings_on_stderr(is_quiet=is_quiet):
+            ignored = StartContacts.of(mesh, positions_of(bodies)[0], options)
+        mesh = mesh.excluding(ignored.pairs)
     try:
-        step = solve(bodies, mesh, options, line, is_quiet=is_quiet)
+        step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored)
     finally:
         line.clear()
     return replace(step, timings={"build mesh": build_seconds, **step.timings})
@@ -149,6 +133,6 @@ def load_kernels(
     bodies += half_space_bodies(["0,0,0,0,0,1"]) if has_half_space else []
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
     with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
-        radius = ["0.1"] if has_radius else []
-        solve_scene(bodies, chosen, self_collision=False, is_quiet=True, radius=radius)
+        scene = SceneArguments(self_collision=False, radius=["0.1"] if has_radius else [])
+        solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False)
     return time.perf_counter() - begin

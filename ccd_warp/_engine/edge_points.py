@@ -97,6 +97,7 @@ class MeshWithEdgePoints:
         mesh = self.original
         num_neighbours = np.bincount(mesh.edges.ravel(), minlength=mesh.num_vertices)
         is_tested = self.covers_less | (num_neighbours <= _MOST_NEIGHBOURS)
+        is_tested[mesh.inner_vertices] = False
         return np.flatnonzero(is_tested).astype(np.int32) if mesh.num_faces else np.zeros(0, dtype=np.int32)
 
     @lazy_property

@@ -185,7 +185,7 @@ def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> ND
     Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    vertices = np.flatnonzero(mesh._is_free[mesh.vertex_body]).astype(np.int32)
+    vertices = mesh._free_surface_vertices
     found = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):

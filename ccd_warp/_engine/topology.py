@@ -198,9 +198,9 @@ class Topology:
     def plane_vertices(self) -> wp.array:
         """The vertices that meet the planes of half-spaces: all of free bodies, or of a part some of them."""
         mesh = self.mesh
-        if not mesh.kinematic.any():
+        if not mesh.kinematic.any() and not len(mesh.inner_vertices):
             return self.moving_vertices
-        return self.array(np.flatnonzero(mesh._is_free[mesh.vertex_body]).astype(np.int32))
+        return self.array(mesh._free_surface_vertices)
 
     @lazy_property
     def body_static(self) -> wp.array:
@@ -331,9 +331,11 @@ class Topology:
         mesh, of_role = self.mesh, self.bodies_of(role)
         array = ARRAYS.get(kind, kind)
         body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
-        among = {"codimensional_point": mesh.codimensional_points, "codimensional_edge": mesh.codimensional_edges}.get(
-            kind
-        )
+        among = {
+            "codimensional_point": mesh.codimensional_points,
+            "codimensional_edge": mesh.codimensional_edges,
+            "vertex": mesh._surface_vertices if len(mesh.inner_vertices) else None,
+        }.get(kind)
         num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
         name = f"{role} {kind}"
         if among is None and of_role.all():

@@ -3,9 +3,11 @@
 import bz2
 import gzip
 import io
+import struct
 import tarfile
 import zipfile
 
+from ccd_warp._files.text import CUT
 from ccd_warp._input.messages import InputError
 
 # Endings of file names. A 3MF file is a ZIP archive, too.
@@ -55,7 +57,8 @@ def unpack(name: str, data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
 
 def _unpack_zip(data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = [member for member in archive.infolist() if not member.is_dir()]
+        # A folder holds nothing; of a mesh whose name is damaged, the name before its data is another.
+        members = [member for member in plain_members(archive) if not (member.is_dir() and member.compress_size == 0)]
         stated = sum(member.file_size for member in members)
         if stated > max_bytes:
             raise _too_large(stated, max_bytes)
@@ -66,6 +69,33 @@ def _unpack_zip(data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
                 # at the stated size and verifies the checksum there.
                 files.append((member.filename, b"".join(iter(lambda: stream.read(_CHUNK), b""))))
         return files
+
+
+def plain_members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    """All members of a ZIP archive, which must be stored or deflated, and fill the file up to the directory.
+
+    A directory that is damaged, or the record of its end, may leave members out. Of bzip2 and LZMA, Python unpacks more
+    at a time than is asked for.
+
+    Raises:
+        InputError: If a member is packed in another way, or there are bytes that belong to none.
+    """
+    file = archive.fp
+    assert file is not None, "the archive is open"
+    end, may_follow = 0, [0]
+    for member in sorted(archive.infolist(), key=lambda member: member.header_offset):
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InputError(f"{member.filename} is packed in a way that is not read; pack it by deflate, as usual")
+        if member.header_offset - end not in may_follow:
+            raise InputError(f"holds bytes before {member.filename} that its directory does not list; {CUT}")
+        file.seek(member.header_offset + 26)
+        lengths = struct.unpack("<HH", file.read(4))  # of the name and of what follows it
+        end = member.header_offset + 30 + sum(lengths) + member.compress_size
+        # A checksum and two sizes may follow the data, with a mark before them, and the sizes in 4 or 8 bytes.
+        may_follow = [12, 16, 20, 24] if member.flag_bits & 8 else [0]
+    if archive.start_dir - end not in may_follow:
+        raise InputError(f"holds bytes behind its members that its directory does not list; {CUT}")
+    return archive.infolist()
 
 
 def _unpack_tar(content: bytes) -> list[tuple[str, bytes]]:

@@ -1,15 +1,17 @@
-"""Caches that hold the positions of all frames in one file: NumPy archives, and series of XDMF through meshio."""
+"""Caches that hold the positions of all frames in one file: NumPy archives, and series of XDMF."""
 
-import xml.etree.ElementTree as ET
+import math
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ccd_warp._files.archive import plain_members
+from ccd_warp._files.cells import displaced, reading, triangles
 from ccd_warp._files.mesh import Mesh, check_part, read_mesh
-from ccd_warp._files.through_meshio import displaced, import_meshio, reading, triangles
+from ccd_warp._files.opened import PLAIN_BYTES, check_size, note
+from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._input.messages import InputError
 
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
@@ -36,7 +38,9 @@ class NpzSeries:
         Raises:
             InputError: If the archive is damaged, too large, or lacks an array.
         """
-        arrays = _npz_arrays(path, max_bytes)
+        arrays = npz_arrays(path, max_bytes)
+        if "positions" not in arrays:
+            raise InputError(f"{path}: holds {', '.join(map(repr, arrays)) or 'nothing'}; {_EXPECTED}")
         positions, files = arrays["positions"], [path]
         if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
             raise InputError(f"{path}: 'positions' is {positions.dtype} of shape {positions.shape}; {_EXPECTED}")
@@ -56,29 +60,50 @@ class NpzSeries:
         """Number of each frame."""
         return [f"{self.name}[{k}]" for k in range(len(self.positions))]
 
+    @property
+    def times(self) -> list[float] | None:
+        """None: the archive holds no times."""
+        return None
+
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
         return _mesh(self.files[0], self.labels[k], self.positions[k].astype(np.float64), self.faces)
 
 
-def _npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
+    """All arrays of a NumPy archive that unpacks to at most ``max_bytes``, or to no more than it takes on the disk."""
+    size = note(path)
+    check_size(f"{path}: it", size, max(max_bytes, PLAIN_BYTES))
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(member.file_size for member in archive.infolist())
-        # What is stored uncompressed takes no more memory than it takes on the disk.
-        if unpacked > max(max_bytes, path.stat().st_size):
-            raise InputError(
-                f"{path}: unpacks to {unpacked:,} bytes, and the limit is {max_bytes:,}; raise it with --max-bytes"
-            )
-        with np.load(path, allow_pickle=False) as data:
-            if "positions" not in data.files:
-                raise InputError(f"{path}: holds {', '.join(map(repr, data.files)) or 'nothing'}; {_EXPECTED}")
-            return {name: data[name] for name in data.files if name in ("positions", "faces")}
-    except InputError:
-        raise
+            members = {member.filename.removesuffix(".npy"): member for member in plain_members(archive)}
+            if len(members) != len(archive.infolist()):
+                raise InputError("holds two arrays of one name")
+            unpacked = sum(member.file_size for member in members.values())
+            if unpacked > max(max_bytes, size):
+                limit = f"the limit is {max_bytes:,}; raise it with --max-bytes"
+                raise InputError(f"unpacks to {unpacked:,} bytes, and {limit}")
+            return {name: _npy(archive, member) for name, member in members.items()}
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except Exception as error:  # zipfile, zlib and NumPy each raise their own
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot be read as a NumPy archive ({reason}); write it again") from error
+
+
+def _npy(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """An array, whose data must be as long as its header says: NumPy would take memory for what this claims."""
+    with archive.open(member) as stream:
+        is_short = np.lib.format.read_magic(stream) == (1, 0)
+        read_header = np.lib.format.read_array_header_1_0 if is_short else np.lib.format.read_array_header_2_0
+        shape, is_fortran, dtype = read_header(stream)
+        if dtype.hasobject or min(shape, default=0) < 0:
+            raise ValueError(f"{member.filename} holds {dtype} of shape {shape}")
+        size = math.prod(shape) * dtype.itemsize
+        data = stream.read(min(size, member.file_size) + 1)  # with a length, or it would unpack all that there is
+    if len(data) != size:
+        raise ValueError(f"{member.filename} holds {len(data)} bytes, not {dtype} of shape {shape}")
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
 @dataclass
@@ -87,74 +112,60 @@ class XdmfSeries:
 
     name: str
     files: list[Path]
-    reader: Any
-    points: np.ndarray
-    faces: np.ndarray
+    xdmf: Xdmf
     displacement: str | None
+    surface: bool
 
     @classmethod
-    def open(cls, path: Path, displacement: str | None) -> "XdmfSeries":
-        """Read the mesh of a series.
+    def open(cls, xdmf: Xdmf, displacement: str | None, surface: bool) -> "XdmfSeries":
+        """The series of a file.
 
         Raises:
-            InputError: If the file is damaged, nothing in it moves, or meshio is not installed.
+            InputError: If the file is damaged, or nothing in it moves.
         """
-        meshio = import_meshio(path)
-        with reading(path):
-            reader = meshio.xdmf.TimeSeriesReader(str(path))
-            points, cells = reader.read_points_cells()
-            faces = triangles(path, [(block.type, block.data) for block in cells])
-            has_geometry = [_has_geometry(grid) for grid in reader.collection]
-            if not all(has_geometry[1:]) and displacement is None:
-                _, fields, _ = reader.read_data(reader.num_steps - 1)
-                names = [repr(name) for name, field in fields.items() if np.shape(field) == np.shape(points)]
-                raise InputError(
-                    f"{path}: all its frames have the same geometry; expected --displacement NAME with the field that "
-                    f"moves it, and found {', '.join(names) or 'no field of vectors at the points'}"
-                )
-        return cls(path.name, [path, *_data_files(path)], reader, points, faces, displacement)
+        path = xdmf.path
+        if displacement is None and not all(xdmf.has_points(k) for k in range(1, len(xdmf.frames))):
+            with reading(path):
+                points, _, fields = xdmf.grid(len(xdmf.frames) - 1)
+                names = [repr(name) for name, read in fields.items() if read().shape == points.shape]
+            raise InputError(
+                f"{path}: all its frames have the same geometry; expected --displacement NAME with the field that "
+                f"moves it, and found {', '.join(names) or 'no field of vectors at the points'}"
+            )
+        return cls(path.name, [path], xdmf, displacement, surface)
 
     @property
     def labels(self) -> list[str]:
         """Number of each frame."""
-        return [f"{self.name}[{k}]" for k in range(self.reader.num_steps)]
+        return [f"{self.name}[{k}]" for k in range(len(self.xdmf.frames))]
+
+    @property
+    def times(self) -> list[float] | None:
+        """Time of each frame, if the file says it."""
+        try:
+            found = [float(time.attrib["Value"]) for grid in self.xdmf.frames for time in grid.findall("Time")]
+            return found if len(found) == len(self.xdmf.frames) else None
+        except (KeyError, ValueError):
+            return None
 
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
-        path, points, faces = self.files[0], self.points, self.faces
+        path = self.files[0]
         with reading(path):
-            if _has_geometry(self.reader.collection[k]):
-                # The reader takes points and cells from this grid.
-                self.reader.mesh_grid = self.reader.collection[k]
-                points, cells = self.reader.read_points_cells()
-                faces = triangles(path, [(block.type, block.data) for block in cells]) if cells else faces
-            fields = self.reader.read_data(k)[1] if self.displacement is not None else {}
-            vertices = displaced(path, points, fields, self.displacement)
-        return _mesh(path, self.labels[k], vertices, faces)
+            grid = self.xdmf.grid(k)
+            vertices, faces = displaced(path, grid, self.displacement), triangles(path, grid, self.surface)
+        return _mesh(path, self.labels[k], vertices, faces, self.surface)
 
 
-def is_xdmf_series(path: Path) -> bool:
-    """Whether an XDMF file holds a collection of frames, and not one mesh."""
-    try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, OSError) as error:
-        raise InputError(f"{path}: its XML cannot be read ({error}); write it again") from error
-    return any(grid.get("CollectionType") == "Temporal" for grid in root.iter("Grid"))
+def open_xdmf(path: Path, max_bytes: int) -> Xdmf:
+    """The grids of an XDMF file."""
+    with reading(path):
+        return Xdmf(path, max_bytes)
 
 
-def _data_files(path: Path) -> list[Path]:
-    """The HDF5 files to which an XDMF file refers."""
-    items = [item.text or "" for item in ET.parse(path).getroot().iter("DataItem") if item.get("Format") == "HDF"]
-    return [path.parent / name for name in sorted({text.strip().partition(":")[0] for text in items})]
-
-
-def _has_geometry(grid: Any) -> bool:
-    return any(child.tag == "Geometry" for child in grid)
-
-
-def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray, is_surface: bool = False) -> Mesh:
     try:
         check_part(vertices, faces)
     except InputError as error:
         raise InputError(f"{label}: {error}") from error
-    return Mesh(path.with_name(label), vertices, faces, "indexed")
+    return Mesh(path.with_name(label), vertices, faces, "indexed", is_surface=is_surface)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class Body:
         face_name: Index of the name of each face, shape [m]; None where there is one name.
         num_copies: Number of vertices that were merged into each, shape [n]; None where none were.
         half_space: The half-space that it is in place of a mesh; None of a file.
+        is_surface: Whether its faces are the surface of volumes, so that the other vertices are inside them.
     """
 
     name: str
@@ -47,6 +49,18 @@ class Body:
     face_name: np.ndarray | None = None
     num_copies: np.ndarray | None = None
     half_space: HalfSpace | None = None
+    is_surface: bool = False
+
+    @classmethod
+    def of_half_space(cls, name: str, half_space: HalfSpace) -> "Body":
+        """A half-space as a body, which has no vertices of its own."""
+        none = np.zeros((0, 3))
+        return replace(make_body(name, none, None, none, is_static=True), half_space=half_space)
+
+    @property
+    def arrays(self) -> tuple[Any, ...] | HalfSpace:
+        """What :meth:`ccd_warp.CollisionMesh.from_arrays` takes of it: the vertices inside take no part."""
+        return self.half_space or (self.vertices_t0, {"triangle": self.faces} if self.is_surface else self.faces)
 
     def split(self) -> list["Body"]:
         """The objects, groups and nodes of the file as bodies of their own, called by their names.
@@ -117,13 +131,16 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
 
 
-def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
+def read_frames(
+    start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool = False
+) -> Body:
     """Read the two ends of a step.
 
     Args:
         start_path: Mesh file of the start positions.
         end_path: Mesh file of the end positions, with the same faces.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
+        surface: Whether volume cells stand for their boundary surface.
 
     Returns:
         A moving body.
@@ -134,7 +151,8 @@ def read_frames(start_path: str | Path, end_path: str | Path, *, max_bytes: int 
         ValueError: If ``max_bytes`` is not a positive integer.
     """
     max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    return body_between(read_mesh(Path(start_path), max_bytes), read_mesh(Path(end_path), max_bytes))
+    start, end = (read_mesh(Path(path), max_bytes, surface=surface) for path in (start_path, end_path))
+    return body_between(start, end)
 
 
 def body_between(start: Mesh, end: Mesh) -> Body:
@@ -169,7 +187,7 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     name = start.path.name
     if start.sharing == "indexed":
         body = make_body(name, start.vertices, end.vertices, start.faces)
-        return replace(body, names=start.names, face_name=start.face_name)
+        return replace(body, names=start.names, face_name=start.face_name, is_surface=start.is_surface)
     if start.sharing == "soup":
         source_index, merged = _merge(np.hstack([start.vertices, _node_of_vertex(start)]))
         torn = np.flatnonzero((end.vertices[source_index][merged] != end.vertices).any(axis=1))
@@ -198,12 +216,13 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     )
 
 
-def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
+def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool = False) -> Body:
     """Read an obstacle that does not move.
 
     Args:
         path: Mesh file.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
+        surface: Whether volume cells stand for their boundary surface.
 
     Returns:
         A static body.
@@ -212,10 +231,10 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Body:
         InputError: If the file is missing, damaged or not finite, or unpacks to more than the limit.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    mesh = read_mesh(Path(path), check_count("max_bytes", max_bytes, _MOST_BYTES))
+    mesh = read_mesh(Path(path), check_count("max_bytes", max_bytes, _MOST_BYTES), surface=surface)
     if mesh.sharing == "indexed":
         body = make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
-        return replace(body, names=mesh.names, face_name=mesh.face_name)
+        return replace(body, names=mesh.names, face_name=mesh.face_name, is_surface=mesh.is_surface)
     source_index, merged = _merge(np.hstack([mesh.vertices, _node_of_vertex(mesh)]))
     vertices = mesh.vertices[source_index]
     return Body(

@@ -1,5 +1,6 @@
 """Check glTF and GLB files before trimesh reads them: lengths, and content that trimesh would silently ignore."""
 
+import base64
 import json
 from collections.abc import Callable
 from typing import Any
@@ -71,13 +72,22 @@ def _check_tree(tree: dict[str, Any], binary: bytes, fetch: Callable[[str], byte
         if uri is None:
             found = len(binary)
         elif uri.startswith("data:"):
-            payload = uri.partition("base64,")[2].rstrip("=")
-            found = len(payload) * 3 // 4
+            try:
+                found = len(base64.b64decode(uri.partition("base64,")[2], validate=True))
+            except ValueError as error:
+                raise InputError(f"buffer {k} is no base64 ({error}); {CUT}") from None
         else:
             found = len(fetch(uri))
         if found < buffer["byteLength"]:
             where = "" if uri is None or uri.startswith("data:") else f" ({uri})"
             raise InputError(f"buffer {k}{where} has {found} bytes, expected {buffer['byteLength']}; {CUT}")
+    sizes = [buffer["byteLength"] for buffer in tree.get("buffers", ())]
+    for k, view in enumerate(tree.get("bufferViews", ())):
+        if (
+            not 0 <= view["buffer"] < len(sizes)
+            or view.get("byteOffset", 0) + view["byteLength"] > sizes[view["buffer"]]
+        ):
+            raise InputError(f"its buffer view {k} goes beyond its buffer {view['buffer']}; {CUT}")
     accessors = tree.get("accessors", ())
     for k, mesh in enumerate(tree.get("meshes", ())):
         for primitive in mesh["primitives"]:

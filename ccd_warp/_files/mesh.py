@@ -6,17 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, NamedTuple
+from urllib.parse import unquote
 from xml.parsers import expat
 
 import numpy as np
 
 from ccd_warp._files.archive import ARCHIVES, archive_end, unpack
+from ccd_warp._files.cells import Grid, displaced, reading, triangles
 from ccd_warp._files.gltf import check_glb, check_gltf
 from ccd_warp._files.obj import read_obj
 from ccd_warp._files.off import read_off
+from ccd_warp._files.opened import read_file
 from ccd_warp._files.ply import read_ply
 from ccd_warp._files.stl import read_stl
-from ccd_warp._files.through_meshio import SUFFIXES, read_through_meshio
+from ccd_warp._files.vtk import read_vtk
+from ccd_warp._files.vtu import read_vtu
+from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._input.messages import InputError
 from ccd_warp._input.trimesh_bodies import transformed
 
@@ -45,8 +50,9 @@ _BESIDE = frozenset(
     ]
 )
 _ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"
-# Endings of the files that are read here; those of ``SUFFIXES`` are read through meshio.
 MESH_SUFFIXES = (*_READERS, *_OF_TRIMESH, *ARCHIVES)
+# Endings of files of cells, which may hold fields, too.
+CELL_SUFFIXES = (".vtu", ".vtk", ".xdmf", ".xmf")
 
 
 class Part(NamedTuple):
@@ -69,6 +75,7 @@ class Mesh:
         sharing: How it stores a vertex that several faces share.
         names: Names of its objects, groups and nodes; "" stands for what has none.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
+        is_surface: Whether it is the surface of volumes, so that the other vertices are inside them.
     """
 
     path: Path
@@ -77,38 +84,34 @@ class Mesh:
     sharing: Sharing
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
+    is_surface: bool = False
 
 
-def read_mesh(path: Path, max_bytes: int, displacement: str | None = None) -> Mesh:
+def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surface: bool = False) -> Mesh:
     """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
         path: Mesh file, or an archive of mesh files.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         displacement: Field of a VTK or XDMF file that is added to its positions.
+        surface: Whether volume cells of such a file stand for their boundary surface.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
             the limit.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a mesh file such as PLY, OBJ, STL, OFF or GLB")
-    if path.suffix.lower() in SUFFIXES:
-        vertices, faces = read_through_meshio(path, displacement)
-        try:
+    if path.suffix.lower() in CELL_SUFFIXES:
+        with reading(path):
+            grid = _read_cells(path, max_bytes)
+            vertices, faces = displaced(path, grid, displacement), triangles(path, grid, surface)
             if not len(faces):
                 raise InputError("holds no triangles; give a triangle mesh")
             check_part(vertices, faces)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-        return Mesh(path, vertices, faces, "indexed")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        return Mesh(path, vertices, faces, "indexed", is_surface=surface)
+    data = read_file(path, max_bytes)
     end = archive_end(path.name)
     if end is None or end == ".3mf":
-        parts = _read_parts(str(path), path.name, data, _resolver(path), max_bytes)
+        parts = _read_parts(str(path), path.name, data, _resolver(path, max_bytes), max_bytes)
         sharing = _SHARING.get(path.suffix.lower(), "indexed")
     else:
         parts, sharing = _read_archive(path, data, max_bytes)
@@ -153,11 +156,26 @@ def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], 
     return parts, sharing
 
 
-def _resolver(path: Path) -> Any:
-    """A resolver that finds the files next to a file."""
+def _read_cells(path: Path, max_bytes: int) -> Grid:
+    suffix = path.suffix.lower()
+    if suffix in (".xdmf", ".xmf"):
+        xdmf = Xdmf(path, max_bytes)
+        if xdmf.is_series:
+            raise InputError("holds a series of frames; expected one mesh")
+        return xdmf.grid(0)
+    data = read_file(path, max_bytes)
+    return read_vtk(data) if suffix == ".vtk" else read_vtu(data, max_bytes)
+
+
+def _resolver(path: Path, max_bytes: int) -> Any:
+    """A resolver that reads the files beside a file, as they are called, from where they are said to be."""
     from trimesh.resolvers import FilePathResolver
 
-    return FilePathResolver(str(path))
+    class Beside(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            return read_file(path.parent / unquote(name), max_bytes)
+
+    return Beside(str(path))
 
 
 def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:

@@ -1,6 +1,7 @@
 """Read OBJ files: vertices, faces and objects as in the file; lines that are not understood are rejected."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,8 +40,7 @@ def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray
     if b"\\" in text:
         text = re.sub(rb"\\\r?\n", b" ", text)
     labels = [(line[1] == b"o", line[2].strip()) for line in _LABEL.finditer(text)]
-    if b"/" in text:
-        text = re.sub(rb"(?<=[0-9])/\S*", b"", text)
+    has_slashes = b"/" in text
     vertices, num_vertices = [np.zeros((0, 3))], 0
     faces: list[tuple[np.ndarray, ...]] = []
     num_labels, above = 0, [NO_INDICES]  # labels above each face
@@ -54,7 +54,10 @@ def read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray
             )
         is_vertex, is_face = (np.fromiter(map(word.__eq__, beginnings), bool, len(beginnings)) for word in (b"v", b"f"))
         vertices.append(_vertices(block.pick(is_vertex).columns(1)))
-        faces.append(_faces(block.pick(is_face).columns(1), num_vertices + np.cumsum(is_vertex)[is_face]))
+        of_faces = block.pick(is_face).columns(1)
+        if has_slashes:  # before a texture coordinate and a normal; in a vertex they are damage
+            of_faces = replace(of_faces, tokens=re.sub(rb"(?<=[0-9])/\S*", b"", b" ".join(of_faces.tokens)).split())
+        faces.append(_faces(of_faces, num_vertices + np.cumsum(is_vertex)[is_face]))
         num_vertices += len(vertices[-1])
         is_label = np.fromiter((word in (b"o", b"g") for word in beginnings), bool, len(beginnings))
         above.append(num_labels + np.cumsum(is_label)[is_face])

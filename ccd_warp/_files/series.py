@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ccd_warp._files.caches import NpzSeries, XdmfSeries, is_xdmf_series
-from ccd_warp._files.mesh import MESH_SUFFIXES, Mesh, read_mesh
+from ccd_warp._files.caches import NpzSeries, XdmfSeries, open_xdmf
+from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, Mesh, read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
-from ccd_warp._files.through_meshio import SUFFIXES
+from ccd_warp._files.opened import read_file
 from ccd_warp._input.messages import InputError
 
 _ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
@@ -27,6 +27,10 @@ class Series(Protocol):
         """Name of each frame."""
 
     @property
+    def times(self) -> list[float] | None:
+        """Time of each frame; None where the files do not say it."""
+
+    @property
     def files(self) -> list[Path]:
         """The files that hold them."""
 
@@ -42,6 +46,8 @@ class FileSeries:
     files: list[Path]
     max_bytes: int
     displacement: str | None = None
+    surface: bool = False
+    times: list[float] | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -50,11 +56,16 @@ class FileSeries:
 
     def read(self, k: int) -> Mesh:
         """The mesh of file ``k``."""
-        return read_mesh(self.files[k], self.max_bytes, self.displacement)
+        return read_mesh(self.files[k], self.max_bytes, self.displacement, self.surface)
 
 
 def find_series(
-    paths: Sequence[Path], *, max_bytes: int, displacement: str | None = None, faces: Path | None = None
+    paths: Sequence[Path],
+    *,
+    max_bytes: int,
+    displacement: str | None = None,
+    faces: Path | None = None,
+    surface: bool = False,
 ) -> list[Series]:
     """The frames that files, folders and caches hold, one series for each that moves.
 
@@ -64,6 +75,7 @@ def find_series(
         max_bytes: Limit on the unpacked size of an archive.
         displacement: Field of displacements that VTK and XDMF files hold.
         faces: Mesh file whose faces a ``.npz`` without faces takes.
+        surface: Whether volume cells in VTK and XDMF files stand for their boundary surface.
 
     Raises:
         InputError: If a path is missing or not known, or they differ in the number of frames, or hold fewer than two.
@@ -76,15 +88,15 @@ def find_series(
         if suffix == ".npz":
             series.append(NpzSeries.open(path, max_bytes, faces))
         elif suffix == ".pvd":
-            series.extend(_pvd_series(path, max_bytes, displacement))
-        elif suffix in (".xdmf", ".xmf") and is_xdmf_series(path):
-            series.append(XdmfSeries.open(path, displacement))
+            series.extend(_pvd_series(path, max_bytes, displacement, surface))
+        elif suffix in (".xdmf", ".xmf") and (xdmf := open_xdmf(path, max_bytes)).is_series:
+            series.append(XdmfSeries.open(xdmf, displacement, surface))
         else:
             frames.append(path)
 
     def add_frames() -> None:
         for group in grouped_frames(frames) if frames else ():
-            series.append(FileSeries(series_name(group), group, max_bytes, displacement))
+            series.append(FileSeries(series_name(group), group, max_bytes, displacement, surface))
         frames.clear()
 
     for path in paths:
@@ -106,6 +118,9 @@ def find_series(
                 f"{other.name} has {len(other.labels)} frames, and {series[0].name} has {len(series[0].labels)}; "
                 "expected the same number for all that move, and --static for what does not"
             )
+    times = [each.times for each in series if each.times is not None]
+    if any(other != times[0] for other in times):
+        raise InputError("the times of the bodies differ; expected the same time for all in each frame")
     if len(series[0].labels) < 2:
         raise InputError(f"{series[0].name} has {len(series[0].labels)} frame; expected two or more")
     return series
@@ -116,10 +131,10 @@ def _files_of(folder: Path) -> list[Path]:
     known = [
         path
         for path in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
-        if path.is_file() and not path.name.startswith(".")
+        if not path.is_dir() and not path.name.startswith(".")
     ]
     caches = [path for path in known if path.suffix.lower() in (".npz", ".pvd")]
-    frames = [path for path in known if path.name.lower().endswith((*MESH_SUFFIXES, *SUFFIXES))]
+    frames = [path for path in known if path.name.lower().endswith((*MESH_SUFFIXES, *CELL_SUFFIXES))]
     if caches and frames:
         raise InputError(f"{folder}: holds {frames[0].name} as well as {caches[0].name}; give what you mean by name")
     if not caches and not frames:
@@ -127,11 +142,13 @@ def _files_of(folder: Path) -> list[Path]:
     return caches or frames
 
 
-def _pvd_series(path: Path, max_bytes: int, displacement: str | None) -> list[Series]:
+def _pvd_series(path: Path, max_bytes: int, displacement: str | None, surface: bool) -> list[Series]:
     """The series of a collection of ParaView: a body for each part, with a file for each time."""
     try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, OSError) as error:
+        root = ET.fromstring(read_file(path, max_bytes))
+    except (ET.ParseError, LookupError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: its XML cannot be read ({error}); write it again") from error
     parts: dict[tuple[str, str], list[tuple[float, Path]]] = {}
     for entry in root.iter("DataSet"):
@@ -145,7 +162,8 @@ def _pvd_series(path: Path, max_bytes: int, displacement: str | None) -> list[Se
         raise InputError(f"{path}: is no collection of ParaView with a DataSet for each frame; {_ADVICE}")
     series: list[Series] = []
     for entries in parts.values():
-        files = [file for _, file in sorted(entries, key=lambda entry: entry[0])]
+        entries.sort(key=lambda entry: entry[0])
+        times, files = [time for time, _ in entries], [file for _, file in entries]
         name = path.name if len(parts) == 1 else series_name(files)
-        series.append(FileSeries(name, files, max_bytes, displacement))
+        series.append(FileSeries(name, files, max_bytes, displacement, surface, times))
     return series

@@ -196,3 +196,9 @@ def fan(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
     first = np.repeat(np.cumsum(counts) - counts, triangles)
     k = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     return corners[np.stack([first, first + k + 1, first + k + 2], axis=1)]
+
+
+def all_numbers(text: bytes, kind: Callable[[bytes], Any]) -> np.ndarray:
+    """The numbers of a text, in its order; ``kind`` is ``float`` or ``int``."""
+    blocks = [block.numbers(kind) for block in text_rows(text).blocks()]
+    return np.concatenate(blocks) if blocks else np.zeros(0)

@@ -12,19 +12,19 @@ from ccd_warp._input.foreign import on_host
 from ccd_warp._input.names import body_label, is_default_name
 
 
-def find_codimensional_points(
+def vertices_without_primitive(
     faces: NDArray[np.int32],
     edges: NDArray[np.int32],
-    with_codimensional_points: NDArray[np.bool_],
+    is_chosen: NDArray[np.bool_],
     vertex_body: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """Vertices in no face and no edge, of the bodies whose flag is set."""
-    if not with_codimensional_points.any():
+    """Vertices in no face and no edge, of the bodies that are chosen."""
+    if not is_chosen.any():
         return np.zeros(0, dtype=np.int32)
-    is_codimensional = with_codimensional_points[vertex_body]
-    is_codimensional[faces] = False
-    is_codimensional[edges] = False
-    return np.flatnonzero(is_codimensional).astype(np.int32)
+    is_without = is_chosen[vertex_body]
+    is_without[faces] = False
+    is_without[edges] = False
+    return np.flatnonzero(is_without).astype(np.int32)
 
 
 def validated_static(

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.kernel_cache import load_or_repair, unwritable_cache
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag, run, run_aside
@@ -28,8 +29,11 @@ def start_warp() -> None:
     """Initialise Warp, one thread at a time."""
     global _is_started
     if not _is_started:
-        with building:
-            wp.init()
+        try:
+            with building:
+                wp.init()
+        except OSError as error:
+            raise OSError(unwritable_cache(error.filename or wp.config.kernel_cache_dir, error)) from error
         _is_started = True
 
 
@@ -46,7 +50,7 @@ def load(kernel: Any, device: Any) -> None:
 
     def compile_module() -> None:
         with building:
-            wp.load_module(module=kernel.module, device=device, block_dim=block_dim_of(kernel, device))
+            load_or_repair(kernel, device, block_dim_of(kernel, device))
 
     if device.is_capturing:  # Warp allows it only on the thread of the capture
         compile_module()

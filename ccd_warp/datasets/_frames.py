@@ -36,7 +36,7 @@ def read_step(start_path: str | Path, end_path: str | Path, *, max_bytes: int = 
     Args:
         start_path: PLY file of the start positions; OBJ, STL, OFF, GLB and archives of them are accepted, too.
         end_path: PLY file of the end positions, with the same faces.
-        max_bytes: Limit on the unpacked size of an archive.
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         The mesh at both ends, with vertices and faces in the order of the files.

@@ -78,6 +78,7 @@ def part_mesh(
         edges=edges,
         codimensional_edges=codimensional_edges,
         codimensional_points=codimensional_points,
+        inner_vertices=np.zeros(0, dtype=np.int32),
         vertex_body=vertex_body,
         edge_body=vertex_body[edges[:, 0]],
         face_body=vertex_body[faces[:, 0]],

@@ -206,10 +206,11 @@ def near_squares(squares: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
-    """Indices of the vertices in no face and no edge, shape [P]."""
+    """Indices of the vertices in no face and no edge, without those inside volumes, shape [P]."""
     is_point = np.ones(mesh.num_vertices, dtype=bool)
     is_point[mesh.faces] = False
     is_point[mesh.edges] = False
+    is_point[mesh.inner_vertices] = False
     return np.flatnonzero(is_point).astype(np.int32)
 
 

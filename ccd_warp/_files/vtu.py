@@ -1,0 +1,167 @@
+"""Read VTU files, VTK's unstructured grids in XML: every array exactly as long as the header of its piece says."""
+
+import base64
+import re
+import zlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ccd_warp._files.cells import Blocks, Grid, vtk_blocks
+from ccd_warp._files.opened import check_size
+from ccd_warp._files.text import CUT, all_numbers
+from ccd_warp._input.messages import InputError
+
+_TYPES = {f"{name}{8 * size}": f"{kind}{size}" for name, kind in (("Int", "i"), ("UInt", "u")) for size in (1, 2, 4, 8)}
+_TYPES |= {"Float32": "f4", "Float64": "f8"}
+_ATTRIBUTES = {"type", "version", "byte_order", "header_type", "compressor"}
+_LZMA_BYTES = 1 << 28  # that LZMA may take for its dictionary
+
+
+def read_vtu(data: bytes, max_bytes: int) -> Grid:
+    """Points, cells and fields of a VTU file; the arrays lie in text, in base64, or as they are behind the XML.
+
+    Raises:
+        InputError: If an array is damaged, or has another length than stated, or takes more than the limit.
+    """
+    appended = re.search(rb"<AppendedData[^>]*>", data)
+    body = b""
+    if appended:
+        end = data.rfind(b"</AppendedData>")
+        body, data = data[appended.end() : end].lstrip(), data[: appended.end()] + data[end:]
+        if end < appended.end() or not body.startswith(b"_"):
+            raise InputError(f"its appended data do not begin with '_'; {CUT}")
+    root = ET.fromstring(data)
+    unknown = set(root.keys()) - _ATTRIBUTES
+    if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or unknown:
+        raise InputError(f"is no VTKFile of the type UnstructuredGrid with {', '.join(sorted(_ATTRIBUTES))} alone")
+    arrays = _Arrays(root, body[1:], max_bytes)
+    points, blocks, fields, first = [np.zeros((0, 3))], [], [], 0
+    for piece in _one(root, "UnstructuredGrid").findall("Piece"):
+        num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
+        (positions,) = _one(piece, "Points")
+        points.append(arrays.read(positions, "f", num_points, 3))
+        for name, cells in _cells(arrays, _one(piece, "Cells"), num_cells):
+            if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
+                raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
+            blocks.append((name, cells + first))
+        fields.append({each.get("Name", ""): partial(arrays.read, each, "fiu", num_points) for each in _fields(piece)})
+        first += num_points
+    names = [name for name in fields[0] if all(name in each for each in fields)] if fields else []
+    return Grid(np.concatenate(points), blocks, {name: partial(_joined, [f[name] for f in fields]) for name in names})
+
+
+def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
+    by_name = {array.get("Name"): array for array in parent}
+    if len(by_name) != len(parent):
+        raise InputError(f"two arrays of its cells have one name; {CUT}")
+    ends = arrays.read(by_name["offsets"], "iu", count).astype(np.int64)
+    types = arrays.read(by_name["types"], "iu", count)
+    corners = arrays.read(by_name["connectivity"], "iu", int(ends[-1]) if count else 0).astype(np.int64)
+    return vtk_blocks(types, ends, corners)
+
+
+def _joined(parts: list[Callable[[], np.ndarray]]) -> np.ndarray:
+    return np.concatenate([read() for read in parts])
+
+
+def _fields(piece: ET.Element) -> list[ET.Element]:
+    return [array for parent in piece.findall("PointData") for array in parent]
+
+
+def _one(parent: ET.Element, tag: str) -> ET.Element:
+    found = parent.findall(tag)
+    if len(found) != 1:
+        raise InputError(f"has {len(found)} {tag} in its {parent.tag}; expected one: {CUT}")
+    return found[0]
+
+
+class _Arrays:
+    """Reads the arrays of a file."""
+
+    def __init__(self, root: ET.Element, appended: bytes, max_bytes: int) -> None:
+        self.order = {"LittleEndian": "<", "BigEndian": ">"}[root.get("byte_order", "LittleEndian")]
+        self.header = np.dtype(self.order + {"UInt32": "u4", "UInt64": "u8"}[root.get("header_type", "UInt32")])
+        self.compressor = root.get("compressor")
+        self.appended, self.max_bytes = appended, max_bytes
+        encodings = [each.get("encoding") for each in root.findall("AppendedData")]
+        self.is_raw = encodings == ["raw"]
+        if encodings not in ([], ["raw"], ["base64"]):
+            raise InputError(f"has appended data in the encodings {encodings}; expected one, raw or base64")
+        self.offsets = [int(array.attrib["offset"]) for array in root.iter("DataArray") if "offset" in array.attrib]
+
+    def read(self, array: ET.Element, kinds: str, count: int, width: int | None = None) -> np.ndarray:
+        """The values of an array of ``count`` tuples, of a type of these kinds; [count, width] unless it is flat."""
+        name, dtype = array.get("Name"), np.dtype(self.order + _TYPES[array.attrib["type"]])
+        found = int(array.get("NumberOfComponents") or 1)
+        if array.tag != "DataArray" or dtype.kind not in kinds or found != (width or found) or found < 1 or count < 0:
+            raise InputError(f"its array {name!r} has {found} components of {dtype}; expected {width or 1}: {CUT}")
+        size = count * found * dtype.itemsize
+        check_size(f"its array {name!r}", size, self.max_bytes)
+        how = array.attrib["format"]
+        if how == "ascii":
+            values = all_numbers((array.text or "").encode(), float if dtype.kind == "f" else int)
+        elif how == "binary":
+            values = np.frombuffer(self._unpacked(_decoded((array.text or "").encode()), size), dtype)
+        elif how == "appended":
+            values = np.frombuffer(self._unpacked(self._appended(int(array.attrib["offset"])), size), dtype)
+        else:
+            raise InputError(f"its array {name!r} has the format {how!r}; expected ascii, binary or appended")
+        if len(values) != count * found:
+            raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * found}: {CUT}")
+        return values if width is None and found == 1 else values.reshape(count, found)
+
+    def _appended(self, offset: int) -> bytes:
+        """What lies between an offset and the next one."""
+        if not 0 <= offset < len(self.appended):
+            raise InputError(f"states the offset {offset} in {len(self.appended)} bytes of appended data; {CUT}")
+        end = min((each for each in self.offsets if each > offset), default=len(self.appended))
+        return self.appended[offset:end] if self.is_raw else _decoded(self.appended[offset:end])
+
+    def _unpacked(self, data: bytes, size: int) -> bytes:
+        """The content of a block of bytes, which begins with its sizes."""
+        unit = self.header.itemsize
+        if self.compressor is None:
+            found, begin = int(np.frombuffer(data, self.header, 1)[0]), unit
+            sizes, content = [found], data[begin : begin + found]
+        else:
+            number = int(np.frombuffer(data, self.header, 1)[0])
+            begin = (3 + number) * unit if number else unit
+            if begin > len(data):
+                raise InputError(f"ends within the sizes of an array; {CUT}")
+            _, full, last, *sizes = np.frombuffer(data[:begin], self.header).tolist() if number else (0, 0, 0)
+            if number and (number - bool(last)) * full + last != size:
+                raise InputError(f"an array unpacks to another size than {size} bytes; {CUT}")
+            at, parts = begin, []
+            for k, packed in enumerate(sizes):
+                parts.append(self._block(data[at : at + packed], last if last and k == number - 1 else full))
+                at += packed
+            content = b"".join(parts)
+        # At the end of appended data, the XML goes on with white space.
+        if len(content) != size or data[begin + sum(sizes) :].strip(b" \t\r\n"):
+            raise InputError(f"an array has {len(content)} bytes; expected {size}, and none behind it: {CUT}")
+        return content
+
+    def _block(self, data: bytes, size: int) -> bytes:
+        stream: Any
+        if self.compressor == "vtkZLibDataCompressor":
+            stream = zlib.decompressobj()
+        elif self.compressor == "vtkLZMADataCompressor":
+            import lzma  # which some builds of Python lack
+
+            stream = lzma.LZMADecompressor(memlimit=_LZMA_BYTES)
+        else:
+            raise InputError(f"is packed by {self.compressor!r}, which is not read; save it with zlib")
+        content = stream.decompress(data, size + 1)  # one byte more would be an excess
+        if len(content) != size or not stream.eof or stream.unused_data:
+            raise InputError(f"a block of an array does not unpack to {size} bytes; {CUT}")
+        return content
+
+
+def _decoded(text: bytes) -> bytes:
+    """The bytes of base64, with no character that is not part of it; each part ends where it is filled up with '='."""
+    text = b"".join(text.split())
+    return b"".join(base64.b64decode(part, validate=True) for part in re.findall(rb"[^=]+=*|=+", text))

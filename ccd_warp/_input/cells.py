@@ -1,0 +1,185 @@
+"""The boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids, mixed with shells."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._input.arguments import check_items, shown
+from ccd_warp._input.arrays import as_array
+from ccd_warp._input.foreign import on_host
+from ccd_warp._input.names import body_label
+
+_Integers = NDArray[np.int64]
+
+# The sides of each cell, outward in the order of VTK's tetrahedron; a triangle repeats its last corner.
+_SIDES = {
+    "tetra": ((0, 2, 1, 1), (0, 1, 3, 3), (1, 2, 3, 3), (0, 3, 2, 2)),
+    "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    "wedge": ((0, 2, 1, 1), (3, 4, 5, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "pyramid": ((0, 3, 2, 1), (0, 1, 4, 4), (1, 2, 4, 4), (2, 3, 4, 4), (3, 0, 4, 4)),
+}
+_SHELLS = {"triangle": ((0, 1, 2, 2),), "quad": ((0, 1, 2, 3),)}
+VOLUMES, SHELLS = tuple(_SIDES), tuple(_SHELLS)
+_CORNERS = {"tetra": 4, "hexahedron": 8, "wedge": 6, "pyramid": 5, "triangle": 3, "quad": 4}
+_BY_CORNERS = {_CORNERS[kind]: kind for kind in VOLUMES}
+_EXPECTED = f"cells by type, {', '.join(VOLUMES)}, {' or '.join(SHELLS)}"
+
+
+class _Sides(NamedTuple):
+    """The sides of some cells: their corners, shape [n, 4], and which of them are seen from within their cell."""
+
+    corners: _Integers
+    is_inward: NDArray[np.bool_]
+
+
+def cells_by_type(cells: Any) -> dict[str, NDArray[Any]]:
+    """Cells by type, from an array, a list of arrays, or what meshio calls ``cells`` or ``cells_dict``.
+
+    Raises:
+        ValueError: If they are nothing of this, or the number of columns of an array is that of no volume.
+    """
+    if isinstance(cells, Mapping):
+        return dict(cells)
+    if not hasattr(cells, "shape"):
+        blocks = check_items("cells", cells, f"an array, a list of arrays, or {_EXPECTED}")
+        if not any(np.ndim(block) == 1 and not isinstance(block, tuple) for block in blocks if not _is_block(block)):
+            found: dict[str, Any] = {}
+            for kind, values in map(_typed, blocks):
+                rows = as_array(on_host(values, "cells"), "cells", "integers and shape (n, corners)")
+                found[kind] = np.concatenate([found[kind], rows]) if kind in found else rows
+            return found
+    return dict([_typed(cells)])
+
+
+def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], NDArray[np.bool_]]:
+    """Bodies of :meth:`ccd_warp.CollisionMesh.from_arrays` with faces in place of cells, and which had cells."""
+    from ccd_warp._input.body_arrays import validated_positions
+
+    is_of_cells = np.zeros(len(bodies), dtype=bool)
+    for b, body in enumerate(bodies):
+        if isinstance(body, (tuple, list)) and len(body) in (2, 3) and isinstance(body[1], Mapping):
+            label = body_label(b, names)
+            vertices = validated_positions(body[0], f"vertices of {label}", 3)
+            faces = surface_of(body[1].items(), f"cells of {label}", len(vertices), vertices)
+            if not len(faces):
+                raise ValueError(f"cells of {label} are none; expected {_EXPECTED}")
+            bodies[b], is_of_cells[b] = (vertices, faces, *body[2:]), True
+    return bodies, is_of_cells
+
+
+def _is_block(block: Any) -> bool:
+    return (hasattr(block, "type") and hasattr(block, "data")) or (
+        isinstance(block, tuple) and len(block) == 2 and isinstance(block[0], str)
+    )
+
+
+def _typed(block: Any) -> tuple[str, Any]:
+    if _is_block(block):
+        return block if isinstance(block, tuple) else (block.type, block.data)
+    shape = np.shape(block)
+    if len(shape) != 2 or shape[1] not in _BY_CORNERS:
+        counts = ", ".join(f"{count} of a {kind}" for count, kind in sorted(_BY_CORNERS.items()))
+        raise ValueError(f"cells has shape {shape}; expected (n, corners) with {counts}, or {_EXPECTED}")
+    return _BY_CORNERS[shape[1]], block
+
+
+def surface_of(
+    cells: Iterable[tuple[str, Any]], label: str, num_vertices: int, vertices: NDArray[np.float64] | None = None
+) -> _Integers:
+    """The triangles of the boundary of volumes, and of shells that are no side of a volume.
+
+    A side with four corners is two triangles. It belongs to the boundary if it is a side of one cell alone; a corner
+    that a cell repeats, as a hexahedron that has shrunk to a wedge does, counts once.
+
+    Args:
+        cells: Cells with their types, in the order of corners of VTK, either way round.
+        label: What messages call them.
+        num_vertices: Number of vertices.
+        vertices: Their positions, by which sides are turned outward, shape [n, 3]; without them they are as in a cell
+            that is not mirrored.
+
+    Returns:
+        Triangles in the order of cells, volumes before shells, int64, shape [m, 3].
+
+    Raises:
+        ValueError: If a type or an index is not known, or two volumes have the same corners, or more
+            than two the same side, so that nobody could say what is outside.
+    """
+    from ccd_warp._input.body_arrays import validated_indices
+
+    volumes, shells, keys = [], [], []
+    for kind, values in cells:
+        if kind not in _CORNERS:
+            raise ValueError(f"{label} holds the type {shown(kind)}; expected {_EXPECTED}")
+        corners = validated_indices(values, _CORNERS[kind], num_vertices, f"{label}[{kind!r}]")
+        if kind in _SHELLS:
+            shells.append(corners[:, _SHELLS[kind][0]])
+            continue
+        of_kind = corners[:, _SIDES[kind]]
+        is_mirrored = np.zeros(len(corners), dtype=bool) if vertices is None else _is_mirrored(of_kind, vertices)
+        volumes.append(_Sides(of_kind.reshape(-1, 4), np.repeat(is_mirrored, len(_SIDES[kind]))))
+        keys.append(np.pad(_distinct(corners), ((0, 0), (8 - _CORNERS[kind], 0)), constant_values=-1))
+    shell = np.concatenate([*shells, np.zeros((0, 4), dtype=np.int64)])
+    if not volumes:
+        return _triangles(shell)
+    _check_cells_differ(keys, label)
+    sides, is_inward = (np.concatenate(parts) for parts in zip(*volumes, strict=True))
+    has_area = _distinct(sides)[:, 1] >= 0  # three corners or more, not those of which only an edge is left
+    sides, is_inward = sides[has_area], is_inward[has_area]
+    number, of_side = _numbered(_distinct(np.concatenate([sides, shell])))
+    count = np.bincount(number[: len(sides)], minlength=of_side)
+    if count.max(initial=0) > 2:
+        k = int(np.argmax(count[number[: len(sides)]] > 2))
+        raise ValueError(f"{label} has {count.max()} cells at the side {sides[k].tolist()}; expected at most two")
+    is_outer = count[number[: len(sides)]] == 1
+    sides[is_inward] = sides[is_inward][:, [0, 3, 2, 1]]
+    kept = np.concatenate([sides[is_outer], shell[count[number[len(sides) :]] == 0]])
+    return _triangles(kept)
+
+
+def _triangles(sides: _Integers) -> _Integers:
+    """Two triangles of each side, one where the other repeats a corner because the side has three."""
+    triangles = sides[:, [[0, 1, 2], [0, 2, 3]]]
+    is_whole = (triangles != np.roll(triangles, 1, axis=2)).all(axis=2)
+    is_whole[:, 0] |= ~is_whole[:, 1]
+    kept: _Integers = triangles[is_whole]
+    return kept
+
+
+def _is_mirrored(sides: _Integers, vertices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which cells, given by their sides, shape [n, s, 4], have a negative volume in this order of corners."""
+    points = vertices[sides]
+    with np.errstate(all="ignore"):
+        points = points / (np.abs(vertices).max(initial=0.0) or 1.0)
+        a, b, c, d = np.moveaxis(points - points.mean(axis=(1, 2))[:, None, None], 2, 0)
+        volume = np.einsum("nsi,nsi->n", a, np.cross(b, c) + np.cross(c, d))
+    mirrored: NDArray[np.bool_] = volume < 0.0
+    return mirrored
+
+
+def _distinct(corners: _Integers) -> _Integers:
+    """The corners of each row in ascending order, each once, after as many -1 as are missing."""
+    found = np.sort(corners, axis=1)
+    found[:, 1:][found[:, 1:] == found[:, :-1]] = -1
+    found.sort(axis=1)
+    return found
+
+
+def _numbered(rows: _Integers) -> tuple[_Integers, int]:
+    """A number for each row, the same for the same row, and how many there are."""
+    order = np.lexsort(rows.T)
+    number = np.zeros(len(rows), dtype=np.int64)
+    number[order[1:]] = np.cumsum((rows[order[1:]] != rows[order[:-1]]).any(axis=1))
+    return number, int(number.max(initial=-1)) + 1
+
+
+def _check_cells_differ(keys: list[_Integers], label: str) -> None:
+    rows = np.concatenate(keys)
+    number, count = _numbered(rows)
+    if count < len(rows):
+        twice = rows[np.argmax(np.bincount(number)[number] > 1)]
+        raise ValueError(
+            f"{label} holds two cells of the vertices {twice[twice >= 0].tolist()}; expected each cell once"
+        )

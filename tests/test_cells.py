@@ -1,0 +1,186 @@
+"""Volume cells: their boundary surface, and a mesh that takes and gives the positions of all nodes."""
+
+import itertools
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import ccd_warp as ccd
+
+CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+SIX = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]  # tetrahedra of a cube
+TWO = [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]  # its wedges
+BELOW = [[0, 1, 2, 3], [4, 7, 6, 5], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]  # its sides, from within
+PLATE = (np.array([[-9.0, -9.0, -1.0], [9.0, -9.0, -1.0], [0.0, 9.0, -1.0]]), [[0, 1, 2]])
+SIZE = (4, 3, 3)
+
+
+@pytest.fixture(scope="module")
+def bar():
+    """Nodes of a bar of 4 x 3 x 3 unit cubes, and its cells of each type, by name; pyramids have the middles, too."""
+    cubes = np.array(list(itertools.product(*map(range, SIZE))))
+    nodes, index = np.unique((cubes[:, None] + CUBE).reshape(-1, 3), axis=0, return_inverse=True)
+    hexahedra = index.reshape(-1, 8)
+    middles = len(nodes) + np.arange(len(cubes))
+    pyramids = [np.column_stack([hexahedra[:, side], middles]) for side in BELOW]
+    nodes = np.concatenate([nodes, cubes + 0.5]).astype(float)
+    return nodes, {
+        "tetra": np.concatenate([hexahedra[:, four] for four in SIX]),
+        "hexahedron": hexahedra,
+        "wedge": np.concatenate([hexahedra[:, six] for six in TWO]),
+        "pyramid": np.concatenate(pyramids),
+    }
+
+
+def _volume(mesh) -> float:
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _assert_is_outward_surface_of_bar(mesh):
+    half_edges = Counter((f[k], f[k - 2]) for f in mesh.faces.tolist() for k in range(3))
+    assert all(half_edges[b, a] == 1 for a, b in half_edges), "not closed, or not turned alike"
+    assert _volume(mesh) == pytest.approx(np.prod(SIZE))
+    x, y, z = SIZE
+    assert mesh.num_faces == 4 * (x * y + y * z + z * x)
+    is_inside = ((mesh.vertices > 0) & (mesh.vertices < SIZE)).all(axis=1)
+    assert mesh.inner_vertices.tolist() == np.flatnonzero(is_inside).tolist()
+
+
+@pytest.mark.parametrize("kind", ["tetra", "hexahedron", "wedge", "pyramid"])
+def test_the_surface_of_cells_of_one_type_is_closed_and_outward(bar, kind):
+    nodes, cells = bar
+    _assert_is_outward_surface_of_bar(ccd.CollisionMesh.from_volume(nodes, cells[kind]))
+
+
+def test_mirrored_cells_and_mixed_types_have_the_same_surface(bar):
+    """Columns of hexahedra and of wedges in turn, whose sides with four corners are one; every way to give them."""
+    nodes, cells = bar
+    is_wedge = nodes[cells["hexahedron"][:, 0]].astype(int)[:, :2].sum(axis=1) % 2 == 1
+    wedges = cells["wedge"].reshape(2, -1, 6)[:, is_wedge].reshape(-1, 6)
+    half = {"hexahedron": cells["hexahedron"][~is_wedge], "wedge": wedges}
+    mirrored = nodes * [-1.0, 1.0, 1.0]
+    blocks = [SimpleNamespace(type=kind, data=values) for kind, values in half.items()]
+    for given in (half, list(half.values()), list(half.items()), blocks, [*blocks[::-1]]):
+        mesh = ccd.CollisionMesh.from_volume(nodes, given)
+        _assert_is_outward_surface_of_bar(mesh)
+        assert _volume(ccd.CollisionMesh.from_volume(mirrored, given)) == pytest.approx(np.prod(SIZE))
+    nested = ccd.CollisionMesh.from_volume(nodes, cells["tetra"].tolist())
+    _assert_is_outward_surface_of_bar(nested)
+
+
+def test_hexahedra_with_repeated_corners_are_what_they_have_shrunk_to(bar):
+    nodes, cells = bar
+    wedges = cells["wedge"][:, [0, 1, 2, 2, 3, 4, 5, 5]]
+    shrunk = ccd.CollisionMesh.from_volume(nodes, wedges)
+    assert np.array_equal(np.sort(shrunk.faces), np.sort(ccd.CollisionMesh.from_volume(nodes, cells["wedge"]).faces))
+    tetrahedra = cells["tetra"][:, [0, 1, 2, 2, 3, 3, 3, 3]]
+    _assert_is_outward_surface_of_bar(ccd.CollisionMesh.from_volume(nodes, tetrahedra))
+
+
+def test_shells_that_are_sides_of_volumes_add_nothing_and_others_are_faces(bar):
+    nodes, cells = bar
+    plain = ccd.CollisionMesh.from_volume(nodes, cells["hexahedron"])
+    both = {"quad": cells["hexahedron"][:, [0, 1, 5, 4]], "hexahedron": cells["hexahedron"]}
+    assert np.array_equal(ccd.CollisionMesh.from_volume(nodes, both).faces, plain.faces)
+    fin = {"hexahedron": cells["hexahedron"], "triangle": [[0, 1, len(nodes) - 1]]}
+    mesh = ccd.CollisionMesh.from_volume(nodes, fin)
+    assert mesh.faces[-1].tolist() == [0, 1, len(nodes) - 1] and mesh.num_faces == plain.num_faces + 1
+    assert len(mesh.inner_vertices) == len(plain.inner_vertices) - 1
+
+
+def _step(nodes, mesh):
+    """The bar falls on the plate by two, and what is inside flies anywhere."""
+    x0 = np.vstack([nodes, PLATE[0]])
+    x1 = x0.copy()
+    x1[: len(nodes)] += np.stack([0.1 * nodes[:, 1], 0 * nodes[:, 0], -2.0 + 0.05 * nodes[:, 0]], axis=1)
+    x1[mesh.inner_vertices] += np.random.default_rng(0).uniform(-20.0, 20.0, (len(mesh.inner_vertices), 3))
+    return x0, x1
+
+
+def test_all_nodes_go_in_and_out_and_those_inside_meet_nothing(bar):
+    """Every answer is that of the surface alone, whose vertices have numbers of their own."""
+    nodes, cells = bar
+    mesh = ccd.CollisionMesh.from_volume(nodes, cells["tetra"], [PLATE], static=[1], names=["bar", "plate"])
+    x0, x1 = _step(nodes, mesh)
+    kept = np.setdiff1d(np.arange(mesh.num_vertices), mesh.inner_vertices)
+    number = np.full(mesh.num_vertices, -1)
+    number[kept] = np.arange(len(kept))
+    own = kept[kept < len(nodes)]
+    faces = number[mesh.faces[mesh.face_body == 0]]
+    surface = ccd.CollisionMesh.from_arrays([(nodes[own], faces), PLATE], static=[1], names=["bar", "plate"])
+
+    options = {"length_scale": 4.0}
+    full, alone = (ccd.mesh_ccd(m, *x, **options) for m, x in ((mesh, (x0, x1)), (surface, (x0[kept], x1[kept]))))
+    assert 0.4 < full.toi == alone.toi < 0.51 and full.vertex_toi.shape == (mesh.num_vertices,)
+    assert np.array_equal(full.vertex_toi[kept], alone.vertex_toi)
+    assert np.isinf(full.vertex_toi[mesh.inner_vertices]).all()
+    assert np.array_equal(np.sort(number[full.contacts.vertices]), np.sort(alone.contacts.vertices))
+    assert ccd.collision_free_step(mesh, x0, x1, **options) == ccd.collision_free_step(
+        surface, x0[kept], x1[kept], **options
+    )
+    found = ccd.line_search(mesh, x0, x1, per="vertex", **options)
+    assert np.array_equal(
+        found.vertices[kept], ccd.line_search(surface, x0[kept], x1[kept], per="vertex", **options).vertices
+    )
+    assert np.array_equal(found.vertices[mesh.inner_vertices], x1[mesh.inner_vertices])
+    assert len(ccd.find_intersections(mesh, x1)) == len(ccd.find_intersections(surface, x1[kept])) > 0
+    near, near_alone = ccd.find_proximity(mesh, x0, 1.1), ccd.find_proximity(surface, x0[kept], 1.1)
+    assert len(near) == len(near_alone) > 0 and not np.isin(near.vertices, mesh.inner_vertices).any()
+    pairs, pairs_alone = (ccd.find_candidates(m, *x) for m, x in ((mesh, (x0, x1)), (surface, (x0[kept], x1[kept]))))
+    assert np.array_equal(number[pairs.vertex_face[:, 0]], pairs_alone.vertex_face[:, 0])
+    launched = ccd.CollisionPipeline(mesh, device="cpu", **options).launch(x0, x1).to_host()
+    assert launched.toi == full.toi and np.array_equal(launched.vertex_toi, full.vertex_toi)
+
+
+def test_without_the_cells_a_node_inside_would_hit_its_own_surface(bar):
+    nodes, cells = bar
+    mesh = ccd.CollisionMesh.from_volume(nodes, cells["tetra"])
+    end = nodes.copy()
+    end[mesh.inner_vertices] += [0.0, 0.0, 9.0]
+    assert ccd.mesh_ccd(mesh, nodes, end).toi == np.inf
+    end[mesh.inner_vertices[0]] = [0.5, 0.25, 0.0]  # on a face
+    assert len(ccd.find_intersections(mesh, end)) == 0
+    assert ccd.mesh_ccd(ccd.CollisionMesh.from_arrays([(nodes, mesh.faces)]), nodes, end).toi < 0.4
+
+
+def test_nodes_inside_fall_through_a_half_space_and_copies_have_their_own(bar):
+    nodes, cells = bar
+    ground = ccd.HalfSpace([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
+    mesh = ccd.CollisionMesh.from_volume(nodes, cells["tetra"], [ground], codimensional_points=True)
+    end = nodes - [0.0, 0.0, 0.5]
+    end[mesh.inner_vertices] -= [0.0, 0.0, 9.0]
+    assert ccd.mesh_ccd(mesh, nodes, end).toi == np.inf and len(ccd.find_intersections(mesh, end)) == 0
+    both = mesh.replicate(2)
+    assert len(both.inner_vertices) == 2 * len(mesh.inner_vertices) and not len(both.codimensional_points)
+    assert "vertices inside" in repr(mesh)
+
+
+@pytest.mark.parametrize(
+    "cells, message",
+    [
+        ([[0, 1, 2, 3], [1, 0, 2, 3]], "holds two cells of the vertices"),
+        ([[0, 1, 2, 4], [0, 1, 2, 5], [0, 1, 2, 6]], r"has 3 cells at the side \[0, 2, 1, 1\]; expected at most two"),
+        ([[0, 1, 2, 300]], r"holds index 300; expected indices in \[0, 116\)"),
+        (np.zeros((2, 7), dtype=int), r"cells has shape \(2, 7\); expected \(n, corners\) with 4 of a tetra"),
+        ({"tetra10": np.zeros((1, 10), dtype=int)}, "holds the type 'tetra10'; expected cells by type"),
+        ({"tetra": np.zeros((0, 4), dtype=int)}, "cells of body 0 are none"),
+        ({}, "cells of body 0 are none"),
+        (3, "cells is 3; expected an array"),
+        ("tetra", "cells is 'tetra'; expected an array"),
+        ({"tetra": [[0.0, 1.0, 2.0, 3.0]]}, "expected integers"),
+    ],
+)
+def test_cells_without_a_clear_outside_are_refused(bar, cells, message):
+    with pytest.raises(ValueError, match=message):
+        ccd.CollisionMesh.from_volume(bar[0], cells)
+
+
+def test_a_list_of_bodies_may_hold_cells_by_type(bar):
+    nodes, cells = bar
+    mesh = ccd.CollisionMesh.from_arrays([PLATE, (nodes, {"hexahedron": cells["hexahedron"]})], static=[0])
+    assert mesh.num_faces == 1 + 132 and (mesh.inner_vertices > 3).all()
+    with pytest.raises(ValueError, match=r"has shape \(2, 2\); expected \(n, 3\)"):
+        ccd.CollisionMesh.from_arrays([(np.zeros((2, 2)), {"tetra": np.zeros((1, 4), dtype=int)})])
