@@ -603,7 +603,7 @@ def packed(tmp_path_factory):
     (folder / "answers.json").write_text("{}")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(pack, "_PRESET", 0)
-        pack.pack(folder, 1 << 20, ["trimesh"], TESTS, None)
+        pack.pack(folder, 1 << 19, ["trimesh"], TESTS, None)
     return folder / "parts"
 
 
@@ -617,7 +617,7 @@ def unpacked(arguments, capsys):
 def test_parts_that_come_one_by_one_are_put_together(packed, tmp_path, capsys):
     parts = sorted(path for path in packed.iterdir() if path.suffix.removeprefix(".").isdigit())
     assert {path.stem for path in parts} == {"packages", "check"} and len(parts) > 3
-    assert all(path.stat().st_size <= 1 << 20 for path in parts)
+    assert all(path.stat().st_size <= 1 << 19 for path in parts)
     into = tmp_path / "there"
     for path in parts:
         carried = tmp_path / path.name
