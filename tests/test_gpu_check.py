@@ -674,7 +674,7 @@ def test_parts_that_are_missing_or_damaged_are_named(packed, tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, error",
     [
-        (["--limit", "12"], "limit is '12'; expected a number of bytes of at least 65536, as 60M"),
+        (["--limit", "12"], "limit is '12'; expected a number of bytes of at least 65536, as 56M"),
         (["--limit", "many"], "limit is 'many'; expected"),
         (["--packages", "no-such"], "packages holds 'no-such', which is not installed; expected a package that is"),
     ],

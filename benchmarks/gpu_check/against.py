@@ -20,6 +20,7 @@ from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere, long_step, pile
 import ccd_warp as ccd
 
 _REPEATS = 5
+_NEAR = 0.8  # of the mean length of an edge: what lies around a vertex or an edge, and is not connected to it
 _MOST_NEAR = 64  # partners of a vertex or an edge that newton keeps
 
 
@@ -67,12 +68,11 @@ def beside_newton(target: Target, record: Record, name: str, scene: Scene, repea
     import newton
     from newton._src.geometry.tri_mesh_collision import TriMeshCollisionDetector  # its public solvers call this
 
-    body = 0
     mesh = scene.mesh(ccd)
-    begin, end = mesh.body_vertex_range[body : body + 2]
-    faces = mesh.faces[(mesh.faces < end).all(axis=1)]
-    x = scene.vertices_t0[begin:end]
-    distance = 0.5 * float(np.linalg.norm(x[faces[:, 1]] - x[faces[:, 0]], axis=1).mean())
+    count = mesh.body_vertex_range[1]
+    faces = mesh.faces[(mesh.faces < count).all(axis=1)]
+    x = scene.vertices_t0[:count]
+    distance = _NEAR * float(np.linalg.norm(x[faces[:, 1]] - x[faces[:, 0]], axis=1).mean())
     builder = newton.ModelBuilder()
     builder.add_cloth_mesh(
         pos=wp.vec3(), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(), density=1.0,
@@ -82,7 +82,6 @@ def beside_newton(target: Target, record: Record, name: str, scene: Scene, repea
         builder.finalize(device=target.device),
         vertex_collision_buffer_pre_alloc=_MOST_NEAR,
         edge_collision_buffer_pre_alloc=_MOST_NEAR,
-        topological_contact_filter_threshold=2,
         init_collision_info=True,
     )
 
@@ -93,11 +92,13 @@ def beside_newton(target: Target, record: Record, name: str, scene: Scene, repea
 
     alone = ccd.CollisionMesh.from_arrays([(x, faces)])
     pipeline = ccd.CollisionPipeline(alone, device=target.device)
-    pipeline.reserve(vertices=x)
     start = target.array(x, wp.vec3d)
+    pipeline.reserve(vertices=x, max_pairs=1 << 20 if target.is_short else 1 << 24)
+    pipeline.reserve(max_contacts=2 * int(pipeline.launch_proximity(start, distance).count.numpy()[0]) + 1)
     ours = middle(target.seconds_on_device(lambda: pipeline.launch_proximity(start, distance), repeats))["median"]
     other = middle(target.seconds_on_device(theirs, repeats))["median"]
-    near = int(pipeline.launch_proximity(start, distance).count.numpy()[0])
+    result = pipeline.launch_proximity(start, distance)
+    near, flags = int(result.count.numpy()[0]), int(result.flags.numpy()[0])
     found = int(detector.vertex_colliding_triangles_count.numpy().sum())
     found += int(detector.edge_colliding_edges_count.numpy().sum()) // 2  # each edge lists the other
     record.add(
@@ -108,4 +109,5 @@ def beside_newton(target: Target, record: Record, name: str, scene: Scene, repea
         seconds={"device": {"launch_proximity": ours}, "newton": {"detection": other}},
         ratios={"launch_proximity": other / ours},
         pairs={"ours": near, "newton": found},
+        flags=flags,
     )

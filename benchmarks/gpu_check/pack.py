@@ -30,7 +30,7 @@ import ccd_warp
 # What the package requires and a machine with a GPU may lack; NumPy is there wherever PyTorch, JAX or CuPy is.
 PACKAGES = ("warp-lang", "trimesh")
 _NEEDS = ("numpy",)
-_LIMIT, _LEAST = 60 << 20, 1 << 16  # bytes of a part
+_LEAST = 1 << 16  # bytes of a part
 _BLOCK = 32 << 20  # bytes that a thread compresses at a time
 _PRESET = 6  # of xz
 _UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
@@ -45,14 +45,14 @@ Files = list[tuple[str, Path]]
 
 
 def size_of(text: str) -> int:
-    """Bytes, as 60M or 1000000.
+    """Bytes, as 56M or 1000000.
 
     Raises:
         ValueError: If it is no size, or too small for a part.
     """
     number, unit = (text[:-1], text[-1]) if text[-1:].upper() in _UNITS else (text, "")
     if not number.isdigit() or int(number) * _UNITS.get(unit.upper(), 1) < _LEAST:
-        raise ValueError(f"limit is {text!r}; expected a number of bytes of at least {_LEAST}, as 60M")
+        raise ValueError(f"limit is {text!r}; expected a number of bytes of at least {_LEAST}, as 56M")
     return int(number) * _UNITS.get(unit.upper(), 1)
 
 
@@ -140,15 +140,14 @@ def pack(
     (folder / "gpu_check.sh").write_text(_SCRIPT, encoding="utf-8")
     parts = folder / "parts"
     parts.mkdir(exist_ok=True)
-    others = {name: importlib.metadata.version(name) for name in packages if files_of_package(name)} | {"limit": limit}
+    others = {name: importlib.metadata.version(name) for name in packages}
     before = read_json(parts / unpack.MANIFEST) or {}
-    archives = before.get("archives", {})
-    is_same = before.get("packages") == others and all(
-        (parts / each["name"]).is_file() for each in archives["packages"]
-    )
-    if not is_same:  # compressing Warp takes minutes
-        files = [file for name in packages for file in files_of_package(name)]
-        archives = {"packages": divide(compressed(files), parts, "packages", limit)}
+    kept = [parts / each["name"] for each in before.get("archives", {}).get("packages", [])]
+    if before.get("packages") == others and all(path.is_file() for path in kept):  # compressing Warp takes minutes
+        streams: Iterable[bytes] = [path.read_bytes() for path in kept]
+    else:
+        streams = compressed([file for name in packages for file in files_of_package(name)])
+    archives = {"packages": divide(streams, parts, "packages", limit)}
     archives["check"] = divide(compressed(files_of_check(folder, tests, examples)), parts, "check", limit)
     manifest = {"machine": platform.machine(), "needs": _NEEDS, "packages": others, "archives": archives}
     write_json(parts / unpack.MANIFEST, manifest)
@@ -161,7 +160,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m ccd_warp.benchmarks.gpu_check pack", description=__doc__)
     root = Path.cwd()
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder; what it has already is kept")
-    parser.add_argument("--limit", metavar="BYTES", default="60M", help="of a part (60M)")
+    parser.add_argument("--limit", metavar="BYTES", default="56M", help="of a part (56M)")
     parser.add_argument("--arch", metavar="N", type=int, nargs="+", default=[90], help="GPUs of the cubins (90)")
     parser.add_argument("--packages", metavar="NAME", nargs="+", default=PACKAGES, help=f"({' '.join(PACKAGES)})")
     parser.add_argument("--tests", metavar="DIR", type=Path, default=root / "tests", help="folder of the tests")
