@@ -1,6 +1,7 @@
 """The check for a first GPU: rehearsed from beginning to end, and when a stage fails, hangs or is resumed."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -599,8 +600,11 @@ def packed(tmp_path_factory):
     """A folder of parts, made as the command does, of one small package."""
     folder = tmp_path_factory.mktemp("packed")
     (folder / "cubins").mkdir()
-    (folder / "cubins" / precompile.MANIFEST).write_text('{"files": []}')
-    (folder / "answers.json").write_text("{}")
+    (folder / "cubins" / precompile.MANIFEST).write_text(
+        json.dumps({"files": [], "warp": wp.config.version, "modules": 0, "archs": [90]})
+    )
+    answers = {"code": fingerprint.fingerprint(), "warp": wp.config.version, "cases": {}}
+    (folder / "answers.json").write_text(json.dumps(answers))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(pack, "_PRESET", 0)
         pack.pack(folder, 1 << 19, ["trimesh"], TESTS, None)
@@ -614,7 +618,7 @@ def unpacked(arguments, capsys):
     return status, said.out + said.err
 
 
-def test_parts_that_come_one_by_one_are_put_together(packed, tmp_path, capsys):
+def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, capsys):
     parts = sorted(path for path in packed.iterdir() if path.suffix.removeprefix(".").isdigit())
     assert {path.stem for path in parts} == {"packages", "check"} and len(parts) > 3
     assert all(path.stat().st_size <= 1 << 19 for path in parts)
@@ -634,15 +638,26 @@ def test_parts_that_come_one_by_one_are_put_together(packed, tmp_path, capsys):
     assert not list((into / "parts").iterdir())  # they are not kept twice
     assert unpacked([packed, "--into", into], capsys)[0] == 0  # nothing is done again
 
-    # the code is taken for the same, in another place and in the layout of an installed package
-    program = (
-        "import sys; sys.path[:0] = sys.argv[1:];"
-        "from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint; print(fingerprint())"
+    # a machine with Warp and NumPy alone, which are not of the parts here, and without a network, where that can be had
+    site = tmp_path / "site"
+    site.mkdir()
+    for package in (wp, np):
+        (site / package.__name__).symlink_to(Path(package.__file__).parent)
+    libraries = Path(np.__file__).parents[1] / "numpy.libs"
+    if libraries.exists():
+        (site / libraries.name).symlink_to(libraries)
+    (tmp_path / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n')
+    (tmp_path / "python").chmod(0o755)
+    alone = (
+        ["unshare", "-rn"] if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode == 0 else []
     )
-    command = [sys.executable, "-S", "-P", "-c", program]
-    site = Path(np.__file__).parents[1]
-    done = subprocess.run([*command, str(into / "site"), str(site)], capture_output=True, text=True)
-    assert done.stdout.split()[-1:] == [fingerprint.fingerprint()], done.stderr
+    environment = os.environ | {"PYTHONPATH": str(site), "PYTHON": str(tmp_path / "python")}
+    arguments = ["--output", str(tmp_path / "out"), "--device", "cpu", "--apart", "--only", "machine"]
+    run = [*alone, "sh", str(into / "gpu_check.sh"), *arguments]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 answers of the CPU are carried along" in done.stdout  # the code is taken for the same
+    assert "== machine: done" in done.stdout and "## Goals" in done.stdout
 
 
 def test_parts_that_are_missing_or_damaged_are_named(packed, tmp_path, capsys):

@@ -37,8 +37,11 @@ _UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
 _SCRIPT = """#!/bin/sh
 # Runs the check from what lies beside this file; further options are those of gpu_check.
 here=$(cd "$(dirname "$0")" && pwd)
+for name in tests examples; do
+    [ -d "$here/$name" ] && set -- "--$name" "$here/$name" "$@"
+done
 PYTHONPATH="$here/site${PYTHONPATH:+:$PYTHONPATH}" exec "${PYTHON:-python3}" -P -m ccd_warp.benchmarks.gpu_check \\
-    --precompiled "$here/cubins" --answers "$here/answers.json" --tests "$here/tests" --examples "$here/examples" "$@"
+    --precompiled "$here/cubins" --answers "$here/answers.json" "$@"
 """
 
 Files = list[tuple[str, Path]]
