@@ -206,14 +206,18 @@ def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows
 
     monkeypatch.setattr(runner.subprocess, "Popen", start)
     monkeypatch.setattr(runner, "_GRACE", 0.2)
-    after = stage(lambda target, record, **_: None, "queries")
-    run_in(tmp_path, [stage(raise_error, "bits"), after], monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
+    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: None, "queries")]
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
     found = records(tmp_path)["bits"]
-    assert found["status"] == STOPPED and found["rows"][:1] == [{"n": 1}] and found["cases"] == ["first", "second"]
-    assert "was ended in second" in found["error"] and found["rows"][2]["case"] == "second"
+    assert found["status"] == STOPPED and found["rows"][:1] == [{"n": 1}] and found["cases"] == ["first"]
+    assert "was ended in second" in found["error"] and found["ended"] == ["second"]
     assert not is_running(found["rows"][1]["child"])
     assert not (tmp_path / "gpu_check.stage.json").exists()
     assert "was ended in second" in (tmp_path / "gpu_check.md").read_text()
+    # the case has another try, and no third one
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
+    found = records(tmp_path)["bits"]
+    assert found["cases"] == ["first", "second"] and found["rows"][-1]["case"] == "second"
 
 
 def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case_it_was_in(tmp_path, monkeypatch):
@@ -259,12 +263,6 @@ def test_stage_that_fails_in_a_case_goes_on_after_it_and_what_there_was_no_time_
     done.append("c")
     run_in(tmp_path, [stage(run, "queries")], monkeypatch)
     assert done[4:] == ["d"] and not records(tmp_path)["queries"]["is_cut"]
-
-
-def test_stage_runs_in_a_process_of_its_own(tmp_path):
-    """As on a GPU: the process is ordered to run a stage on the CPU, and leaves its record in a file."""
-    assert rehearse(tmp_path, "--device", "cpu", "--apart", "--only", "machine") == 0
-    assert any("versions" in row for row in records(tmp_path)["machine"]["rows"])
 
 
 def test_file_that_is_not_whole_is_no_record(tmp_path):
@@ -320,7 +318,7 @@ def test_carried_answers_are_in_place_of_the_cpu_where_code_and_input_are_the_sa
 
     # other input: what another version of NumPy may make of it; the CPU is asked here
     raw = json.loads(answers.read_text())
-    raw["cases"] = {name: ["0" * 16, answer] for name, (_, answer) in raw["cases"].items()}
+    raw["short"] = {name: ["0" * 16, answer] for name, (_, answer) in raw["short"].items()}
     other = answers.with_name("other.json")
     other.write_text(json.dumps(raw))
     record, asked[:] = Record(None, 60.0, lambda line: None), []
@@ -603,7 +601,7 @@ def packed(tmp_path_factory):
     (folder / "cubins" / precompile.MANIFEST).write_text(
         json.dumps({"files": [], "warp": wp.config.version, "modules": 0, "archs": [90]})
     )
-    answers = {"code": fingerprint.fingerprint(), "warp": wp.config.version, "cases": {}}
+    answers = {"code": fingerprint.fingerprint(), "warp": wp.config.version, "cases": {}, "short": {}}
     (folder / "answers.json").write_text(json.dumps(answers))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(pack, "_PRESET", 0)

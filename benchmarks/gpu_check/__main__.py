@@ -114,7 +114,9 @@ def check(given: argparse.Namespace) -> int:
     places = {name: getattr(given, name) or found(name, file) for name, file in _FOLDERS.items()}
     if given.answers is not None:
         places["answers"] = given.answers.resolve()
-        print(f"{len(read_answers(places['answers']))} answers of the CPU are carried along", flush=True)
+        print(
+            f"{len(read_answers(places['answers'], target.is_short))} answers of the CPU are carried along", flush=True
+        )
     settings = {"device": target.device, "kind": target.kind, "code": fingerprint(), "warp": wp.config.version}
     settings["gpu"] = identity(target.device)
     journal = Journal(folder, settings, is_anew=given.again)

@@ -28,7 +28,7 @@ _MOST_SAID = 12  # differences that are described
 
 def run(target: Target, record: Record, *, answers: Path | None = None, **_: Any) -> None:
     """Compare all cases, and keep a row for each: the numbers of arrays and values, and what differs or fails."""
-    known = {} if answers is None else read_answers(answers)
+    known = {} if answers is None else read_answers(answers, target.is_short)
     twins: dict[str, Case] = {}
     # The emulated device is the CPU to Warp, and either that or itself: what the CPU gives is computed before.
     before = references(target, record) if target.kind == EMULATED else None
@@ -43,7 +43,7 @@ def run(target: Target, record: Record, *, answers: Path | None = None, **_: Any
     with target.checked():
         for case in chosen(target):
             if before is not None and case.name not in before:
-                record.has_time(case.name, record.seconds)
+                record.leave_out(case.name, "no time was left")
                 record.is_cut = True
             elif record.begins(case.name):
                 inputs, answer = known.get(case.name, ("", ""))
@@ -105,21 +105,21 @@ def digest_of(arrays: Arrays) -> str:
     return digest.hexdigest()[:16]
 
 
-def write_answers(path: Path, is_short: bool = False) -> int:
-    """Write a digest of the input and of the CPU's answer of each case; returns the number of cases."""
-    found = {}
-    for case in all_cases(is_short):
-        arrays = outcome(case, "cpu")
-        if isinstance(arrays, str):
-            raise RuntimeError(f"{case.name}: {arrays}")
-        found[case.name] = digest_of(case.inputs), digest_of(arrays)
-    write_json(path, {"code": fingerprint(), "warp": wp.config.version, "cases": found})
-    return len(found)
+def write_answers(path: Path) -> None:
+    """Write a digest of the input and of the CPU's answer of each case, and of each case of a rehearsal."""
+    found: dict[str, dict[str, tuple[str, str]]] = {"cases": {}, "short": {}}
+    for key in found:
+        for case in all_cases(key == "short"):
+            arrays = outcome(case, "cpu")
+            if isinstance(arrays, str):
+                raise RuntimeError(f"{case.name}: {arrays}")
+            found[key][case.name] = digest_of(case.inputs), digest_of(arrays)
+    write_json(path, {"code": fingerprint(), "warp": wp.config.version, **found})
 
 
 @cache
-def read_answers(path: Path) -> Answers:
-    """The digests of inputs and answers, by case.
+def read_answers(path: Path, is_short: bool = False) -> Answers:
+    """The digests of inputs and answers, by case; those of a rehearsal are of small scenes.
 
     Raises:
         ValueError: If there are none, or they are those of other code.
@@ -130,7 +130,7 @@ def read_answers(path: Path) -> Answers:
     for name, ours in (("code", fingerprint()), ("warp", wp.config.version)):
         if given[name] != ours:
             raise ValueError(f"answers is {path}, made with {name} {given[name]}; expected those of {name} {ours}")
-    return {name: tuple(digests) for name, digests in given["cases"].items()}
+    return {name: (inputs, answer) for name, (inputs, answer) in given["short" if is_short else "cases"].items()}
 
 
 # --- comparison ---

@@ -186,10 +186,10 @@ def main(arguments: list[str]) -> int:
         subprocess.run([*command, "--arch", *map(str, given.arch)], check=True)
         answers = given.out / "answers.json"
         try:
-            count = len(bits.read_answers(answers))
+            bits.read_answers(answers)
         except ValueError:
-            count = bits.write_answers(answers)
-        print(f"{count} answers of the CPU in {answers}", flush=True)
+            bits.write_answers(answers)
+        print(f"{len(bits.read_answers(answers))} answers of the CPU in {answers}", flush=True)
         archives = pack(given.out, limit, given.packages, *folders)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -50,6 +50,7 @@ class Record:
         left_out: What was not done, each with the reason.
         cases: The cases that are over, here or in an earlier attempt at the stage.
         case: The case that has begun.
+        ended: Cases in which there was no more time for the process of the stage, each of which has another try.
         is_cut: Whether there was no time for a case.
     """
 
@@ -61,6 +62,7 @@ class Record:
     left_out: list[str] = field(default_factory=list)
     cases: list[str] = field(default_factory=list)
     case: str | None = None
+    ended: list[str] = field(default_factory=list)
     is_cut: bool = False
     _row: int = 0  # at which the rows of the case begin
     _begin: float = field(default_factory=time.perf_counter)
@@ -72,7 +74,7 @@ class Record:
     def go_on(self, before: dict | None) -> None:
         """Keep what an earlier attempt at the stage has, but for the case in which it was cut short."""
         if before is not None:
-            self.cases = list(before["cases"])
+            self.cases, self.ended = list(before["cases"]), list(before["ended"])
             self.rows = before["rows"][: before["row"] if before["case"] else None]
 
     def begins(self, case: str, seconds: float = 0.0) -> bool:
@@ -80,8 +82,11 @@ class Record:
         self.end_case()
         if case in self.cases:
             return False
-        if not self.has_time(case, seconds):
+        if self.left() <= seconds:
+            if not self.is_cut:
+                self.say(f"no time was left for {case} and what follows")
             self.is_cut = True
+            self.left_out.append(f"{case}: no time was left")
             return False
         self.case, self._row = case, len(self.rows)
         self._write()
@@ -122,7 +127,14 @@ class Record:
         """The record with how the stage ended."""
         seconds = round(time.perf_counter() - self._begin, 2)
         record: dict[str, Any] = {"status": status, "seconds": seconds, "rows": self.rows, "left_out": self.left_out}
-        record |= {"cases": self.cases, "case": self.case, "row": self._row, "is_cut": self.is_cut, **self.about}
+        record |= {
+            "cases": self.cases,
+            "case": self.case,
+            "ended": self.ended,
+            "row": self._row,
+            "is_cut": self.is_cut,
+            **self.about,
+        }
         return record if error is None else {**record, "error": error}
 
     def _write(self) -> None:

@@ -165,7 +165,10 @@ def _run(
         case = record["case"]
         if record["status"] == DONE or case is None:
             return record
-        # the case may end the next process as well: it is over, with what it has
+        if record["status"] == STOPPED and "was ended" in record["error"] and case not in record["ended"]:
+            record["ended"].append(case)  # it may have had little time; the next run begins with it
+            return record
+        # the case would end the next process as well: it is over, with what it has
         failed = f"{record['status']}: {record['error']}"
         record["rows"].append({"case": case, "failed": failed[-2000:]})
         record |= {"cases": [*record["cases"], case], "case": None}
