@@ -52,6 +52,7 @@ _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
 _COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
 _NUM_ALL_COUNTS = len(PairKind) * int(NUM_COUNTS)
+_OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 
 
@@ -155,8 +156,8 @@ class HostPlan:
         self._counters: wp.array = wp.zeros(_NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
         self._counts = self._counters[:_NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE)
         self._least_bits = self._counters[_NUM_ALL_COUNTS:]
-        self._view = None if self.execution.is_cuda else self._counters.numpy()
-        self._read: NDArray[np.int64] | None = None  # on CUDA, as long as nothing is launched that changes them
+        self._view = None if self.execution.is_cuda else _split(self._counters.numpy())
+        self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
@@ -430,17 +431,17 @@ class HostPlan:
             self.num_candidates[kind] += counts[kind]
         return Batch(found, is_only)
 
-    def _counters_on_host(self) -> NDArray[np.int64]:
+    def _on_host(self) -> _OnHost:
         """The counts and the least toi; on CUDA this waits for the device, once after what has changed them."""
         if self._view is not None:
             return self._view
         if self._read is None:
-            self._read = self._counters.numpy()
+            self._read = _split(self._counters.numpy())
         return self._read
 
     def counts(self) -> NDArray[np.int64]:
         """The counts of the pairs of each kind; on CUDA those after the last launch."""
-        return self._counters_on_host()[:_NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE)
+        return self._on_host()[0]
 
     def _num_found(self) -> dict[PairKind, int]:
         counts = self.counts()[:, FOUND].tolist()
@@ -464,7 +465,7 @@ class HostPlan:
         if self._view is None:
             self._counts.zero_()
         else:
-            self._view[:_NUM_ALL_COUNTS] = 0
+            self._view[0].fill(0)
 
     def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""
@@ -619,16 +620,20 @@ class HostPlan:
 
     def set_least(self, toi: float) -> None:
         """Set the least toi so far."""
-        bits = np.array([toi]).view(np.int64)
         if self._view is None:
-            self._least_bits.assign(bits)
+            self._least_bits.assign(np.array([toi]).view(np.int64))
             self._read = None
         else:
-            self._view[_NUM_ALL_COUNTS:] = bits
+            self._view[1][0] = toi
 
     def least(self) -> float:
         """The least toi so far."""
-        return float(self._counters_on_host()[_NUM_ALL_COUNTS:].view(np.float64)[0])
+        return float(self._on_host()[1][0])
+
+
+def _split(counters: NDArray[np.int64]) -> _OnHost:
+    """The counts and the least toi of an array of both."""
+    return counters[:_NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE), counters[_NUM_ALL_COUNTS:].view(np.float64)
 
 
 def _pieces(count: int, largest: int) -> int:
