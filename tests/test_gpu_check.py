@@ -153,6 +153,13 @@ def test_records_of_two_gpus_are_kept_apart_and_each_goes_on_with_its_own(tmp_pa
         chosen = [stage(lambda target, record, gpu=gpu, **_: calls.append(gpu), name) for name in names]
         settings = {"device": "cuda:0", "gpu": {"name": "NVIDIA H200", "uuid": gpu}}
         run_in(tmp_path, chosen, monkeypatch, settings=settings)
+        if len(calls) == 1:  # the check ends in a case of another stage
+            cut = Record(None, 0.0, print, {"stage": "queries", "settings": {"kind": CPU, **settings}}, case="cut")
+            (tmp_path / "gpu_check.stage.json").write_text(json.dumps(cut.as_json(STOPPED)))
+        elif len(calls) == 2:
+            assert records(tmp_path)["queries"]["status"] == DONE
+            earlier = json.loads((tmp_path / "gpu_check.old1.json").read_text())["stages"]
+            assert earlier["queries"]["error"] == "the check ended in cut"
     assert calls == ["a", "b", "a"]  # the last run keeps the first stage
     for name, uuid, ended in (("gpu_check", "a", ["bits", "queries"]), ("gpu_check.old2", "b", ["queries"])):
         raw = json.loads((tmp_path / f"{name}.json").read_text())
