@@ -146,8 +146,8 @@ def vertices_of(
 ):
     """The vertices of both primitives of a pair; a plane has none, and those of the first stand for it."""
     first = wp.vec3i()
-    if kind == EDGE_EDGE:
-        first = edge_corners[pair[0]]  # its index may be none of a vertex
+    if kind == EDGE_EDGE:  # a mesh has more edges than vertices, so an index of one is none of the other
+        first = edge_corners[pair[0]]
     else:
         first = vertex_corners[pair[0]]
     second = first

@@ -1,8 +1,11 @@
 """The check for a first GPU: rehearsed from beginning to end, and when a stage fails, hangs or is resumed."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +16,9 @@ from ccd_warp.benchmarks.gpu_check import __main__ as command
 from ccd_warp.benchmarks.gpu_check import (
     bits,
     broad_phases,
+    cases,
+    fingerprint,
+    pack,
     precompile,
     runner,
     sanitizer,
@@ -20,6 +26,7 @@ from ccd_warp.benchmarks.gpu_check import (
     stages,
     suite,
     summary,
+    unpack,
     variants,
 )
 from ccd_warp.benchmarks.gpu_check.emulation import emulated_device, require_emulation
@@ -60,11 +67,11 @@ def check_whole(folder, kind):
     assert {stage["status"] for stage in found.values()} == {DONE, LEFT_OUT}
     for name in NEEDS_GPU:
         assert found[name]["left_out"] == [f"not on the {kind}"]
-    total = found["bits"]["rows"][-1]
-    assert total["cases"] >= 8 and total["different_cases"] == total["failed_cases"] == 0
+    total = bits.totals(found["bits"]["rows"])
+    assert total["cases"] >= 8 and total["different"] == total["failed"] == 0
     assert {row["kind"] for row in found["graphs"]["rows"] if row["different"] == 0} >= {"launch"}
     assert all(row["different"] == 0 for row in found["graphs"]["rows"])
-    for name in ("kernels", "queries", "broad phases", "reserve", "static body"):
+    for name in ("kernels", "queries", "against", "broad phases", "reserve", "static body"):
         assert found[name]["rows"], name
     touching = {row["what"]: row["share_touching"] for row in found["queries"]["rows"]}
     assert touching == {"colliding": 1.0, "culled": 0.0}
@@ -95,12 +102,12 @@ def stage(run, name="newton", **options):
     return stages.Stage(name, "what it does", run, 1.0, **options)
 
 
-def run_in(folder, chosen, monkeypatch, *, is_anew=False, settings=None, kind=CPU, seconds=20.0):
+def run_in(folder, chosen, monkeypatch, *, is_anew=False, settings=None, kind=CPU, seconds=20.0, is_apart=False):
     monkeypatch.setattr(runner, "STAGES", tuple(chosen))
     said = []
-    journal = Journal(folder, settings or {"code": "1"}, is_anew=is_anew)
+    journal = Journal(folder, {"kind": kind, **(settings or {"code": "1"})}, is_anew=is_anew)
     target = Target("cpu", kind, is_short=True)
-    run_all(target, {}, journal, [each.name for each in chosen], seconds, said.append)
+    run_all(target, {}, journal, [each.name for each in chosen], seconds, said.append, is_apart)
     return said, journal
 
 
@@ -115,12 +122,7 @@ def test_stage_that_raises_keeps_its_rows_and_the_next_one_runs(tmp_path, monkey
     found = records(tmp_path)
     assert found["bits"]["status"] == FAILED and found["bits"]["rows"] == [{"number": 1}]
     assert "RuntimeError: illegal address" in found["bits"]["error"]
-    assert found["queries"] == {
-        "status": DONE,
-        "seconds": found["queries"]["seconds"],
-        "rows": [{"number": 2}],
-        "left_out": [],
-    }
+    assert found["queries"]["status"] == DONE and found["queries"]["rows"] == [{"number": 2}]
     assert any("illegal address" in line for line in said)
 
 
@@ -140,40 +142,134 @@ def test_records_of_other_code_are_set_aside(tmp_path, monkeypatch):
     good = stage(lambda target, record, **_: None, "queries")
     run_in(tmp_path, [good], monkeypatch)
     _, journal = run_in(tmp_path, [good], monkeypatch, settings={"code": "2"})
-    assert "gpu_check.old.json" in journal.note
-    assert json.loads((tmp_path / "gpu_check.old.json").read_text())["settings"] == {"code": "1"}
+    assert "gpu_check.old1.json" in journal.note
+    assert json.loads((tmp_path / "gpu_check.old1.json").read_text())["settings"] == {"kind": CPU, "code": "1"}
 
 
-def test_stage_whose_process_hangs_is_ended_and_keeps_its_rows(tmp_path, monkeypatch):
-    """The process is another program here, which writes a row and then never ends."""
-    program = (
-        "import json, sys, time; order = json.loads(sys.argv[-1]);"
-        "open(order['record'], 'w').write(json.dumps({'status': 'stopped', 'rows': [{'n': 1}], 'left_out': []}));"
-        "time.sleep(600)"
-    )
+def test_records_of_two_gpus_are_kept_apart_and_each_goes_on_with_its_own(tmp_path, monkeypatch):
+    """The first of two GPUs of one name is checked, then the second, then the first again."""
+    calls = []
+    for gpu, names in (("a", ["bits"]), ("b", ["queries"]), ("a", ["bits", "queries"])):
+        chosen = [stage(lambda target, record, gpu=gpu, **_: calls.append(gpu), name) for name in names]
+        settings = {"device": "cuda:0", "gpu": {"name": "NVIDIA H200", "uuid": gpu}}
+        run_in(tmp_path, chosen, monkeypatch, settings=settings)
+        if len(calls) == 1:  # the check ends in a case of another stage
+            cut = Record(None, 0.0, print, {"stage": "queries", "settings": {"kind": CPU, **settings}}, case="cut")
+            (tmp_path / "gpu_check.stage.json").write_text(json.dumps(cut.as_json(STOPPED)))
+        elif len(calls) == 2:
+            assert records(tmp_path)["queries"]["status"] == DONE
+            earlier = json.loads((tmp_path / "gpu_check.old1.json").read_text())["stages"]
+            assert earlier["queries"]["error"] == "the check ended in cut"
+    assert calls == ["a", "b", "a"]  # the last run keeps the first stage
+    for name, uuid, ended in (("gpu_check", "a", ["bits", "queries"]), ("gpu_check.old2", "b", ["queries"])):
+        raw = json.loads((tmp_path / f"{name}.json").read_text())
+        assert raw["settings"]["gpu"]["uuid"] == uuid and list(raw["stages"]) == ended
+
+
+# A program in the place of that of a stage: it begins a case, adds a row, starts a process, and never ends.
+_HANGS = """
+import json, subprocess, sys, time
+from pathlib import Path
+path = Path(sys.argv[-1]) / "gpu_check.stage.json"
+record = json.loads(path.read_text())
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+record |= {"cases": ["first"], "case": "second", "row": 1, "rows": [{"n": 1}, {"n": 2, "child": child.pid}]}
+path.write_text(json.dumps(record))
+time.sleep(600)
+"""
+# The check, in which this is the program of every stage.
+_CHECK = """
+import subprocess, sys
+from ccd_warp.benchmarks.gpu_check import __main__ as command, runner
+popen = subprocess.Popen
+def start(given, **options):
+    return popen([sys.executable, "-c", {program!r}, given[-1]] if "--stage" in given else given, **options)
+runner.subprocess.Popen = start
+command.main(sys.argv[1:])
+"""
+
+
+def is_running(pid):
+    """Whether there is such a process that has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def wait_until(condition, seconds=20.0):
+    """Wait until something is so; whether it is."""
+    end = time.perf_counter() + seconds
+    while not condition() and time.perf_counter() < end:
+        time.sleep(0.02)
+    return condition()
+
+
+def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows(tmp_path, monkeypatch):
     popen = subprocess.Popen
-    monkeypatch.setattr(
-        runner.subprocess,
-        "Popen",
-        lambda command, **options: popen([sys.executable, "-c", program, command[-1]], **options),
-    )
-    monkeypatch.setattr(runner, "_GRACE", 1.0)
-    after = stage(lambda target, record, **_: None, "queries")
-    hanging = stage(raise_error, "bits")
-    run_in(tmp_path, [hanging, after], monkeypatch, kind=CUDA, seconds=2.0)
+
+    def start(command, **options):
+        return popen([sys.executable, "-c", _HANGS, command[-1]] if "--stage" in command else command, **options)
+
+    monkeypatch.setattr(runner.subprocess, "Popen", start)
+    monkeypatch.setattr(runner, "_GRACE", 0.2)
+    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: None, "queries")]
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
     found = records(tmp_path)["bits"]
-    assert found["status"] == STOPPED and found["rows"] == [{"n": 1}]
-    assert "was ended" in found["error"]
+    assert found["status"] == STOPPED and found["rows"][:1] == [{"n": 1}] and found["cases"] == ["first"]
+    assert "was ended in second" in found["error"] and found["ended"] == ["second"]
+    assert not is_running(found["rows"][1]["child"])
     assert not (tmp_path / "gpu_check.stage.json").exists()
+    assert "was ended in second" in (tmp_path / "gpu_check.md").read_text()
+    # the case has another try, and no third one
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
+    found = records(tmp_path)["bits"]
+    assert found["cases"] == ["first", "second"] and found["rows"][-1]["case"] == "second"
 
 
-def test_stage_runs_in_a_process_of_its_own(tmp_path):
-    """As on a GPU: the process is ordered to run a stage on the CPU, and leaves its record in a file."""
-    target = Target("cpu", CPU, is_short=True)
-    chosen = next(each for each in stages.STAGES if each.name == "machine")
-    record = runner._run_apart(chosen, target, {"tests": None, "examples": TESTS}, tmp_path, 30.0)
-    assert record["status"] == DONE, record
-    assert any("versions" in row for row in record["rows"])
+def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case_it_was_in(tmp_path, monkeypatch):
+    arguments = ["--output", str(tmp_path), "--device", "cpu", "--apart", "--only", "queries"]
+    command = [sys.executable, "-P", "-c", _CHECK.format(program=_HANGS), *arguments]
+    check = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    partial = tmp_path / "gpu_check.stage.json"
+    assert wait_until(lambda: (read_json(partial) or {}).get("case") == "second", 60.0)
+    child = read_json(partial)["rows"][1]["child"]
+    check.kill()
+    check.wait()
+    assert wait_until(lambda: not is_running(child))
+
+    begun = []
+
+    def go_on(target, record, **_):
+        begun.extend(case for case in ("first", "second", "third") if record.begins(case))
+
+    settings = read_json(tmp_path / "gpu_check.json")["settings"]
+    _, journal = run_in(tmp_path, [stage(go_on, "queries")], monkeypatch, settings=settings)
+    assert "queries: the check ended in second" in journal.note
+    assert begun == ["second", "third"] and records(tmp_path)["queries"]["rows"] == [{"n": 1}]
+
+
+def test_stage_that_fails_in_a_case_goes_on_after_it_and_what_there_was_no_time_for_is_done_in_the_next_run(
+    tmp_path, monkeypatch
+):
+    done = []
+
+    def run(target, record, **_):
+        for name, seconds in (("a", 0.0), ("b", 0.0), ("c", 0.0), ("d", 1e3)):
+            if record.begins(name, seconds if not done.count("c") > 1 else 0.0):
+                done.append(name)
+                record.add(name=name)
+                if name == "b":
+                    raise RuntimeError("illegal address")
+
+    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
+    found = records(tmp_path)["queries"]
+    assert done == ["a", "b", "c"] and found["status"] == DONE and found["is_cut"]
+    assert [row.get("name") for row in found["rows"]] == ["a", "b", None, "c"]
+    assert "illegal address" in found["rows"][2]["failed"] and found["left_out"] == ["d: no time was left"]
+    done.append("c")
+    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
+    assert done[4:] == ["d"] and not records(tmp_path)["queries"]["is_cut"]
 
 
 def test_file_that_is_not_whole_is_no_record(tmp_path):
@@ -189,6 +285,74 @@ def test_what_there_is_no_time_for_is_said():
     assert "no time was left" in record.left_out[-1] and said
     raw = {"settings": {"kind": CUDA}, "stages": {"bits": record.as_json(DONE)}}
     assert "| bits as on the CPU | all | 0 arrays of 0 calls, 0 calls differ | not known |" in summary.goal_table(raw)
+
+
+def some_cases(is_short):
+    """Two calls of each of three kinds."""
+    wanted = ("point-point in 2D, defaults", "edge-edge in 3D, few", "find_candidates, polygons")
+    return [case for case in cases.all_cases(True) if case.name.startswith(wanted)]
+
+
+@pytest.fixture
+def answers(tmp_path, monkeypatch):
+    """The file of the CPU's answers to a few cases, which are now all cases."""
+    chosen = some_cases(True)
+    monkeypatch.setattr(bits, "all_cases", lambda is_short: list(chosen))
+    bits.write_answers(tmp_path / "answers.json")
+    monkeypatch.setattr(bits, "outcome", lambda case, device: pytest.fail("asked of the CPU"))
+    monkeypatch.setattr(Target, "stride", 1)
+    return tmp_path / "answers.json"
+
+
+def test_carried_answers_are_in_place_of_the_cpu_where_code_and_input_are_the_same(answers, monkeypatch):
+    target, asked = Target("somewhere", CPU, is_short=True), []
+
+    def outcome(case, device):
+        asked.append((case.name, device))
+        found = case.call("cpu")
+        if device == "somewhere" and case.name.startswith("edge-edge in 3D, few iterations, float64"):
+            found["toi"] = np.nextafter(found["toi"], 1)
+        return found
+
+    monkeypatch.setattr(bits, "outcome", outcome)
+    record = Record(None, 60.0, lambda line: None)
+    bits.run(target, record, answers=answers)
+    found = bits.totals(record.rows)
+    assert found["cases"] == len(record.rows) == len(some_cases(True)) and found["different"] == 1
+    assert [name for name, device in asked if device == "cpu"] == ["edge-edge in 3D, few iterations, float64"]
+    wrong = next(row for row in record.rows if "different" in row)
+    assert "120 of 120, first at (0,)" in wrong["different"]["toi"]
+
+    # other input: what another version of NumPy may make of it; the CPU is asked here
+    raw = json.loads(answers.read_text())
+    raw["short"] = {name: ["0" * 16, answer] for name, (_, answer) in raw["short"].items()}
+    other = answers.with_name("other.json")
+    other.write_text(json.dumps(raw))
+    record, asked[:] = Record(None, 60.0, lambda line: None), []
+    bits.run(target, record, answers=other)
+    assert len(asked) == 2 * len(record.rows) and not any("carried" in row for row in record.rows)
+
+
+def test_answers_of_other_code_are_refused(answers):
+    raw = json.loads(answers.read_text())
+    answers.with_name("old.json").write_text(json.dumps(raw | {"code": "0123"}))
+    with pytest.raises(ValueError, match=r"made with code 0123; expected those of code [0-9a-f]{16}"):
+        bits.read_answers(answers.with_name("old.json"))
+    with pytest.raises(ValueError, match="expected a file that pack has written"):
+        bits.read_answers(answers.with_name("none.json"))
+
+
+def test_few_cases_are_of_all_kinds():
+    """Names are unlike, and every kind is among the first ones, as is each scene among the first of a kind."""
+    ordered = bits.in_turn(cases.all_cases(True))
+    names = [case.name for case in ordered]
+    assert len(set(names)) == len(names) == len(list(cases.all_cases(True)))
+    kinds = [name.partition(", ")[0] for name in names]
+    num_kinds = len(set(kinds))
+    assert len(set(kinds[:num_kinds])) == num_kinds
+    launches = [name.split(", ")[1] for name in names if name.startswith("launch, ")]
+    num_scenes = len(set(launches))
+    assert len(set(launches[:num_scenes])) == num_scenes
 
 
 def test_difference_in_one_bit_is_found_and_described():
@@ -431,6 +595,113 @@ def test_cubins_of_another_version_of_warp_are_refused(tmp_path):
     (tmp_path / precompile.MANIFEST).write_text(json.dumps({"warp": "1.0", "archs": [90], "modules": 1}))
     with pytest.raises(ValueError, match=r"made with Warp 1.0; expected cubins of Warp 1\."):
         precompile.check_folder(tmp_path)
+
+
+# --- what is carried to a machine without Warp and without a network ---
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """A folder of parts, made as the command does, of one small package."""
+    folder = tmp_path_factory.mktemp("packed")
+    (folder / "cubins").mkdir()
+    (folder / "cubins" / precompile.MANIFEST).write_text(
+        json.dumps({"files": [], "warp": wp.config.version, "modules": 0, "archs": [90]})
+    )
+    answers = {"code": fingerprint.fingerprint(), "warp": wp.config.version, "cases": {}, "short": {}}
+    (folder / "answers.json").write_text(json.dumps(answers))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(pack, "_PRESET", 0)
+        pack.pack(folder, 1 << 19, ["trimesh"], TESTS, None)
+    return folder / "parts"
+
+
+def unpacked(arguments, capsys):
+    """Run the program that lies beside the parts; its status, and what it says."""
+    status = unpack.main(list(map(str, arguments)))
+    said = capsys.readouterr()
+    return status, said.out + said.err
+
+
+def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, capsys):
+    parts = sorted(path for path in packed.iterdir() if path.suffix.removeprefix(".").isdigit())
+    assert {path.stem for path in parts} == {"packages", "check"} and len(parts) > 3
+    assert all(path.stat().st_size <= 1 << 19 for path in parts)
+    into = tmp_path / "there"
+    for path in parts:
+        carried = tmp_path / path.name
+        carried.mkdir()
+        for each in (path, packed / "parts.json"):
+            shutil.copy(each, carried)
+        status, said = unpacked([carried, "--into", into, "--collect"], capsys)
+        assert status == 0
+    assert f"unpacked; sh {into / 'gpu_check.sh'}" in said
+    for name in ("ccd_warp/__init__.py", "ccd_warp/kernels/minima.py", "ccd_warp/benchmarks/gpu_check/unpack.py"):
+        assert (into / "site" / name).is_file()
+    assert (into / "site" / "trimesh" / "__init__.py").is_file()
+    assert (into / "tests" / Path(__file__).name).read_bytes() == Path(__file__).read_bytes()
+    assert not list((into / "parts").iterdir())  # they are not kept twice
+    assert unpacked([packed, "--into", into], capsys)[0] == 0  # nothing is done again
+
+    # a machine with Warp and NumPy alone, which are not of the parts here, and without a network, where that can be had
+    site = tmp_path / "site"
+    site.mkdir()
+    for package in (wp, np):
+        (site / package.__name__).symlink_to(Path(package.__file__).parent)
+    libraries = Path(np.__file__).parents[1] / "numpy.libs"
+    if libraries.exists():
+        (site / libraries.name).symlink_to(libraries)
+    (tmp_path / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n')
+    (tmp_path / "python").chmod(0o755)
+    alone = (
+        ["unshare", "-rn"] if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode == 0 else []
+    )
+    environment = os.environ | {"PYTHONPATH": str(site), "PYTHON": str(tmp_path / "python")}
+    arguments = ["--output", str(tmp_path / "out"), "--device", "cpu", "--apart", "--only", "machine"]
+    run = [*alone, "sh", str(into / "gpu_check.sh"), *arguments]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 answers of the CPU are carried along" in done.stdout  # the code is taken for the same
+    assert "== machine: done" in done.stdout and "## Goals" in done.stdout
+
+
+def test_parts_that_are_missing_or_damaged_are_named(packed, tmp_path, capsys):
+    copies = tmp_path / "copies"
+    shutil.copytree(packed, copies)
+    first, second = copies / "packages.00", copies / "packages.01"
+    data = bytearray(first.read_bytes())
+    data[1000] ^= 1
+    first.write_bytes(data)
+    second.unlink()
+    status, said = unpacked([copies, "--into", tmp_path / "there"], capsys)
+    assert status == 2
+    assert "error: part 1 of " in said and "packages.00, is damaged" in said
+    assert "error: part 2 of " in said and f"packages.01, is missing; expected it in {copies}" in said
+    assert not (tmp_path / "there" / "site" / "trimesh").exists()
+    assert unpacked([tmp_path, "--into", tmp_path / "x"], capsys)[0] == 2
+    manifest = json.loads((copies / "parts.json").read_text())
+    for change, word in (
+        ({"machine": "pdp11"}, "expected pdp11"),
+        ({"needs": ["no_such"]}, "no_such is not installed"),
+    ):
+        (copies / "parts.json").write_text(json.dumps(manifest | change))
+        shutil.copy(packed / "packages.00", copies)
+        shutil.copy(packed / "packages.01", copies)
+        status, said = unpacked([copies, "--into", tmp_path / "there"], capsys)
+        assert status == 2 and word in said
+
+
+@pytest.mark.parametrize(
+    "arguments, error",
+    [
+        (["--limit", "12"], "limit is '12'; expected a number of bytes of at least 65536, as 56M"),
+        (["--limit", "many"], "limit is 'many'; expected"),
+        (["--packages", "no-such"], "packages holds 'no-such', which is not installed; expected a package that is"),
+    ],
+)
+def test_bad_arguments_of_pack_are_named_in_a_line(arguments, error, tmp_path, capsys):
+    assert command.main(["pack", "--out", str(tmp_path), *arguments]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {error}")
 
 
 def test_stage_on_the_device_is_told_its_folders():

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import warp as wp
-from ccd_warp.benchmarks.gpu_check import precompile
+from ccd_warp.benchmarks.gpu_check import pack, precompile
+from ccd_warp.benchmarks.gpu_check.bits import read_answers
 from ccd_warp.benchmarks.gpu_check.emulation import require_emulation
-from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint
-from ccd_warp.benchmarks.gpu_check.record import SUMMARY
+from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint, identity
 from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_ordered
 from ccd_warp.benchmarks.gpu_check.stages import NAMES
 from ccd_warp.benchmarks.gpu_check.summary import complaints, summary
@@ -25,7 +25,8 @@ def parser() -> argparse.ArgumentParser:
     """The options."""
     result = argparse.ArgumentParser(
         prog="python -m ccd_warp.benchmarks.gpu_check",
-        description="What a GPU answers and how fast, in at most eight minutes; docs/cuda.md says more.",
+        description="What a GPU answers and how fast, in at most eight minutes; docs/cuda.md says more. The command "
+        "gpu_check pack --out DIR makes what a machine without Warp and without a network needs.",
     )
     result.add_argument("--output", metavar="DIR", type=Path, help="folder of gpu_check.json and gpu_check.md")
     result.add_argument("--device", metavar="NAME", help="Warp device (cuda:0); cpu rehearses, shortened")
@@ -43,6 +44,10 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("--modules", metavar="WORD", nargs="+", default=[], help="of --precompile: only these modules")
     result.add_argument("--precompiled", metavar="DIR", type=Path, help="folder that --precompile has filled")
+    result.add_argument("--answers", metavar="FILE", type=Path, help="digests of the CPU's answers, made by pack")
+    result.add_argument(
+        "--apart", action="store_true", help="of a rehearsal: each stage in a process of its own, as on a GPU"
+    )
     result.add_argument("--stage", help=argparse.SUPPRESS)
     return result
 
@@ -107,20 +112,25 @@ def check(given: argparse.Namespace) -> int:
         precompile.use_in_all_processes(given.precompiled)
     target = target_of(given)
     places = {name: getattr(given, name) or found(name, file) for name, file in _FOLDERS.items()}
+    if given.answers is not None:
+        places["answers"] = given.answers.resolve()
+        print(
+            f"{len(read_answers(places['answers'], target.is_short))} answers of the CPU are carried along", flush=True
+        )
     settings = {"device": target.device, "kind": target.kind, "code": fingerprint(), "warp": wp.config.version}
+    settings["gpu"] = identity(target.device)
     journal = Journal(folder, settings, is_anew=given.again)
     if journal.note:
-        print(journal.note, flush=True)
+        print(journal.note.strip(), flush=True)
     chosen = list(given.only or NAMES)
     if given.only:
         for name in chosen:
             journal.raw["stages"].pop(name, None)
     if given.emulated:
         require_emulation(places["tests"])
-    run_all(target, places, journal, chosen, 60 * given.minutes, lambda line: print(line, flush=True))
-    lines = summary(journal.raw)
-    (folder / SUMMARY).write_text("\n".join(lines), encoding="utf-8")
-    print("\n" + "\n".join(lines))
+    is_apart = given.apart or target.is_real
+    run_all(target, places, journal, chosen, 60 * given.minutes, lambda line: print(line, flush=True), is_apart)
+    print("\n" + "\n".join(summary(journal.raw)))
     return int(bool(complaints(journal.raw)))
 
 
@@ -130,12 +140,15 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         Its exit status.
     """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["pack"]:
+        return pack.main(arguments[1:])
     given = parser().parse_args(arguments)
     wp.config.log_level = wp.LOG_WARNING
     try:
         if given.stage is not None:
             precompile.use_named()
-            run_ordered(given.stage)
+            run_ordered(given.stage, given.output)
             return 0
         if given.precompile is not None:
             given.precompile.mkdir(parents=True, exist_ok=True)

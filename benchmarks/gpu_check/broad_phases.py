@@ -43,7 +43,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
         scene = make()
         first: dict[str, np.ndarray] | None = None
         for name in names:
-            if not record.has_time(f"{scene.name}, {name}", 0.2 if target.is_short else 1.5):
+            if not record.begins(f"{scene.name}, {name}", 0.2 if target.is_short else 1.5):
                 continue
             options: dict[str, Any] = {OPTION: name} if len(names) > 1 else {}
             row, found = measure(target, scene, options, 2 if target.is_short else _REPEATS)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -52,10 +52,22 @@ class Case:
     name: str
     call: Callable[[str], Arrays]
 
+    @property
+    def inputs(self) -> Arrays:
+        """The arrays that the call is of, which other versions of NumPy may make in other bits."""
+        arrays: Arrays = {}
+        for k, value in enumerate(self.call.args):  # type: ignore[attr-defined]
+            if isinstance(value, Step):
+                value = (value.start, value.end, value.mesh.vertices, value.mesh.edges, value.mesh.faces)
+            parts = value if isinstance(value, tuple) else ()
+            arrays |= {f"{k} {n}": part for n, part in enumerate(parts) if isinstance(part, np.ndarray)}
+        return arrays
+
 
 # --- pairs ---
 
 
+@cache
 def pair_points(kind: str, count: int, dimension: int) -> tuple[np.ndarray, np.ndarray]:
     """Points of pairs of a kind at both ends of a step, of families from the plain case to the exactly degenerate."""
     rng = np.random.default_rng(11)

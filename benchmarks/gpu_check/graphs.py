@@ -40,10 +40,11 @@ def run(target: Target, record: Record, **_: Any) -> None:
                 record.leave_out(where, "it is not installed")
                 continue
             for kind in KINDS:
-                if record.has_time(f"{kind} on {where}"):
+                if record.begins(f"{kind} on {where}"):
                     try:
                         replay(target, record, step, ends, expected[kind], kind, where, replays)
                     except Exception as error:  # the other kinds are worth a try
+                        target.check_alive()
                         said = f"{type(error).__name__}: {error}"[:2000]
                         record.add(f"FAILED {kind}, {where}: {said}", kind=kind, where=where, failed=said)
 

@@ -43,7 +43,7 @@ def scenes(is_short: bool) -> list[tuple[str, Any]]:
 def run(target: Target, record: Record, **_: Any) -> None:
     """Measure each scene for which there is time."""
     for name, make in scenes(target.is_short):
-        if record.has_time(name, 0.5 if target.is_short else 3.0):
+        if record.begins(name, 0.5 if target.is_short else 3.0):
             measure(target, record, make(), 2 if target.is_short else _REPEATS)
 
 

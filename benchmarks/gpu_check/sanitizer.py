@@ -25,7 +25,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
         record.leave_out("compute-sanitizer", "it is not installed")
         return
     for name in _TOOLS:
-        if not record.has_time(name, 2.0):
+        if not record.begins(name, 2.0):
             continue
         command = [tool, "--tool", name, "--error-exitcode", "3", sys.executable, "-P", "-m", _SCENE, target.device]
         try:

@@ -7,6 +7,8 @@ import re
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -33,45 +35,39 @@ def run(target: Target, record: Record, *, tests: Path | None, **_: Any) -> None
     if importlib.util.find_spec("pytest") is None:
         record.leave_out("the tests", "pytest is not installed")
         return
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "pytest",
-        str(tests),
-        "-v",
-        "--tb=short",
-        "-p",
-        "no:cacheprovider",
-        "-k",
-        _CHOSEN,
-    ]
+    command = [sys.executable, "-P", "-m", "pytest", str(tests), "-v", "--tb=short", "-k", _CHOSEN]
     command += ["-p", "no:cacheprovider", "-p", _PLUGIN]
     command += ["--continue-on-collection-errors", *(f"--ignore={tests / name}" for name in _WITHOUT)]
     if importlib.util.find_spec("xdist") is not None:
         command += ["-n", str(_PROCESSES)]
     process = subprocess.Popen(command, cwd=tests.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    is_cut = False
-    try:
-        said, _ = process.communicate(timeout=max(record.left() - _LATE, 1.0))
-    except subprocess.TimeoutExpired:
-        is_cut = True
-        process.send_signal(signal.SIGINT)
-        try:
-            said, _ = process.communicate(timeout=_LATE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            said, _ = process.communicate()
-    counts, failed = outcomes(said)
-    if is_cut:
+    assert process.stdout is not None
+    left = max(record.left() - _LATE, 1.0)
+    is_cut = threading.Event()
+    ends = [threading.Timer(left, lambda: (is_cut.set(), process.send_signal(signal.SIGINT)))]
+    ends += [threading.Timer(left + _LATE, process.kill)]
+    for timer in ends:
+        timer.start()
+    said, kept = "", 0.0
+    record.add()
+    for line in process.stdout:
+        said += line
+        if time.perf_counter() - kept > 1.0:  # what ends this process leaves the outcomes so far
+            kept = time.perf_counter()
+            record.replace(**row_of(said), last=line.strip())
+    status = process.wait()
+    for timer in ends:
+        timer.cancel()
+    if is_cut.is_set():
         record.leave_out("the tests that are not counted", "no time was left")
-    record.add(
-        ", ".join(f"{count} {outcome.lower()}" for outcome, count in counts.items()) or "no test ran",
-        counts=counts,
-        failed=failed,
-        status=process.returncode,
-        output=said[-6000:] if failed or not counts else "",
-    )
+    record.replace(**row_of(said), status=status)
+    record.say(", ".join(f"{n} {outcome.lower()}" for outcome, n in record.rows[-1]["counts"].items()) or "no test ran")
+
+
+def row_of(said: str) -> dict[str, Any]:
+    """What pytest has said: counts, failures, and its last words if there are any or no test ran."""
+    counts, failed = outcomes(said)
+    return {"counts": counts, "failed": failed, "output": said[-6000:] if failed or not counts else ""}
 
 
 def outcomes(said: str) -> tuple[dict[str, int], list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from ccd_warp.benchmarks.gpu_check.bits import totals
 from ccd_warp.benchmarks.gpu_check.queries import COLLIDING, CULLED
 from ccd_warp.benchmarks.gpu_check.record import DONE
 from ccd_warp.benchmarks.gpu_check.stages import NAMES
@@ -25,9 +26,9 @@ def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
 
 
-def rows_of(raw: dict, stage: str) -> list[dict]:
-    """The rows of a stage, none where it has not run."""
-    return raw["stages"].get(stage, {}).get("rows", [])
+def rows_of(raw: dict, stage: str, having: str) -> list[dict]:
+    """The rows of a stage that have a value, as those of a case that failed do not; none where it has not run."""
+    return [row for row in raw["stages"].get(stage, {}).get("rows", []) if having in row]
 
 
 def summary(raw: dict) -> list[str]:
@@ -45,6 +46,7 @@ def summary(raw: dict) -> list[str]:
     for title, part in (
         ("Whole steps", kernel_table(raw)),
         ("Queries", query_table(raw)),
+        ("Beside others", against_table(raw)),
         ("Broad phases", broad_phase_table(raw)),
         ("Graphs", graph_table(raw)),
         ("reserve()", reserve_table(raw)),
@@ -79,7 +81,7 @@ def complaints(raw: dict) -> list[str]:
 
 def device_name(raw: dict) -> str:
     """The name of the device, as the first stage has read it."""
-    return next((row["device"]["name"] for row in rows_of(raw, "machine") if "device" in row), "an unknown device")
+    return next((row["device"]["name"] for row in rows_of(raw, "machine", "device")), "an unknown device")
 
 
 def stage_table(raw: dict) -> list[str]:
@@ -99,7 +101,9 @@ def goal_table(raw: dict) -> list[str]:
     is_real = raw["settings"]["kind"] == CUDA
     cells = []
     for what, goal in ((COLLIDING, GOAL_COLLIDING), (CULLED, GOAL_CULLED)):
-        found = [row for row in rows_of(raw, "queries") if row["what"] == what and row["precision"] == "float64"]
+        found = [
+            row for row in rows_of(raw, "queries", "what") if row["what"] == what and row["precision"] == "float64"
+        ]
         best = max(found, key=lambda row: row["queries_a_second"], default=None)
         cells.append(
             [
@@ -111,7 +115,7 @@ def goal_table(raw: dict) -> list[str]:
                 met(None if best is None or not is_real else best["queries_a_second"] > goal),
             ]
         )
-    large = [row for row in rows_of(raw, "kernels") if GOAL_FACES <= row["faces"] < 2 * GOAL_FACES]
+    large = [row for row in rows_of(raw, "kernels", "launch") if GOAL_FACES <= row["faces"] < 2 * GOAL_FACES]
     slowest = max((row["launch"]["median"] for row in large), default=None)
     said = (
         "–"
@@ -128,12 +132,12 @@ def goal_table(raw: dict) -> list[str]:
             met(None if slowest is None or not is_real else slowest < GOAL_LAUNCH),
         ]
     )
-    total = next((row for row in rows_of(raw, "bits") if "cases" in row), None)
-    differing = None if total is None else total["different_cases"] + total["failed_cases"]
-    said = "–" if total is None else f"{total['arrays']:,} arrays of {total['cases']} calls, {differing} calls differ"
     stage = raw["stages"].get("bits", {})
+    total = totals(rows_of(raw, "bits", "case"))
+    differing = total["different"] + total["failed"]
+    said = f"{total['arrays']:,} arrays of {total['cases']} calls, {differing} calls differ" if stage else "–"
     is_whole = stage.get("status") == DONE and not stage["left_out"]
-    cells.append(["bits as on the CPU", "all", said, met(None if total is None or not is_whole else differing == 0)])
+    cells.append(["bits as on the CPU", "all", said, met(differing == 0 if is_whole or differing else None)])
     return table(["goal", "", "measured", ""], cells)
 
 
@@ -150,7 +154,7 @@ def ms(seconds: float | None) -> str:
 def kernel_table(raw: dict) -> list[str]:
     """Times of whole steps."""
     calls = ("collision_free_step", "mesh_ccd", "find_candidates")
-    rows = rows_of(raw, "kernels")
+    rows = rows_of(raw, "kernels", "launch")
     cells = (
         [
             row["scene"],
@@ -167,7 +171,7 @@ def kernel_table(raw: dict) -> list[str]:
 
 def query_table(raw: dict) -> list[str]:
     """Rates by threads a block."""
-    rows = rows_of(raw, "queries")
+    rows = rows_of(raw, "queries", "what")
     dims = sorted({row["block_dim"] for row in rows}, key=lambda dim: dim or 0)
     rates = {(r["what"], r["kind"], r["count"], r["precision"], r["block_dim"]): r["queries_a_second"] for r in rows}
     cells = []
@@ -182,9 +186,19 @@ def query_table(raw: dict) -> list[str]:
     )
 
 
+def against_table(raw: dict) -> list[str]:
+    """Times beside those of the CPU and of newton."""
+    cells = [
+        [row["scene"], call, ms(row["seconds"]["device"][call]), row["other"], f"{ratio:.2f}"]
+        for row in rows_of(raw, "against", "ratios")
+        for call, ratio in row["ratios"].items()
+    ]
+    return table(["scene", "call", "here", "beside", "times as fast"], cells) if cells else []
+
+
 def broad_phase_table(raw: dict) -> list[str]:
     """Times of the broad phases."""
-    rows = rows_of(raw, "broad phases")
+    rows = rows_of(raw, "broad phases", "launch")
     cells = (
         [
             row["scene"],
@@ -200,7 +214,7 @@ def broad_phase_table(raw: dict) -> list[str]:
 
 def graph_table(raw: dict) -> list[str]:
     """Captures and replays."""
-    rows = rows_of(raw, "graphs")
+    rows = rows_of(raw, "graphs", "where")
     cells = (
         [row["kind"], row["where"], row.get("replays", 0), row.get("different", "failed"), ms(row.get("seconds"))]
         for row in rows
@@ -211,6 +225,6 @@ def graph_table(raw: dict) -> list[str]:
 def reserve_table(raw: dict) -> list[str]:
     """Times of `reserve()` and of first launches."""
     names = ("reserve", "reserve again", "reserve at positions", "first launch", "launch", "first line search")
-    rows = rows_of(raw, "reserve")
+    rows = rows_of(raw, "reserve", "reserve")
     cells: list[list[Any]] = [[row["mesh"], *(ms(row[name]) for name in names)] for row in rows]
     return table(["mesh", *names], cells) if rows else []

@@ -55,6 +55,11 @@ class Target:
         """Wait for the device."""
         wp.synchronize_device(self.device)
 
+    def check_alive(self) -> None:
+        """Raise the error of a device that answers nothing more: an error of CUDA stays with a process to its end."""
+        if self.is_real:
+            wp.zeros(1, dtype=wp.int32, device=self.device).numpy()
+
     def free_memory(self) -> int | None:
         """Bytes of the device that nobody has reserved; None on the CPU."""
         return int(wp.get_device(self.device).free_memory) if self.is_real else None

@@ -27,6 +27,16 @@ CONTACT_DTYPES = {
     "width": wp.float64,
     "normal": wp.vec3d,
 }
+# Of each of them, the type and the shape of an element in NumPy.
+_HOST_DTYPES = {
+    name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
+    for name, dtype in CONTACT_DTYPES.items()
+}
+# The type and the shape of an element of each in NumPy.
+_ON_HOST = {
+    name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
+    for name, dtype in CONTACT_DTYPES.items()
+}
 _BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
 # Bytes of an entry of the list; and the most that a contact takes: an entry of the list while it is copied to one of
 # twice the size, or an entry of the list and one of the result, with its key and its position in the order.
@@ -36,8 +46,12 @@ _LAST, _NO_CONTACT = int(kernels.NO_CONTACT), np.int32(-1)
 # Number of contacts above which threads share the sorting.
 _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
+# Every array of an allocation that CUDA reads at once begins at a multiple of so many bytes.
+_ALIGNMENT = 256
 # Contacts that are few: their launches are recorded for so many, whatever their number.
 _FEW = 1 << 10
+# Each of several arrays of one allocation begins at a multiple of so many bytes.
+_ALIGNMENT = 256
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
@@ -77,24 +91,49 @@ class _Ordered:
 
     Attributes:
         arrays: The fields of the contacts.
-        views: The same arrays on the host; on the CPU alone.
+        views: The same arrays on the host, on the CPU; on CUDA they are parts of one allocation, which is read at once.
         keys: Keys by which the contacts are sorted; on CUDA the array has capacity for twice as many.
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
     def __init__(self, topology: Topology, count: wp.array, capacity: int, is_cuda: bool) -> None:
         """Make arrays for the contacts of a list, whose number is ``count``."""
-        device = topology.device
+        device, mesh = topology.device, topology.mesh
         self._topology, self._capacity = topology, capacity
-        self.arrays = {name: wp.empty(capacity, dtype=dtype, device=device) for name, dtype in CONTACT_DTYPES.items()}
-        self.views = {} if device.is_cuda else {name: array.numpy() for name, array in self.arrays.items()}
+        self._bounds = [0, *itertools.accumulate((mesh.num_vertices, mesh.num_bodies, mesh.num_worlds))]
+        if is_cuda:
+            self._all_first = self._allocate_as_one()
+        else:
+            self.arrays = {n: wp.empty(capacity, dtype=dtype, device=device) for n, dtype in CONTACT_DTYPES.items()}
+            self.views = {name: array.numpy() for name, array in self.arrays.items()}
+            self._all_first = wp.empty(self._bounds[-1], dtype=wp.int32, device=device)
         self._contacts = new_contact_list({"count": count, **self.arrays})
         self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
-        mesh = topology.mesh
-        self._bounds = [0, *itertools.accumulate((mesh.num_vertices, mesh.num_bodies, mesh.num_worlds))]
-        self._all_first: wp.array = wp.empty(self._bounds[-1], dtype=wp.int32, device=device)
         self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
+
+    def _allocate_as_one(self) -> wp.array:
+        """Make the arrays of contacts parts of one allocation, at the end of which is the array that is returned."""
+        sizes = [self._capacity * wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values()]
+        padded = [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes]
+        self._places = [0, *itertools.accumulate(padded)]
+        device, num_bytes = self._topology.device, self._places[-1] + 4 * self._bounds[-1]
+        self._all = wp.empty(num_bytes, dtype=wp.uint8, device=device)
+        at = [self._all.ptr + place for place in self._places]
+        self.arrays = {
+            name: wp.array(ptr=place, dtype=dtype, shape=self._capacity, device=device)
+            for place, (name, dtype) in zip(at, CONTACT_DTYPES.items(), strict=False)
+        }
+        return wp.array(ptr=at[-1], dtype=wp.int32, shape=self._bounds[-1], device=device)
+
+    def read(self) -> tuple[dict[str, NDArray], NDArray[np.int32]]:
+        """On CUDA, the contacts and the first ones of all vertices, bodies and worlds."""
+        read = self._all.numpy() if self._capacity else np.empty(self._places[-1], np.uint8)
+        contacts = {
+            name: np.ndarray((self._capacity, *shape), dtype, read, place)
+            for place, (name, (dtype, shape)) in zip(self._places, _ON_HOST.items(), strict=False)
+        }
+        return contacts, read[self._places[-1] :].view(np.int32)
 
     def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
         """Compute the keys of the contacts of a list."""
@@ -114,11 +153,11 @@ class _Ordered:
             inputs = [self._contacts, self._topology.planes.body, minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
 
-    def first_contacts(self, count: int) -> list[NDArray[np.int32]]:
+    def first_contacts(self, count: int, found: NDArray[np.int32] | None = None) -> list[NDArray[np.int32]]:
         """Index of the first of ``count`` contacts of every vertex, body and world, -1 where there is none."""
         if count == 0:
             return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
-        found = self._all_first.numpy()
+        found = self._all_first.numpy() if found is None else found
         found = np.where(found == _LAST, _NO_CONTACT, found)
         return [found[i:j] for i, j in itertools.pairwise(self._bounds)]
 
@@ -139,19 +178,22 @@ class ContactStore:
         self._topology, self._buffers = topology, buffers
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
-        self._toi = wp.empty(self._ranges[-1][1], dtype=wp.float64, device=topology.device)
+        # the number of contacts is behind them, so that CUDA reads both at once
+        self._toi: wp.array = wp.zeros(self._ranges[-1][1] + 1, dtype=wp.float64, device=topology.device)
+        place = self._toi.ptr + 8 * self._ranges[-1][1]
+        self.count: wp.array = wp.array(ptr=place, dtype=wp.int32, shape=1, device=topology.device)
+        self._read: NDArray[np.float64] | None = None  # on CUDA, at the end of a batch
         toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, self._ranges, strict=True)}
         # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
-        self.count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
         self._list: Any = None
         self._capacity = 0
         self._recording: Any = None
 
     def begin(self, execution: Execution, largest: int) -> None:
         """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
-        self.total = 0
+        self.total, self._read = 0, None
         self._execution, self._largest = execution, largest
 
     @property
@@ -169,6 +211,7 @@ class ContactStore:
             }
             self._list = new_contact_list({"count": self.count, **arrays})
             self._capacity = min(map(len, arrays.values()))
+        self._read = None
         if self._topology.device.is_cuda:
             self.count.fill_(kept)
         else:
@@ -179,9 +222,15 @@ class ContactStore:
     def _count_view(self) -> NDArray[np.int32]:
         return self.count.numpy()
 
-    def end_batch(self) -> None:
-        """Count what the batch has appended."""
-        count = self.count.numpy() if self._topology.device.is_cuda else self._count_view
+    def end_batch(self, appended: int | None = None) -> None:
+        """Count what the batch has appended, unless that is given."""
+        if appended is not None:
+            self.total += appended
+            return
+        count = self._count_view
+        if self._topology.device.is_cuda:
+            self._read = self._toi.numpy()
+            count = self._read[-1:].view(np.int32)
         self.total += int(count[0]) - min(self.total, self._capacity)
 
     def gather(self) -> Gathered:
@@ -193,15 +242,20 @@ class ContactStore:
                 ordered.fill_keys(self._execution, self._list)
                 sort_places(ordered.keys, ordered.order, count, self._execution)
                 ordered.fill(self._execution, self._list, self.minima)
-            contacts = {name: array.numpy() for name, array in ordered.arrays.items()}
         else:
             ordered = self._few
             if count > 0:
                 self._play("keys", lambda found: ordered.fill_keys(self._recording, found))
                 sort_places(ordered.keys, ordered.order, count, self._execution)
                 self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
-            contacts = {name: values[:count].copy() for name, values in ordered.views.items()}
-        toi = self._toi.numpy().copy()
+        first = None
+        if self._execution.is_cuda:
+            contacts, first = ordered.read()
+            toi = self._toi.numpy() if self._read is None else self._read
+        else:
+            is_kept = ordered is not self._few
+            contacts = {name: v if is_kept else v[:count].copy() for name, v in ordered.views.items()}
+            toi = self._toi.numpy().copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
         return Gathered(
             Contacts(**contacts),
@@ -209,7 +263,7 @@ class ContactStore:
             vertex_toi,
             body_toi,
             world_toi,
-            *ordered.first_contacts(count),
+            *ordered.first_contacts(count, first),
         )
 
     @lazy_property

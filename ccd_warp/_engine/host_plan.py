@@ -50,6 +50,9 @@ _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
+_COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
+_NUM_ALL_COUNTS = len(PairKind) * int(NUM_COUNTS)
+_OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 
 
@@ -149,10 +152,12 @@ class HostPlan:
         self._has_queue = self.execution.is_cuda and has_narrow_phase
         self.has_planes = PairKind.VERTEX_PLANE in self.kinds
         self._queue_arrays: list[wp.array] = []
-        self._counts: wp.array = wp.zeros((len(PairKind), NUM_COUNTS), dtype=wp.int64, device=topology.device)
-        self._counts_view = None if self.execution.is_cuda else self._counts.numpy()
-        self._least_bits: wp.array = wp.zeros(1, dtype=wp.int64, device=topology.device)
-        self._least_view = None if topology.device.is_cuda else self._least_bits.numpy().view(np.float64)
+        # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once
+        self._counters: wp.array = wp.zeros(_NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
+        self._counts = self._counters[:_NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE)
+        self._least_bits = self._counters[_NUM_ALL_COUNTS:]
+        self._view = None if self.execution.is_cuda else _split(self._counters.numpy())
+        self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
         self.begin_counts()
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
@@ -207,6 +212,7 @@ class HostPlan:
         if section not in self._recording:
             with self._recording.section(section):
                 record(self._stages, self._recording)
+        self._read = None
         self._recording.play(section)
 
     def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
@@ -425,9 +431,17 @@ class HostPlan:
             self.num_candidates[kind] += counts[kind]
         return Batch(found, is_only)
 
+    def _on_host(self) -> _OnHost:
+        """The counts and the least toi; on CUDA this waits for the device, once after what has changed them."""
+        if self._view is not None:
+            return self._view
+        if self._read is None:
+            self._read = _split(self._counters.numpy())
+        return self._read
+
     def counts(self) -> NDArray[np.int64]:
-        """The counts of the pairs of each kind; on CUDA this waits for the device."""
-        return self._counts.numpy() if self._counts_view is None else self._counts_view
+        """The counts of the pairs of each kind; on CUDA those after the last launch."""
+        return self._on_host()[0]
 
     def _num_found(self) -> dict[PairKind, int]:
         counts = self.counts()[:, FOUND].tolist()
@@ -447,10 +461,11 @@ class HostPlan:
         return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
 
     def _clear_counts(self) -> None:
-        if self._counts_view is None:
+        self._read = None
+        if self._view is None:
             self._counts.zero_()
         else:
-            self._counts_view.fill(0)
+            self._view[0].fill(0)
 
     def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
         """Have capacity for the pairs of the last step, at first for one pair of each query."""
@@ -561,7 +576,7 @@ class HostPlan:
             self.found_keys(kind, len(keys)).assign(keys)
         counts = self.counts()
         counts[kind, FOUND] = len(keys)
-        if self._counts_view is None:
+        if self._view is None:
             self._counts.assign(counts)
 
     def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
@@ -569,17 +584,17 @@ class HostPlan:
         keys = self._recording.values[f"{kind.name} keys"][:count].numpy()
         return keys[keys < 0]
 
-    def open_toi(self, kind: PairKind, count: int) -> NDArray[np.float64]:
-        """The toi of the same pairs so far."""
+    def open_pairs(self, kind: PairKind, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The marked keys of the same pairs, and their toi so far."""
         keys, toi = (self._recording.values[f"{kind.name} {name}"][:count].numpy() for name in ("keys", "open toi"))
-        return toi[keys < 0]
+        return keys[keys < 0], toi[keys < 0]
 
     def set_number_open(self, num_open: Mapping[PairKind, int]) -> None:
         """Let the open pairs of a kind share their work with others: so many of them in all."""
         counts = self.counts()
         for kind, count in num_open.items():
             counts[kind, OPEN] = count
-        if self._counts_view is None:
+        if self._view is None:
             self._counts.assign(counts)
 
     def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64], num_open: int) -> None:
@@ -592,6 +607,7 @@ class HostPlan:
         counts = np.zeros(self._counts.shape, dtype=np.int64)
         counts[kind, FOUND], counts[kind, OPEN] = len(keys), num_open
         self._counts.assign(counts)
+        self._read = None
 
     def reset_minima(self, num_contacts: wp.array) -> None:
         """Set every toi to infinity."""
@@ -604,15 +620,20 @@ class HostPlan:
 
     def set_least(self, toi: float) -> None:
         """Set the least toi so far."""
-        if self._least_view is None:
+        if self._view is None:
             self._least_bits.assign(np.array([toi]).view(np.int64))
+            self._read = None
         else:
-            self._least_view[0] = toi
+            self._view[1][0] = toi
 
     def least(self) -> float:
         """The least toi so far."""
-        view = self._least_bits.numpy().view(np.float64) if self._least_view is None else self._least_view
-        return float(view[0])
+        return float(self._on_host()[1][0])
+
+
+def _split(counters: NDArray[np.int64]) -> _OnHost:
+    """The counts and the least toi of an array of both."""
+    return counters[:_NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE), counters[_NUM_ALL_COUNTS:].view(np.float64)
 
 
 def _pieces(count: int, largest: int) -> int:

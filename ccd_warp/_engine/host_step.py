@@ -282,20 +282,20 @@ class Step:
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
             capacity = self.capacity(plan.key_bytes + TOI_BYTES)
+            least = best
             if self.is_far_reaching:
                 # most queries have a partner within the distance, so a few of them show a toi of 0
                 for _ in self.timed_batches(plan.few_batches(capacity)):
                     with self.timed("narrow phase"):
                         plan.bound(is_second=False)
-            is_known = plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf)
+                least = plan.least()
+            is_known = least <= 0.0 or (any_suffices and least < np.inf)
             batches = iter(()) if is_known else plan.batches(capacity, of_sample=of_sample)
             for batch in self.timed_batches(batches):
                 with self.timed("narrow phase"):
                     plan.bound(is_second=False)
                     for kind in plan.num_open():
-                        count = batch.found[kind]
-                        pairs = plan.open_keys(kind, count), plan.open_toi(kind, count)
-                        open_pairs.setdefault(kind, []).append(pairs)
+                        open_pairs.setdefault(kind, []).append(plan.open_pairs(kind, batch.found[kind]))
                 if plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf):
                     break
             best = self.least_of_all(plan.least())
@@ -324,17 +324,20 @@ class Step:
             is_earlier = toi < bound
             earlier[kind] = keys[is_earlier], toi[is_earlier]
         num_open = self.open_in_all({kind: len(keys) for kind, (keys, _) in earlier.items()})
+        is_on_device = False  # whether the bound is that of the device, which is read when it is needed
         for kind, (keys, toi) in earlier.items():
             if len(keys) == 0:
                 continue
             if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
-                bound = min(bound, float(toi.min()))
+                bound = min(plan.least() if is_on_device else bound, float(toi.min()))
+                is_on_device = False
                 continue
             plan.set_open_pairs(kind, keys, num_open[kind])
-            plan.set_least(bound)
+            if not is_on_device:
+                plan.set_least(bound)
             plan.bound(is_second=True)
-            bound = plan.least()
-        return bound
+            is_on_device = True
+        return plan.least() if is_on_device else bound
 
     def held_toi(self) -> float:
         """Earliest toi where some pairs are held; 0 where nothing moves until then by more than rounding."""
@@ -436,7 +439,7 @@ class Step:
             if found <= expected:
                 break
             expected = store.num_with_planes = found
-        store.end_batch()
+        store.end_batch(found)
         return found
 
     def finish_counts(
