@@ -36,7 +36,7 @@ class Frames:
     num_merged: NDArray[np.int64]
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, bodies: Sequence[files.Body]) -> "Frames":
+    def _of(cls, mesh: CollisionMesh, bodies: Sequence[files.Body]) -> "Frames":
         """The step of bodies, and the mesh that they make."""
         return cls(
             mesh,
@@ -96,7 +96,7 @@ def read_frames(
     obstacles = check_items("static", static, "a list of paths")
     bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface).split()
     bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface)
-    return Frames.of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
+    return Frames._of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
 
 
 def static_bodies(static: Sequence[Any], *, max_bytes: int, surface: bool) -> list[files.Body]:

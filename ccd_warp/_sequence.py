@@ -89,7 +89,7 @@ class FrameSequence:
             ValueError: If a file is damaged, or its topology differs.
         """
         bodies = self._bodies(range(len(self) - 1)[k])
-        return Frames.of(self._mesh_of(bodies), bodies)
+        return Frames._of(self._mesh_of(bodies), bodies)
 
     def steps(self) -> Iterator[Frames]:
         """All steps, one after the other."""
