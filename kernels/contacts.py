@@ -145,9 +145,11 @@ def vertices_of(
     face_corners: wp.array[wp.vec3i],
 ):
     """The vertices of both primitives of a pair; a plane has none, and those of the first stand for it."""
-    first = vertex_corners[pair[0]]
+    first = wp.vec3i()
     if kind == EDGE_EDGE:
         first = edge_corners[pair[0]]
+    else:  # the number of an edge may be beyond the last vertex
+        first = vertex_corners[pair[0]]
     second = first
     if kind == VERTEX_FACE:
         second = face_corners[pair[1]]
