@@ -15,7 +15,7 @@ import warp as wp
 from ccd_warp.kernels.minima import CANDIDATES
 from emulated.build import compiler
 from emulated.comparison import PAIRS, PLAN, answer_of_cpu, shared
-from emulated.device import MULTIPROCESSORS, emulation
+from emulated.device import MULTIPROCESSORS, Emulation, emulation
 from emulated.outputs import different, outputs_of
 from launches import host, on_device
 
@@ -154,6 +154,14 @@ def arrays_on_both(case, call):
     shared().build()
     with emulation(shared().emulated):
         return expected, call()
+
+
+def test_solvers_do_not_race():
+    """Contacts of a scene in which every access of a solver to memory is looked at."""
+    mesh, start, end = scenes.crowd(np.random.default_rng(44), 40, 0.2)
+    with emulation(Emulation(watches_solvers=True)):
+        result = ccd.CollisionPipeline(mesh, precision="float32").launch(on_device(start), on_device(end))
+    assert result.contacts.count.numpy()[0] > 10
 
 
 @pytest.mark.parametrize("count", [15, 16, 17, 31, 32, 33, 47, 48, 49, 255, 256, 257])
