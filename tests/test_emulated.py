@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.minima import CANDIDATES
 from emulated.build import compiler
 from emulated.comparison import PAIRS, PLAN, answer_of_cpu, shared
@@ -121,6 +122,8 @@ def test_coordinate_that_is_no_number_stops_its_world(per, dtype, broad_phase):
         start, end = start.reshape(-1, 3).copy(), end.reshape(-1, 3).copy()
         count = mesh.num_vertices // 5
         end[3, 1], start[count + 1, 0], start[2 * count - 1, 2] = np.nan, np.inf, -np.inf
+        if broad_phase == "hash":  # boxes in no bucket come after all others
+            end[: 2 * count, 1] = np.nan
         pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase)
         t0, t1 = (on_device(x, dtype=dtype) for x in (start, end))
         result = pipeline.launch(t0, t1) if per is None else pipeline.launch_line_search(t0, t1, per=per)
@@ -164,6 +167,25 @@ def test_solvers_do_not_race():
     assert result.contacts.count.numpy()[0] > 10
 
 
+def test_needles_that_cross_at_many_speeds():
+    """Each is solved by a whole warp, as it takes long."""
+
+    def step():
+        options = {"tolerance": 1e-15, "length_scale": 1.0}
+        start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
+        solved = ccd.edge_edge_ccd(start, end, **options)
+        hardest = np.argmax(solved.iterations * np.isfinite(solved.toi))
+        speeds = np.random.default_rng(5).permutation(np.linspace(0.5, 1, 8))[:, None, None]
+        start = np.repeat(start[hardest : hardest + 1], 8, axis=0)
+        end = (start + speeds * (end[hardest] - start[0])).reshape(-1, 3)
+        start, edges = start.reshape(-1, 3), np.arange(32).reshape(-1, 2)
+        mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(32) // 4)
+        return outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
+
+    expected, found = arrays_on_both("needles at many speeds", step)
+    assert different(found, expected) == []
+
+
 @pytest.mark.parametrize("count", [15, 16, 17, 31, 32, 33, 47, 48, 49, 255, 256, 257])
 def test_searches_of_so_many_boxes(count):
     """As many faces as places in some blocks, one more, and one less; each overlaps its neighbours in the order."""
@@ -183,7 +205,7 @@ def with_short_lists(monkeypatch):
     """A candidate has a place for each pair, not four; returns a scene whose candidates are more, and its pairs."""
     monkeypatch.setattr("ccd_warp._engine.stages.CANDIDATES_EACH", 1)
     monkeypatch.setattr("ccd_warp._engine.device_step.CANDIDATES_EACH", 1)
-    mesh, start, end = scenes.crowd(np.random.default_rng(43), 150, 0.1)
+    mesh, start, end = scenes.crowd(np.random.default_rng(43), 60, 0.25, 0.3)
     result = ccd.mesh_ccd(mesh, start, end)
     most = max(result.counts.num_after_cull.values())
     assert max(result.counts.num_candidates.values()) > most

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
 from ccd_warp.kernels.candidate_cull import make_candidate_cull
 from ccd_warp.kernels.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
 from ccd_warp.kernels.lanes import vec8f
-from ccd_warp.kernels.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, Minima
-from ccd_warp.kernels.pair_kind import VERTEX_FACE
+from ccd_warp.kernels.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
+from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
+from ccd_warp.kernels.queued_pairs import make_queued_pairs
 from ccd_warp.kernels.search_types import SearchOptions
 from ccd_warp.kernels.whole_warp import agreed, is_first, item_of_warp, latest
 from emulated.build import compiler
@@ -17,12 +19,15 @@ from emulated.device import emulation
 
 import ccd_warp as ccd
 from ccd_warp._engine.trees import search_range
+from ccd_warp._input.options import Options
+from ccd_warp._runtime.pair_queue import queue_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
 
 # Around every multiple of half a warp and of a warp.
 COUNTS = [0, 1, 2, *(16 * k + d for k in (1, 2, 3, 4, 8) for d in (-1, 0, 1))]
 INFINITY_BITS = np.float64(np.inf).view(np.int64)
+FALL = [[0, 0, 1], [0, 0, 1], [0, 0, 0], [0, 0, 0]]  # of the first edge of two
 # A count that 32 bits do not hold, and whose lowest 32 are plausible.
 BEYOND = (1 << 32) + 7
 
@@ -198,3 +203,28 @@ def test_counts_beyond_32_bits():
     found, counts, minima, expected = cull(40, 48, found=BEYOND)
     assert len(found) == 0 and counts[VERTEX_FACE, FOUND] == BEYOND + len(expected)
     assert (minima.vertex.numpy()[expected] == 0).all() and minima.flags.numpy()[0] == ccd.LaunchFlag.PAIRS_OVERFLOW
+
+
+def test_warps_agree_while_others_lower_the_least_toi():
+    """Edges that cross at 0.3, which settles needles that are free up to later; these take whole warps for long."""
+    num_solvers = 16 * 32
+    start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
+    hardest = np.argsort(-ccd.edge_edge_ccd(start, end, tolerance=1e-15, length_scale=1.0).iterations)[:56]
+    crossing = np.array([[-1.0, 0, 0.3], [1, 0, 0.3], [0, -1, 0], [0, 1, 0]])
+    first = np.arange(64) % 2 + np.arange(64) // 16 == 0  # of half of the warps
+    x0, x1 = (np.where(first[:, None, None], x, 0.0) for x in (crossing, crossing - FALL))
+    for x, needles in ((x0, start), (x1, end)):
+        x[~first] = needles[hardest]
+    corners = [np.arange(64)[:, None] * 4 + [k, k + 1, k + 1] for k in (0, 2)]
+    pairs = [array(np.arange(64) * ((1 << 32) + 1), wp.int64), *(array(c, wp.vec3i) for c in corners)]
+    options = Options(tolerance=1e-15).for_kernel(1.0)
+    for _ in range(3):
+        counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
+        counts[EDGE_EDGE, [FOUND, QUEUED]] = 64
+        times = array(np.where(first, 0.25, 0.31), wp.float64)
+        queue = queue_of(array(np.arange(64), wp.int32), times, array(np.full(64, 3), wp.int8))
+        least, open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
+        inputs = [0, num_solvers, int(EDGE_EDGE), array(counts, wp.int64), *pairs]
+        inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, queue]
+        launch(make_queued_pairs(wp.float64).pairs_bound[2], num_solvers, inputs, [least, open_toi], block_dim=32)
+        assert 0.3 - 1e-6 <= least.numpy().view(np.float64)[0] <= 0.3
