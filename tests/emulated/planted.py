@@ -36,13 +36,10 @@ FINDERS = {
     "functions": ["test_emulated_kernels.py"],
     "launch": [_step("launches", "every kind, one body static", "float64")],
     "host": [_step("on_the_host", "every kind, one body static", "float64")],
-    "host, worlds": [_step("on_the_host", "worlds in one place", "float64")],
+    "host, sheet": [_step("on_the_host", "sheet over a static ball", "float32")],
     "hash": [_step("launches", "spatial hash", "float32"), _step("on_the_host", "spatial hash", "float32")],
-    "hard pairs": [_step("on_the_host", "little work", "float32"), _step("launches", "little work", "float32")],
     "needles": ["test_emulated.py::test_needles_that_cross_at_many_speeds"],
-    "line search": [_step("launched_line_searches", "worlds in one place", "float32")],
     "at one time": [_step("at_one_time", "worlds in one place", "float64")],
-    "radii": [_step("with_radii", "radii", "float64")],
     "counts": ["test_emulated.py::test_searches_of_so_many_boxes"],
     "short lists": ["test_emulated.py::test_replays_with_lists_too_short_for_the_candidates"],
     "solvers": ["test_emulated.py::test_solvers_do_not_race"],
@@ -55,7 +52,7 @@ FINDERS = {
     "queue": ["test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "trees": ["test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
     "pairs": ["test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"],
-    "replays": [_step("replays", "sheet over a static ball", "float64")],
+    "replays": [_step("replays", "worlds", "float32")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/half_warp.py", "kernels/whole_warp.py"
 _SEARCH, _GRIDS, _QUEUE = "kernels/half_warp_search.py", "kernels/hash_grid.py", "kernels/queued_pairs.py"
@@ -301,10 +298,9 @@ PLANTED = [
         _STEP,
         "            m.scene[0] = _INFINITY_BITS\n",
         "            pass\n",
-        ("launch",),
+        ("replays",),
     ),
-    Fault("empty boxes not written", _TREE, "    if block == count - 1:\n", "    if block == count:\n", ("launch",)),
-    Fault("levels of a spatial hash not cleared", _GRIDS, "        grid.levels[0] = 0\n", "        pass\n", ("hash",)),
+    Fault("empty boxes not written", _TREE, "    if block == count - 1:\n", "    if block == count:\n", ("trees",)),
     Fault(
         "static bodies that move not noted",
         _STEP,
@@ -330,7 +326,7 @@ PLANTED = [
         "elif counts[part.row, CANDIDATES] < wp.int64(0):",
         ("short lists",),
     ),
-    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~key\n", "pairs[k] = key\n", ("hard pairs",)),
+    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~key\n", "pairs[k] = key\n", ("needles",)),
     Fault(
         "the time reached not kept",
         _QUEUE,
@@ -393,7 +389,7 @@ PLANTED = [
         _CONTACTS,
         "    else:  # the number of an edge may be beyond the last vertex\n        first =",
         "    if kind != EDGE_EDGE or pair[0] >= 0:\n        first =",
-        ("host",),
+        ("host, sheet",),
     ),
 ]
 

@@ -52,6 +52,9 @@ struct Warp {
     bool is_over = false;
 };
 
+// Threads whose blocks are on a processor at the same time: two blocks of a warp, whose stacks stay in the cache.
+static constexpr unsigned MOST_THREADS = 64;
+
 class Processor {
 public:
     explicit Processor(uint64_t seed)
@@ -124,7 +127,7 @@ private:
     // Some blocks run at a time, and their warps in turn; where one ends the next begins. All stacks are used again.
     void run_together(const ScrambledRange& order, size_t num_blocks, const Launch& launch)
     {
-        const size_t num_places = std::min<size_t>(num_blocks, launch.togetherness == BLOCKS ? 1 : std::max(1u, 256 / block_size_));
+        const size_t num_places = std::min<size_t>(num_blocks, launch.togetherness == BLOCKS ? 1 : std::max(1u, MOST_THREADS / block_size_));
         const unsigned num_warps = (block_size_ + 31) / 32;
         threads_.resize(num_places * block_size_);
         warps_.resize(num_places * num_warps);
@@ -207,9 +210,11 @@ private:
     bool run_turn(Warp& warp, const Launch& launch)
     {
         bool is_any = false, is_late_ready = false;
-        const ScrambledRange order(warp.count, scrambler_);
-        for (unsigned k = 0; k < warp.count && !Failure::is_set(); ++k) {
-            const unsigned lane = (unsigned)order[k];
+        const unsigned start = (unsigned)scrambler_.below(32), step = 2 * (unsigned)scrambler_.below(16) + 1;
+        for (unsigned k = 0; k < 32 && !Failure::is_set(); ++k) {
+            const unsigned lane = (start + k * step) % 32;
+            if (lane >= warp.count)
+                continue;
             DeviceThread& thread = warp.lanes[lane];
             if (thread.is_ended || !thread.is_ready)
                 continue;

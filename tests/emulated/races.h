@@ -1,9 +1,9 @@
-// Races: two threads of a launch that access one place without an atomic operation, and at least one of them writes.
+// Races: two threads of a launch that change one place, and not both by an atomic operation.
 //
 // Programs are compiled with calls before every access to memory, those of ThreadSanitizer, which are answered here in
 // place of its library. Nothing orders the threads of a launch but a collective of their warp or block in between. So
-// what happened in one order, without harm, is found as what it is. Two things are allowed: to write what is there
-// already, as a flag that many threads set, and to read what others change by atomic operations alone.
+// what happened in one order, without harm, is found as what it is. To write what is there already is allowed: many
+// threads set a flag.
 #pragma once
 
 #include "failure.h"
@@ -102,13 +102,6 @@ public:
         stack_bytes_ = ~(size_t)0;  // no access is one of a thread
     }
 
-    void read(const void* address, size_t size)
-    {
-        finish_write();
-        for (uintptr_t k = (uintptr_t)address; is_shared(k) && k < (uintptr_t)address + size; k += step_of(size))
-            if (const Access* other = writes_.find(k); other && !other->is_atomic)
-                check(*other, "reads", k);
-    }
     void write(const void* address, size_t size)
     {
         finish_write();
