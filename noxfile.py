@@ -41,3 +41,9 @@ def users(session: nox.Session) -> None:
         session.run("python", "-P", str(TESTS / "as_users.py"), OBJECTS.name, env=variables)
     session.install("pytest", "hypothesis")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))
+
+
+@nox.session(venv_backend="none")
+def faults(session: nox.Session) -> None:
+    """Plant faults of GPU code in a copy, one by one, and let the emulated tests find each: `-- NAME` some of them."""
+    session.run("python", str(TESTS / "emulated" / "planted.py"), *session.posargs, external=True)

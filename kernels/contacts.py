@@ -146,9 +146,9 @@ def vertices_of(
 ):
     """The vertices of both primitives of a pair; a plane has none, and those of the first stand for it."""
     first = wp.vec3i()
-    if kind == EDGE_EDGE:  # a mesh has more edges than vertices, so an index of one is none of the other
+    if kind == EDGE_EDGE:
         first = edge_corners[pair[0]]
-    else:
+    else:  # the number of an edge may be beyond the last vertex
         first = vertex_corners[pair[0]]
     second = first
     if kind == VERTEX_FACE:

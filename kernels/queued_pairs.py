@@ -64,7 +64,12 @@ class Queue:
 
 @wp.func
 def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, row: int, t: wp.float64, used: int):
-    """Append an open pair; there is capacity for all pairs."""
+    """Append an open pair; there is capacity for all pairs.
+
+    So no bound is needed: the count is 0 before a round, and a thread has each of its pairs appended once at most. A
+    place beyond the queue would therefore be that of a count that was not reset, which makes all of the queue wrong;
+    the emulated device ends such a launch.
+    """
     n = claim(counts, kind, column, 1)
     queue.rows[n] = row
     queue.t[n] = t

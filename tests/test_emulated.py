@@ -12,13 +12,16 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.kernels.minima import CANDIDATES
 from emulated.build import compiler
-from emulated.comparison import PAIRS, PLAN, shared
-from emulated.device import MULTIPROCESSORS, emulation
+from emulated.comparison import PAIRS, PLAN, answer_of_cpu, shared
+from emulated.device import MULTIPROCESSORS, Emulation, emulation
 from emulated.outputs import different, outputs_of
 from launches import host, on_device
 
 import ccd_warp as ccd
+from ccd_warp._engine import stages
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
 
@@ -106,15 +109,22 @@ def rows_of(contacts):
     return zip(*vars(contacts).values(), strict=True)
 
 
-@pytest.mark.parametrize("per", [None, "scene", "world", "body", "vertex"])
-@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
-def test_coordinate_that_is_no_number_stops_its_world(per, dtype):
+@pytest.mark.parametrize(
+    ("per", "dtype", "broad_phase"),
+    [
+        (None, wp.vec3d, "hash"),
+        *((per, dtype, "tree") for per in (None, "scene", "world", "body", "vertex") for dtype in (wp.vec3d, wp.vec3f)),
+    ],
+)
+def test_coordinate_that_is_no_number_stops_its_world(per, dtype, broad_phase):
     def launch():
         _, mesh, start, end = scenes.cloth_and_ball_in_worlds(5)
         start, end = start.reshape(-1, 3).copy(), end.reshape(-1, 3).copy()
         count = mesh.num_vertices // 5
         end[3, 1], start[count + 1, 0], start[2 * count - 1, 2] = np.nan, np.inf, -np.inf
-        pipeline = ccd.CollisionPipeline(mesh)
+        if broad_phase == "hash":  # boxes in no bucket come after all others
+            end[: 2 * count, 1] = np.nan
+        pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase)
         t0, t1 = (on_device(x, dtype=dtype) for x in (start, end))
         result = pipeline.launch(t0, t1) if per is None else pipeline.launch_line_search(t0, t1, per=per)
         return outputs_of(result, "result") | outputs_of(t1, "positions")
@@ -138,6 +148,116 @@ def test_steps_of_a_pipeline_whose_capacities_grow():
         return found
 
     expected, found = on_both(steps)
+    assert different(found, expected) == []
+
+
+def arrays_on_both(case, call):
+    """The arrays that a call returns on the CPU and on the emulated device."""
+    expected = answer_of_cpu(case, call)
+    shared().build()
+    with emulation(shared().emulated):
+        return expected, call()
+
+
+def test_solvers_do_not_race():
+    """Contacts of a scene in which every access of a solver to memory is looked at."""
+    mesh, start, end = scenes.crowd(np.random.default_rng(44), 40, 0.2)
+    with emulation(Emulation(watches_solvers=True)):
+        result = ccd.CollisionPipeline(mesh, precision="float32").launch(on_device(start), on_device(end))
+    assert result.contacts.count.numpy()[0] > 10
+
+
+def test_needles_that_cross_at_many_speeds():
+    """Each is solved by a whole warp, as it takes long."""
+
+    def step():
+        options = {"tolerance": 1e-15, "length_scale": 1.0}
+        start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
+        solved = ccd.edge_edge_ccd(start, end, **options)
+        hardest = np.argmax(solved.iterations * np.isfinite(solved.toi))
+        speeds = np.random.default_rng(5).permutation(np.linspace(0.5, 1, 8))[:, None, None]
+        start = np.repeat(start[hardest : hardest + 1], 8, axis=0)
+        end = (start + speeds * (end[hardest] - start[0])).reshape(-1, 3)
+        start, edges = start.reshape(-1, 3), np.arange(32).reshape(-1, 2)
+        mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(32) // 4)
+        return outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
+
+    expected, found = arrays_on_both("needles at many speeds", step)
+    assert different(found, expected) == []
+
+
+@pytest.mark.parametrize("count", [15, 16, 17, 31, 32, 33, 47, 48, 49, 255, 256, 257])
+def test_searches_of_so_many_boxes(count):
+    """As many faces as places in some blocks, one more, and one less; each overlaps its neighbours in the order."""
+
+    def search():
+        start, faces = scenes.soup(np.random.default_rng(count), count, 0.12, spread=(count / 40) ** (1 / 3))
+        mesh = scenes.single(start, faces)
+        end = start + 0.05 * np.random.default_rng(3).standard_normal(start.shape)
+        result = ccd.CollisionPipeline(mesh, max_pairs=9000).launch(on_device(start), on_device(end))
+        return outputs_of(result, "launch")
+
+    expected, found = arrays_on_both(("boxes", count), search)
+    assert different(found, expected) == []
+
+
+def with_short_lists(monkeypatch):
+    """A candidate has a place for each pair, not four; returns a scene whose candidates are more, and its pairs."""
+    monkeypatch.setattr("ccd_warp._engine.stages.CANDIDATES_EACH", 1)
+    monkeypatch.setattr("ccd_warp._engine.device_step.CANDIDATES_EACH", 1)
+    mesh, start, end = scenes.crowd(np.random.default_rng(43), 60, 0.25, 0.3)
+    result = ccd.mesh_ccd(mesh, start, end)
+    most = max(result.counts.num_after_cull.values())
+    assert max(result.counts.num_candidates.values()) > most
+    return mesh, start, end, most
+
+
+def test_replays_with_lists_too_short_for_the_candidates(monkeypatch):
+    """What does not fit is culled in a branch of the graph, which a replay may take or not."""
+
+    def replays():
+        mesh, start, end, most = with_short_lists(monkeypatch)
+        mesh = scenes.single(start, mesh.faces)
+        pipeline = ccd.CollisionPipeline(mesh, max_pairs=most)
+        t0, t1 = on_device(start), on_device(end)
+        pipeline.launch(t0, t1)
+        with wp.ScopedCapture(device="cpu") as capture:
+            result = pipeline.launch(t0, t1)
+        found = {}
+        for share in (0.0, 1.0, 0.1, 0.9):
+            t1.assign(start + share * (end - start))
+            wp.capture_launch(capture.graph)
+            found |= outputs_of(result, f"replay {share}")
+        assert found["replay 1.0.flags"][0] == 0 and np.isfinite(found["replay 1.0.toi"][0])
+        return found
+
+    expected, found = arrays_on_both("short lists", replays)
+    assert different(found, expected) == []
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def count_from(begin: int, count: wp.int64, counts: wp.array2d[wp.int64]):
+    counts[begin + wp.tid(), CANDIDATES] = count
+
+
+@pytest.mark.parametrize("first", [1 << 31, 1 << 32])
+def test_more_candidates_than_32_bits_count(first, monkeypatch):
+    """Their count begins there, as after so many: none finds a place, and a second search culls them all."""
+    reset = stages.Stages.reset
+
+    def reset_to_many(self, launcher, *arguments, **options):
+        reset(self, launcher, *arguments, **options)
+        if launcher.is_cuda:
+            launcher.launch(count_from, len(self.counts), inputs=[first], outputs=[self.counts])
+
+    monkeypatch.setattr(stages.Stages, "reset", reset_to_many)
+
+    def launch():
+        mesh, start, end = scenes.crowd(np.random.default_rng(43), 150, 0.1)
+        return outputs_of(ccd.CollisionPipeline(mesh).launch(on_device(start), on_device(end)), "launch")
+
+    expected, found = arrays_on_both("many candidates", launch)
+    assert 0 < expected["launch.toi"][0] < 1
     assert different(found, expected) == []
 
 

@@ -14,11 +14,14 @@ _FOLDER = Path(__file__).resolve().parent
 _NATIVE = Path(wp.__file__).resolve().parent / "native"
 _FLAGS = [
     # fuse_fp is off, so that a product and a sum are rounded one after the other
-    *("-std=c++17", "-w", "-fPIC", "-shared", "-pthread", "-ffp-contract=off"),
+    *("-std=c++17", "-w", "-fPIC", "-pthread", "-ffp-contract=off"),
     # fmin and fmax are those of the device
-    *("-fno-builtin-fmin", "-fno-builtin-fmax", "-fno-builtin-fminf", "-fno-builtin-fmaxf", "-Wl,-Bsymbolic-functions"),
+    *("-fno-builtin-fmin", "-fno-builtin-fmax", "-fno-builtin-fminf", "-fno-builtin-fmaxf"),
 ]
+_LINKED = ["-shared", "-Wl,-Bsymbolic-functions"]
 _OPTIMIZED = ["-O1"]
+# a call before every access to memory, which the device answers: the library of the sanitizer is not linked
+_WATCHED = ["-fsanitize=thread", "--param", "tsan-instrument-func-entry-exit=0"]
 # not optimized, which would take three times as long to compile
 _SANITIZED = [
     "-O0",
@@ -64,56 +67,56 @@ def _version() -> str:
 def device_folder(is_sanitized: bool = False) -> Path:
     """A folder with the compiled device, `device.so`, and the headers of it and of Warp, parsed once.
 
-    Warp's are links, but for a copy of `builtin.h` in which the branches for CUDA (of atomics, fmin, block_dim) are
-    those of EMULATED_CUDA_ARCH.
+    Warp's are links, but for copies: of `builtin.h`, in which the branches for CUDA (of atomics, fmin, block_dim) are
+    those of EMULATED_CUDA_ARCH, and of `crt.h` without the system's `assert`, which would end the process.
     """
     own = sorted([*_FOLDER.glob("*.h"), *_FOLDER.glob("*.cpp")])
     builtin = (_NATIVE / "builtin.h").read_text(encoding="utf-8").replace("__CUDA_ARCH__", "EMULATED_CUDA_ARCH")
     # the atomic sum of float64: a function of CUDA, not an instruction
     builtin = builtin.replace("#elif defined(__clang__)  // CUDA compiled by Clang", "#elif 1")
+    copies = {"builtin.h": builtin}
+    copies["crt.h"] = (_NATIVE / "crt.h").read_text(encoding="utf-8").replace("#include <assert.h>", "")
     flags = flags_for(is_sanitized)
-    name = _hash_of(builtin, wp.__version__, str(_NATIVE), _version(), *flags, *(path.read_text() for path in own))
+    texts = [*copies.values(), *(path.read_text() for path in own)]
+    name = _hash_of(*texts, wp.__version__, str(_NATIVE), _version(), *flags)
     folder = cache_folder() / f"device_{name}"
     if folder.exists():
         return folder
     cache_folder().mkdir(parents=True, exist_ok=True)
     made = Path(tempfile.mkdtemp(dir=cache_folder()))
     for path in _NATIVE.iterdir():
-        if path.name != "builtin.h":
+        if path.name not in copies:
             (made / path.name).symlink_to(path)
-    (made / "builtin.h").write_text(builtin, encoding="utf-8")
+    for copied, text in copies.items():
+        (made / copied).write_text(text, encoding="utf-8")
     for path in own:
         shutil.copy(path, made)
-    _run([str(compiler()), *flags, "-x", "c++-header", "device.h", "-o", "device.h.gch"], made)
+    (made / "device.h.gch").mkdir()  # of its headers the compiler takes the one with its own options
+    for parsed, watched in (("plain", []), ("watched", [] if is_sanitized else _WATCHED)):
+        parse = [*flags, *watched, "-x", "c++-header", "device.h", "-o", f"device.h.gch/{parsed}"]
+        _run([str(compiler()), *parse], made)
     # switches stacks, of which the sanitizer is told, and is not instrumented itself
     told = ["-DEMULATED_IS_SANITIZED"] if is_sanitized else []
-    _run([str(compiler()), *flags_for(False), *told, "grid.cpp", "-o", "device.so"], made)
+    _run([str(compiler()), *_FLAGS, *_LINKED, "-O2", *told, "grid.cpp", "-o", "device.so"], made)
     _move(made, folder)
     return folder
 
 
-def build(source: str, is_sanitized: bool = False) -> Path:
-    """The library of a C++ program that includes the device.
+def build(source: str, is_sanitized: bool = False, is_watched: bool = False) -> Path:
+    """The library of a C++ program that includes the device, which finds races of a program that it watches.
 
     Raises:
         RuntimeError: If it does not compile.
     """
     device = device_folder(is_sanitized)
-    library = cache_folder() / f"{_hash_of(source, device.name)}.so"
+    watched = _WATCHED if is_watched and not is_sanitized else []
+    library = cache_folder() / f"{_hash_of(source, device.name, *watched)}.so"
     if not library.exists():
         made = Path(tempfile.mkdtemp(dir=cache_folder()))
         (made / "program.cpp").write_text(source, encoding="utf-8")
-        command = [
-            str(compiler()),
-            *flags_for(is_sanitized),
-            "-I",
-            str(device),
-            "program.cpp",
-            str(device / "device.so"),
-            "-o",
-            "program.so",
-        ]
-        _run(command, made)
+        _run([str(compiler()), *flags_for(is_sanitized), *watched, "-I", str(device), "-c", "program.cpp"], made)
+        of_link = [*_LINKED, *(_SANITIZED if is_sanitized else [])]
+        _run([str(compiler()), *_FLAGS, *of_link, "program.o", str(device / "device.so"), "-o", "program.so"], made)
         _move(made / "program.so", library)
         shutil.rmtree(made)
     return library

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from threading import Lock
 from typing import Any
 from unittest import mock
@@ -26,6 +27,8 @@ from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_poin
 _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
+# In the source of the modules that solve pairs.
+_SOLVERS = "make_queued_pairs__locals__"
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132
 
@@ -35,11 +38,12 @@ class Emulation:
 
     Attributes:
         is_sanitized: Whether modules are compiled with AddressSanitizer.
+        watches_solvers: Whether races are looked for in the solvers as well, whose arithmetic takes most of the time.
         launches: Number of launches of each kernel, by the names of its module and its own.
     """
 
-    def __init__(self, is_sanitized: bool = False) -> None:
-        self.is_sanitized = is_sanitized
+    def __init__(self, is_sanitized: bool = False, watches_solvers: bool = False) -> None:
+        self.is_sanitized, self.watches_solvers = is_sanitized, watches_solvers
         self.launches: Counter[tuple[str, str]] = Counter()
         self._libraries: dict[tuple[Any, bytes], ctypes.CDLL] = {}
         self._executables: dict[tuple[Any, bytes, int], _Executable] = {}
@@ -50,7 +54,7 @@ class Emulation:
         key = (module, _hash_of(module))
         with self._lock:
             if key not in self._libraries:
-                self._libraries[key] = self._load(build(emulated_source(cuda_source(module)), self.is_sanitized))
+                self._libraries[key] = self._load(self._build(emulated_source(cuda_source(module))))
             return self._libraries[key]
 
     def build_all(self, modules: Iterable[Any]) -> None:
@@ -58,7 +62,7 @@ class Emulation:
         modules = list(modules)
         sources = [emulated_source(cuda_source(module)) for module in modules]
         with ThreadPoolExecutor(2) as pool:
-            paths = list(pool.map(lambda source: build(source, self.is_sanitized), sources))
+            paths = list(pool.map(self._build, sources))
         for module, path in zip(modules, paths, strict=True):
             self._libraries[module, _hash_of(module)] = self._load(path)
 
@@ -75,6 +79,9 @@ class Emulation:
         for library in self._libraries.values():
             if message := library.take_error().decode():
                 raise RuntimeError(f"emulated device: {message}")
+
+    def _build(self, source: str) -> Path:
+        return build(source, self.is_sanitized, self.watches_solvers or _SOLVERS not in source)
 
     @staticmethod
     def _load(path: Any) -> ctypes.CDLL:

@@ -133,6 +133,7 @@ public:
     }
 
     bool is_running() const { return is_running_; }
+    const char* stack() const { return stack_.begin(); }
 
 private:
     static void enter()

@@ -32,6 +32,7 @@ static constexpr int warpSize = 32;
 // End the launch with a message, which the host raises as an error; defined in grid.cpp, as what else is only declared.
 [[noreturn]] void fail_launch(const char* format, ...);
 [[noreturn]] inline void __trap() { fail_launch("__trap() was called"); }
+#define assert(condition) ((condition) ? (void)0 : fail_launch("%s is not true: an index beyond an array", #condition))
 
 // --- atomics: relaxed, as on the device ---
 

@@ -56,8 +56,9 @@ def emulated_source(source: str) -> str:
     if _TILE.search(source):
         raise NotImplementedError("a kernel uses tiles of Warp; expected none, as they are not emulated")
     parts = ['#include "device.h"', source]
-    is_cooperative = int(_COLLECTIVE.search(source) is not None)
-    most = max(BLOCK_DIMS) if _BLOCK.search(source) else _SMALL_BLOCK_DIM
+    togetherness, most = "WARPS" if _COLLECTIVE.search(source) else "ALONE", _SMALL_BLOCK_DIM
+    if _BLOCK.search(source):
+        togetherness, most = "BLOCKS", max(BLOCK_DIMS)
     for match in _KERNEL.finditer(source):
         kernel, bounds, declared = match.groups()
         fields = [field.strip() for field in declared.split(",\n") if field.strip()]
@@ -71,7 +72,7 @@ def emulated_source(source: str) -> str:
         parts += [
             f'extern "C" int {entry_point(kernel, block_dim)}({bounds}* bounds, {kernel}_arguments* given)\n'
             f"{{ {kernel}_launch launch {{ bounds, given }}; "
-            f"return run_grid(bounds->size, {min(block_dim, most)}, {is_cooperative}, {kernel}_thread, &launch); }}"
+            f"return run_grid(bounds->size, {min(block_dim, most)}, {togetherness}, {kernel}_thread, &launch); }}"
             for block_dim in BLOCK_DIMS
         ]
     return "\n".join(parts)
