@@ -14,7 +14,7 @@ from ccd_warp._files.frames import Body, InputError, body_between
 from ccd_warp._files.mesh import Mesh
 from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.series import Series, find_series
-from ccd_warp._frames import Frames, mesh_of, static_bodies
+from ccd_warp._frames import Frames, check_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_count, check_flag, check_items, check_path
 from ccd_warp._input.messages import printable
@@ -179,8 +179,6 @@ def read_sequence(
         faces=None if faces is None else check_path("faces", faces),
         surface=surface,
     )
-    obstacles = static_bodies(
-        check_items("static", static, "a list of paths and half-spaces"), max_bytes=limit, surface=surface
-    )
+    obstacles = static_bodies(check_static(static), max_bytes=limit, surface=surface)
     chosen = check_items("kinematic", kinematic, "a list of body indices")
     return FrameSequence(series, obstacles, partial(mesh_of, kinematic=chosen, self_collision=self_collision))

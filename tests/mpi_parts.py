@@ -30,6 +30,8 @@ def whole_mesh(mesh):
     is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
     with_points = np.zeros(mesh.num_bodies, dtype=bool)
     with_points[mesh.vertex_body[mesh.codimensional_points]] = True
+    with_inner = np.zeros(mesh.num_bodies, dtype=bool)
+    with_inner[mesh.vertex_body[mesh.inner_vertices]] = True
     state = {name: getattr(mesh, name) for name in ("vertices", "body_vertex_range", "static", "kinematic")}
     state |= {
         name: getattr(mesh, name)
@@ -39,6 +41,7 @@ def whole_mesh(mesh):
         faces=mesh.faces[order[is_first]],
         given_edges=mesh.edges[mesh.codimensional_edges],
         with_codimensional_points=with_points,
+        with_inner_vertices=with_inner,
         exclude_pairs=mesh.exclude_pairs,
         **state,
     )

@@ -131,7 +131,7 @@ def test_coordinate_that_is_no_number_stops_its_world(per, dtype, broad_phase):
 
     expected, found = on_both(launch)
     assert different(found, expected) == []
-    assert (found["result.world_flags"][:2] == ccd.LaunchFlag.INVALID_INPUT).all()
+    assert (found["result.world_flags"][:2] & ccd.LaunchFlag.INVALID_INPUT).all()
     assert (found["result.world_toi"][:2] == 0).all()
 
 

@@ -405,6 +405,7 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.DeviceProximities,
         ccd.DisplacementOptions,
         ccd.Frames,
+        ccd.FrameSequence,
         ccd.HostLaunchResult,
         ccd.IntersectionKind,
         ccd.IntersectionOptions,

@@ -64,7 +64,7 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
             vertices = validated_positions(body[0], f"vertices of {label}", 3)
             faces = surface_of(body[1].items(), f"cells of {label}", len(vertices), vertices)
             if not len(faces):
-                raise ValueError(f"cells of {label} are none; expected {_EXPECTED}")
+                raise ValueError(f"cells, the faces of {label}, are none; expected {_EXPECTED}")
             bodies[b], is_of_cells[b] = (vertices, faces, *body[2:]), True
     return bodies, is_of_cells
 
