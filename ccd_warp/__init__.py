@@ -20,6 +20,7 @@ from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.option_types import (
+    BodyOptions,
     CandidateOptions,
     DisplacementOptions,
     IntersectionOptions,
@@ -52,6 +53,7 @@ from ccd_warp._version import __version__
 keep_warp_quiet()
 
 __all__ = [
+    "BodyOptions",
     "CCDStatus",
     "CandidateOptions",
     "Candidates",

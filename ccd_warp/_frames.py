@@ -36,7 +36,7 @@ class Frames:
     num_merged: NDArray[np.int64]
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, bodies: Sequence[files.Body]) -> "Frames":
+    def _of(cls, mesh: CollisionMesh, bodies: Sequence[files.Body]) -> "Frames":
         """The step of bodies, and the mesh that they make."""
         return cls(
             mesh,
@@ -93,20 +93,26 @@ def read_frames(
     """
     start, end = check_path("start_path", start_path), check_path("end_path", end_path)
     surface = check_flag("surface", surface)
-    obstacles = check_items("static", static, "a list of paths")
+    obstacles = checked_static(static)
     bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface).split()
     bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface)
-    return Frames.of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
+    return Frames._of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
 
 
-def static_bodies(static: Sequence[Any], *, max_bytes: int, surface: bool) -> list[files.Body]:
+def checked_static(static: Any) -> list[Path | HalfSpace]:
+    """Paths of mesh files and half-spaces, or a ValueError."""
+    items = check_items("static", static, "a list of paths and half-spaces")
+    return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]
+
+
+def static_bodies(static: Sequence[Path | HalfSpace], *, max_bytes: int, surface: bool) -> list[files.Body]:
     """The bodies in mesh files, and half-spaces."""
     bodies = []
     for item in static:
         if isinstance(item, HalfSpace):
             bodies.append(files.Body.of_half_space("half-space", item))
         else:
-            bodies += files.read_static(check_path("static", item), max_bytes=max_bytes, surface=surface).split()
+            bodies += files.read_static(item, max_bytes=max_bytes, surface=surface).split()
     return bodies
 
 

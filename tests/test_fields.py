@@ -60,7 +60,7 @@ READ = {
     "docs/architecture.md": "primitives",
     "docs/choosing.md": "distance touching",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
-    "docs/command_line.md": "gap primitives",
+    "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
