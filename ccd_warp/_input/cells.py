@@ -173,6 +173,8 @@ def _distinct(corners: _Integers) -> _Integers:
 
 def _numbered(rows: _Integers) -> tuple[_Integers, int]:
     """A number for each row, the same for the same row, and how many there are."""
+    rows = (rows[:, ::2] + 1) << 32 | (rows[:, 1::2] + 1)  # two columns in one, which takes half as long to sort
+    rows = rows[:, rows.any(axis=0)] if len(rows) else rows
     order = np.lexsort(rows.T)
     number = np.zeros(len(rows), dtype=np.int64)
     number[order[1:]] = np.cumsum((rows[order[1:]] != rows[order[:-1]]).any(axis=1))
