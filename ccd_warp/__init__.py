@@ -19,8 +19,8 @@ from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._half_space import HalfSpace, Planes
+from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.option_types import (
-    BodyOptions,
     CandidateOptions,
     DisplacementOptions,
     IntersectionOptions,

@@ -15,6 +15,7 @@ from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
+from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.cells import cells_by_type, with_surfaces
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
@@ -29,7 +30,6 @@ from ccd_warp._input.mesh_checks import (
     vertices_without_primitive,
 )
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
-from ccd_warp._input.option_types import BodyOptions
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
 from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._replicate import replicated
