@@ -19,6 +19,7 @@ from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._half_space import HalfSpace, Planes
+from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.option_types import (
     CandidateOptions,
     DisplacementOptions,
@@ -52,6 +53,7 @@ from ccd_warp._version import __version__
 keep_warp_quiet()
 
 __all__ = [
+    "BodyOptions",
     "CCDStatus",
     "CandidateOptions",
     "Candidates",

@@ -93,18 +93,14 @@ def read_frames(
     """
     start, end = check_path("start_path", start_path), check_path("end_path", end_path)
     surface = check_flag("surface", surface)
-    obstacles = check_static(static)
+    obstacles = checked_static(static)
     bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface).split()
     bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface)
     return Frames._of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
 
 
-def check_static(static: Any) -> list[Path | HalfSpace]:
-    """What does not move, each a path or a half-space.
-
-    Raises:
-        ValueError: If an item is neither.
-    """
+def checked_static(static: Any) -> list[Path | HalfSpace]:
+    """Paths of mesh files and half-spaces, or a ValueError."""
     items = check_items("static", static, "a list of paths and half-spaces")
     return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]
 

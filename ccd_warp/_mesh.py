@@ -5,7 +5,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, fields
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
 from ccd_warp._input.arrays import check_finite
 from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
+from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.cells import cells_by_type, with_surfaces
 from ccd_warp._input.edges import unique_edges
 from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
@@ -401,7 +402,7 @@ class CollisionMesh:
         vertices: ArrayLike,
         cells: Any,
         others: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace] = (),
-        **options: Any,
+        **options: Unpack[BodyOptions],
     ) -> CollisionMesh:
         """Build a mesh from a volume mesh, which collides by its boundary surface, and other bodies.
 
@@ -418,7 +419,7 @@ class CollisionMesh:
                 with repeated corners stands for what it has shrunk to.
             others: Further bodies, as of :meth:`from_arrays`: (vertices, faces), (vertices, cells by type), or a
                 :class:`ccd_warp.HalfSpace`. The volume is body 0, and its vertices come first.
-            options: Further arguments of :meth:`from_arrays`, such as ``static``, ``names`` and ``radius``.
+            options: Those of :class:`BodyOptions`, as of :meth:`from_arrays`.
 
         Returns:
             The mesh; its ``faces`` are the surface, turned outward, and ``inner_vertices`` the nodes that it leaves
@@ -428,7 +429,8 @@ class CollisionMesh:
             ValueError: If there is no cell, two cells have the same corners, more than two the same side, or an
                 argument is not as described.
         """
-        return cls.from_arrays([(vertices, cells_by_type(cells)), *others], **options)
+        further = check_items("others", others, "a list of bodies")
+        return cls.from_arrays([(vertices, cells_by_type(cells)), *further], **options)
 
     def excluding(self, exclude_pairs: Mapping[str, Any]) -> CollisionMesh:
         """The same mesh without further pairs, as given or as found in an earlier result.

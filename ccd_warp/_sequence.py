@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ from ccd_warp._files.frames import Body, InputError, body_between
 from ccd_warp._files.mesh import Mesh
 from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.series import Series, find_series
-from ccd_warp._frames import Frames, check_static, mesh_of, static_bodies
+from ccd_warp._frames import Frames, checked_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arguments import check_count, check_flag, check_items, check_path
+from ccd_warp._input.arguments import check_count, check_flag, check_items, check_path, shown
 from ccd_warp._input.messages import printable
 from ccd_warp._mesh import CollisionMesh
 
@@ -35,10 +35,10 @@ class FrameSequence:
     """
 
     def __init__(
-        self, series: Sequence[Series], static: list[Body], make_mesh: Callable[[list[Body]], CollisionMesh]
+        self, series: Sequence[Any], static: list[Any], make_mesh: Callable[[list[Any]], CollisionMesh]
     ) -> None:
         """Of the series of files that move, and obstacles; ``make_mesh`` joins the bodies of a step."""
-        self._series = series
+        self._series: Sequence[Series] = series
         self._static = static
         self._make_mesh = make_mesh
         self._read: dict[int, tuple[list[Mesh], list[Stamp]]] = {}
@@ -168,17 +168,15 @@ def read_sequence(
     Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
     """
     given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
+    if not given:
+        raise ValueError("paths is empty; expected a path, or a list of paths")
+    files = [check_path("paths", path) for path in given]
+    obstacles, chosen = checked_static(static), check_items("kinematic", kinematic, "a list of body indices")
     limit = check_count("max_bytes", max_bytes, 2**63 - 1)
     if displacement is not None and not isinstance(displacement, str):
-        raise ValueError(f"displacement is {displacement!r}; expected the name of a field")
+        raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
     surface = check_flag("surface", surface)
-    series = find_series(
-        [check_path("paths", path) for path in given],
-        max_bytes=limit,
-        displacement=displacement,
-        faces=None if faces is None else check_path("faces", faces),
-        surface=surface,
-    )
-    obstacles = static_bodies(check_static(static), max_bytes=limit, surface=surface)
-    chosen = check_items("kinematic", kinematic, "a list of body indices")
-    return FrameSequence(series, obstacles, partial(mesh_of, kinematic=chosen, self_collision=self_collision))
+    faces_path = None if faces is None else check_path("faces", faces)
+    series = find_series(files, max_bytes=limit, displacement=displacement, faces=faces_path, surface=surface)
+    bodies = static_bodies(obstacles, max_bytes=limit, surface=surface)
+    return FrameSequence(series, bodies, partial(mesh_of, kinematic=chosen, self_collision=self_collision))

@@ -48,11 +48,9 @@ html_css_files = ["site.css"]
 autodoc_typehints = "description"  # long unions would fill a screen of every signature
 autodoc_typehints_format = "short"
 napoleon_use_ivar = True
-# Names of other projects, whose own pages need not be reached while this site is built; what constructors take
-# that only readers of files call.
+# Names of other projects, whose own pages need not be reached while this site is built.
 nitpick_ignore_regex = [
     ("py:.*", r"NDArray|ArrayLike|(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
-    ("py:.*", r"ccd_warp\._files\..*"),
 ]
 
 

@@ -87,7 +87,7 @@ def test_excluded_pairs_come_from_text_and_arrays(sheets, name, capfd):
         np.save(path, everything)
     assert _run(sheets, "--exclude", path, "--fail-on-contact", "--no-self-collision") == 0
     out = capfd.readouterr().out
-    assert ("2 bodies pairs (--exclude)" if name.endswith("txt") else "32 vertices pairs (--exclude)") in out
+    assert ("2 pairs of bodies (--exclude)" if name.endswith("txt") else "32 pairs of vertices (--exclude)") in out
 
 
 def test_rings_are_excluded(sheets, capfd):

@@ -151,6 +151,11 @@ def _calls(folder):
             _of_arrays,
             {"vertices of body 0": START, "faces of body 0": FACE, "edges of body 0": np.array([[3, 4], [4, 5]])},
         ),
+        "from_volume": (
+            ccd.CollisionMesh.from_volume,
+            {name: value for name, value in BODIES.items() if name != "bodies"}
+            | {"vertices": TRIANGLE, "cells": {"triangle": FACE}, "others": [(CABLE, FACE[:0])]},
+        ),
         "from_trimesh": (
             ccd.CollisionMesh.from_trimesh,
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
@@ -223,6 +228,20 @@ def _calls(folder):
                 "static": [start],
                 "kinematic": [],
                 "self_collision": True,
+                "surface": False,
+                "max_bytes": 1000,
+            },
+        ),
+        "read_sequence": (
+            ccd.read_sequence,
+            {
+                "paths": [start, end],
+                "static": [start],
+                "kinematic": [],
+                "self_collision": True,
+                "displacement": None,
+                "faces": None,
+                "surface": False,
                 "max_bytes": 1000,
             },
         ),
@@ -269,11 +288,14 @@ OPTIONAL = {
         "camera",
     ),
     *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs", "radius"),
+    *("displacement", "faces"),
 }
+TEXTS = {"name", "displacement"}
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
-PATHS = {"path", "folder", "start_path", "end_path"}
+REQUIRED |= {("from_volume", "vertices"), ("edges_by_max", "faces")}
+PATHS = {"path", "folder", "start_path", "end_path", "paths"}
 # What is no mistake: the value has the meaning that the documentation gives it.
-FLAGS = {"check_start", "self_collision", "codimensional_points", "progress"}
+FLAGS = {"check_start", "self_collision", "codimensional_points", "progress", "surface"}
 TAKEN = {
     "None": OPTIONAL,
     "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t", "radius", "distance"},
@@ -287,12 +309,12 @@ TAKEN = {
     "numpy bool": FLAGS,
     "0-d float array": {"radius"},
     "0-d int array": {"radius"},
-    "0-d bool array": FLAGS - {"progress", "check_start"},
+    "0-d bool array": FLAGS - {"progress", "check_start", "surface"},
     "int beyond float64": {"memory_limit", "exclusion_rings", "max_work", "max_bytes"},
     "minus one": {"i"},
-    "text": {"name"},
-    "empty text": {"name"},
-    "text with a null": {"name"},
+    "text": TEXTS,
+    "empty text": TEXTS,
+    "text with a null": TEXTS,
     "array of texts": {"names"},
 }
 EXCEPTIONS = REQUIRED | {("render_step", "t_max"), ("draw_step", "t_max")}
@@ -307,7 +329,7 @@ def is_taken(name, call, argument):
 
 
 # What a message calls an argument that has parts.
-NAMES = {"bodies": "bod", "vertices of body 0": "of body 0"}
+NAMES = {"bodies": "bod", "others": "", "from_volume vertices": "of body 0", "vertices of body 0": "of body 0"}
 
 
 def _run(function, arguments):
@@ -373,15 +395,15 @@ def test_what_no_argument_expects_is_refused_by_its_name(calls, call, argument, 
     monkeypatch.chdir(tmp_path)
     function, arguments = calls[call]
     for name, make in hostile.VALUES.items():
-        if name == "text" and argument in {*PATHS, "truth"}:
+        if name == "text" and (argument in {*PATHS, "truth"} or (call, argument) == ("read_sequence", "faces")):
             continue  # is a path
-        if name in ("array of texts", "long list") and (call, argument) == ("read_frames", "static"):
+        if name in ("array of texts", "long list") and call.startswith("read_") and argument in ("static", "paths"):
             continue  # are paths
         try:
             result = _run(function, arguments | {argument: make()})
         except Exception as error:
             assert not is_taken(name, call, argument), f"{name}: {error}"
-            _check_refusal(error, NAMES.get(argument, argument))
+            _check_refusal(error, NAMES.get(f"{call} {argument}", NAMES.get(argument, argument)))
         else:
             assert is_taken(name, call, argument), f"{name} is taken"
             plain = {"fraction": 0.5, "longdouble": 0.5, "float16": 0.5, "negative zero": 0.0}
@@ -396,6 +418,7 @@ def test_every_public_argument_is_among_those_tried(calls):
     functions += [member for owner in (ccd.CollisionMesh, ccd.CollisionPipeline) for member in _methods(owner)]
     outputs = {
         ccd.CandidateOptions,
+        ccd.BodyOptions,
         ccd.Candidates,
         ccd.Contact,
         ccd.Contacts,
@@ -404,6 +427,7 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.DeviceDisplacements,
         ccd.DeviceProximities,
         ccd.DisplacementOptions,
+        ccd.FrameSequence,
         ccd.Frames,
         ccd.FrameSequence,
         ccd.HostLaunchResult,

@@ -60,5 +60,5 @@ def test_files_that_do_not_fit_are_refused_in_one_line(files):
         with pytest.raises(ValueError, match=message) as error:
             ccd.read_frames(*arguments)
         assert "\n" not in str(error.value)
-    with pytest.raises(ValueError, match=r"static is 'box\.ply'; expected a list of paths"):
+    with pytest.raises(ValueError, match=r"static is 'box\.ply'; expected a list of paths and half-spaces"):
         ccd.read_frames(folder / "start.ply", folder / "end.ply", static="box.ply")

@@ -31,6 +31,8 @@ ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0]
 ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
 ccd.datasets.find_queries("folder")[0].points_t0
 frames = ccd.read_frames("a.stl", "b.stl", static=["wall.stl"])
+for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0, 0, 1])], surface=True)[1:]:
+    inside: int = len(ccd.CollisionMesh.from_volume(vertices, {"tetra": [[0, 1, 2, 3]]}, static=[0]).inner_vertices)
 contacts = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).contacts
 result = ccd.CollisionPipeline(mesh).launch(x[0], x[0])
 places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.contacts.order_by_toi()]

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from ccd_warp._files.frames import Body
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
-from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import CCDStatus, PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp._intersections import Intersections
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class StartContacts:
         pairs = {name: touching.primitives[of_kind] for name, of_kind in kinds.items() if of_kind.any()}
         return cls(pairs, start.primitives[start.is_crossing])
 
-    def others(self, start: Intersections) -> Intersections:
+    def others(self, start: "Intersections") -> "Intersections":
         """What intersects at the start of a step, without the edges that passed through the same faces at first."""
         now, first = (each[:, 0].astype(np.int64) << 32 | each[:, 1] for each in (start.primitives, self.crossing))
         return start[~(start.is_crossing & np.isin(now, first))]

@@ -56,7 +56,8 @@ def left_out(mesh: CollisionMesh, options: Options, ignored: "StartContacts | No
     for key, pairs in mesh.exclude_pairs.items():
         num_given = len(pairs) - len(given.get(key, ()))
         if num_given:
-            parts.append(f"{num_given:,} {key.replace('_', '-')} pairs (--exclude)")
+            pairs_of = f"pairs of {key}" if key in ("bodies", "vertices") else f"{key.replace('_', '-')} pairs"
+            parts.append(f"{num_given:,} {pairs_of} (--exclude)")
     if mesh.exclusion_rings > 1:
         parts.append(f"pairs that fewer than {mesh.exclusion_rings} edges connect (--exclusion-rings)")
     return "; ".join([*parts, "pairs that share a vertex"])

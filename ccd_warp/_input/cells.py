@@ -1,12 +1,13 @@
 """The boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids, mixed with shells."""
 
+import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._input.arguments import check_items, shown
+from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_array
 from ccd_warp._input.foreign import on_host
 from ccd_warp._input.names import body_label
@@ -34,7 +35,7 @@ class _Sides(NamedTuple):
     is_inward: NDArray[np.bool_]
 
 
-def cells_by_type(cells: Any) -> dict[str, NDArray[Any]]:
+def cells_by_type(cells: Any) -> dict[str, Any]:
     """Cells by type, from an array, a list of arrays, or what meshio calls ``cells`` or ``cells_dict``.
 
     Raises:
@@ -42,15 +43,20 @@ def cells_by_type(cells: Any) -> dict[str, NDArray[Any]]:
     """
     if isinstance(cells, Mapping):
         return dict(cells)
-    if not hasattr(cells, "shape"):
-        blocks = check_items("cells", cells, f"an array, a list of arrays, or {_EXPECTED}")
-        if not any(np.ndim(block) == 1 and not isinstance(block, tuple) for block in blocks if not _is_block(block)):
-            found: dict[str, Any] = {}
-            for kind, values in map(_typed, blocks):
-                rows = as_array(on_host(values, "cells"), "cells", "integers and shape (n, corners)")
-                found[kind] = np.concatenate([found[kind], rows]) if kind in found else rows
-            return found
-    return dict([_typed(cells)])
+    is_list = isinstance(cells, (list, tuple)) and not any(map(_is_cell, cells))
+    found: dict[str, Any] = {}
+    for block in cells if is_list else [cells]:
+        kind, values = None, block
+        if _is_typed(block):
+            kind, values = block if isinstance(block, tuple) else (block.type, block.data)
+        rows = as_array(on_host(values, "cells"), "cells", "integers and shape (n, corners)")
+        if kind is None:
+            if rows.ndim != 2 or rows.shape[1] not in _BY_CORNERS:
+                counts = ", ".join(f"{count} of a {kind}" for count, kind in sorted(_BY_CORNERS.items()))
+                raise ValueError(f"cells has shape {rows.shape}; expected (n, corners) with {counts}, or {_EXPECTED}")
+            kind = _BY_CORNERS[rows.shape[1]]
+        found[kind] = np.concatenate([found[kind], rows]) if kind in found else rows
+    return found
 
 
 def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], NDArray[np.bool_]]:
@@ -64,25 +70,23 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
             vertices = validated_positions(body[0], f"vertices of {label}", 3)
             faces = surface_of(body[1].items(), f"cells of {label}", len(vertices), vertices)
             if not len(faces):
-                raise ValueError(f"cells, the faces of {label}, are none; expected {_EXPECTED}")
+                raise ValueError(f"cells in place of faces of {body_label(b, names)} are none; expected {_EXPECTED}")
             bodies[b], is_of_cells[b] = (vertices, faces, *body[2:]), True
     return bodies, is_of_cells
 
 
-def _is_block(block: Any) -> bool:
-    return (hasattr(block, "type") and hasattr(block, "data")) or (
-        isinstance(block, tuple) and len(block) == 2 and isinstance(block[0], str)
-    )
+def _is_cell(row: Any) -> bool:
+    """Whether it is the corners of one cell, and not an array of cells."""
+    if isinstance(row, (list, tuple)):
+        return len(row) > 0 and isinstance(row[0], numbers.Number)
+    return getattr(row, "ndim", None) == 1
 
 
-def _typed(block: Any) -> tuple[str, Any]:
-    if _is_block(block):
-        return block if isinstance(block, tuple) else (block.type, block.data)
-    shape = np.shape(block)
-    if len(shape) != 2 or shape[1] not in _BY_CORNERS:
-        counts = ", ".join(f"{count} of a {kind}" for count, kind in sorted(_BY_CORNERS.items()))
-        raise ValueError(f"cells has shape {shape}; expected (n, corners) with {counts}, or {_EXPECTED}")
-    return _BY_CORNERS[shape[1]], block
+def _is_typed(block: Any) -> bool:
+    """Whether cells come with their type, as a pair or as a block of meshio."""
+    if isinstance(block, tuple):
+        return len(block) == 2 and isinstance(block[0], str)
+    return isinstance(getattr(block, "type", None), str) and hasattr(block, "data")
 
 
 def surface_of(
@@ -169,6 +173,8 @@ def _distinct(corners: _Integers) -> _Integers:
 
 def _numbered(rows: _Integers) -> tuple[_Integers, int]:
     """A number for each row, the same for the same row, and how many there are."""
+    rows = (rows[:, ::2] + 1) << 32 | (rows[:, 1::2] + 1)  # two columns in one, which takes half as long to sort
+    rows = rows[:, rows.any(axis=0)] if len(rows) else rows
     order = np.lexsort(rows.T)
     number = np.zeros(len(rows), dtype=np.int64)
     number[order[1:]] = np.cumsum((rows[order[1:]] != rows[order[:-1]]).any(axis=1))
