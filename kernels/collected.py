@@ -5,221 +5,213 @@ primitives, and the number of candidates collected. With a width of 1 each candi
 stays in registers. The pairs that the cull leaves open are the same; their order depends on the width.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
-from .candidate_cull import has_volume, make_candidate_cull, write_pair
-from .cull import make_cull
-from .lane_points import make_lane_points
+from .candidate_cull import has_volume, write_pair
+from .cull import free_lanes
 from .lanes import lowest_bit, number_of_bits
 from .minima import FOUND, Minima
-from .once import once
 from .pair_kind import EDGE_EDGE
 from .pair_lanes import collect_pairs
-from .points import make_points
+from .parameters import is_thick, width
+from .points import corners as corners_of_lanes
 from .search_types import SearchOptions, SearchRange, TreePair, is_turned
-from .simd import make_simd
+from .simd import Lanes
+from .template import specialised
 from .thickness import distance_of
 
 _NONE = wp.constant(wp.uint32(0))
 
 
-@once
-def make_collected(width: int, is_thick: bool) -> SimpleNamespace:
-    """The functions for a number of lanes and separations, as for `make_cull`, and the ``size`` of an item's array."""
-    # fewer than fill the lanes, and the partners of one more query in one block
-    capacity = wp.constant(width - 1 + WIDTH)
-    lanes = wp.constant(width)
-    number_at = wp.constant(6 * (width - 1 + WIDTH))
+capacity = wp.constant(width - 1 + WIDTH)
+lanes = wp.constant(width)
+number_at = wp.constant(6 * (width - 1 + WIDTH))
 
-    if width > 1:
-        corners_of_lanes = make_points(width).corners
-        points_at = make_lane_points(width).points_at
-        free_lanes = make_cull(width, is_thick).free_lanes
-        Lanes = make_simd(wp.float64, width).Lanes
+if width > 1:
+    from .lane_points import points_at
 
-        @wp.func
-        def corners_of(kind: int, collected: wp.array[wp.int32], k: int):
-            """The vertices of both primitives of a collected candidate."""
-            v0 = collected[k]
-            v1 = collected[k + capacity]
-            v2 = collected[k + 2 * capacity]
-            v3 = collected[k + 3 * capacity]
-            a = wp.vec3i(v0, v0, v0)
-            b = wp.vec3i(v1, v2, v3)
-            if kind == EDGE_EDGE:
-                a = wp.vec3i(v0, v1, v1)
-                b = wp.vec3i(v2, v3, v3)
-            return a, b
+    @wp.func
+    def corners_of(kind: int, collected: wp.array[wp.int32], k: int):
+        """The vertices of both primitives of a collected candidate."""
+        v0 = collected[k]
+        v1 = collected[k + capacity]
+        v2 = collected[k + 2 * capacity]
+        v3 = collected[k + 3 * capacity]
+        a = wp.vec3i(v0, v0, v0)
+        b = wp.vec3i(v1, v2, v3)
+        if kind == EDGE_EDGE:
+            a = wp.vec3i(v0, v1, v1)
+            b = wp.vec3i(v2, v3, v3)
+        return a, b
 
-        @wp.func
-        def distances(kind: int, options: SearchOptions, collected: wp.array[wp.int32], begin: int) -> Lanes:
-            """The distance at which the candidate in each lane counts as touching."""
-            r = Lanes()
-            for k in range(lanes):
-                a, b = corners_of(kind, collected, begin + k)
-                r[k] = distance_of(options.separation, options.radius, a, b)
-            return r
+    @wp.func
+    def distances(kind: int, options: SearchOptions, collected: wp.array[wp.int32], begin: int) -> Lanes:
+        """The distance at which the candidate in each lane counts as touching."""
+        r = Lanes()
+        for k in range(lanes):
+            a, b = corners_of(kind, collected, begin + k)
+            r[k] = distance_of(options.separation, options.radius, a, b)
+        return r
 
-        @wp.func
-        def cull(
-            kind: int,
-            options: SearchOptions,
-            vertices_t0: wp.array[wp.vec3d],
-            vertices_t1: wp.array[wp.vec3d],
-            collected: wp.array[wp.int32],
-            begin: int,
-            count: int,
-            part: SearchRange,
-            counts: wp.array2d[wp.int64],
-            keys: wp.array[wp.int64],
-            minima: Minima,
-        ):
-            """Cull ``count`` candidates from ``begin`` on, at most one a lane, and write those that stay open.
+    @wp.func
+    def cull(
+        kind: int,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        collected: wp.array[wp.int32],
+        begin: int,
+        count: int,
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        minima: Minima,
+    ):
+        """Cull ``count`` candidates from ``begin`` on, at most one a lane, and write those that stay open.
 
-            Lanes without a candidate hold one from before, or vertex 0; their results are ignored.
-            """
-            left = (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
-            if has_volume(kind):
-                c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
-                c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
-                if wp.static(is_thick):
-                    own = distances(kind, options, collected, begin)
-                    left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
-                else:
-                    separation = options.separation
-                    left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)
-            if left != _NONE:
-                n = claim(counts, part.row, FOUND, number_of_bits(left))
-                while left != _NONE:
-                    k = begin + lowest_bit(left)
-                    left = left & (left - wp.uint32(1))
-                    a, b = corners_of(kind, collected, k)
-                    write_pair(collected[k + 4 * capacity], collected[k + 5 * capacity], a, b, n, part, keys, minima)
-                    n += wp.int64(1)
-
-        @wp.func
-        def collect(
-            query: BoxTree,
-            target: BoxTree,
-            tree_pair: TreePair,
-            options: SearchOptions,
-            vertices_t0: wp.array[wp.vec3d],
-            vertices_t1: wp.array[wp.vec3d],
-            q: int,
-            block: int,
-            mask: wp.uint32,
-            part: SearchRange,
-            counts: wp.array2d[wp.int64],
-            keys: wp.array[wp.int64],
-            minima: Minima,
-            collected: wp.array[wp.int32],
-        ):
-            """Collect the candidates of a query and the boxes of a block in a mask; cull while they fill the lanes."""
-            order = wp.where(tree_pair.symmetric != 0, 2, tree_pair.swapped)
-            count = collect_pairs(
-                query.primitive,
-                query.corners,
-                q,
-                target.primitive,
-                target.corners,
-                block,
-                mask,
-                order,
-                wp.where(tree_pair.kind == EDGE_EDGE, 2, 1),
-                collected[number_at],
-                capacity,
-                collected,
-            )
-            while count >= lanes:
-                count -= lanes
-                cull(
-                    tree_pair.kind,
-                    options,
-                    vertices_t0,
-                    vertices_t1,
-                    collected,
-                    count,
-                    lanes,
-                    part,
-                    counts,
-                    keys,
-                    minima,
-                )
-            collected[number_at] = count
-
-        @wp.func
-        def cull_rest(
-            tree_pair: TreePair,
-            options: SearchOptions,
-            vertices_t0: wp.array[wp.vec3d],
-            vertices_t1: wp.array[wp.vec3d],
-            part: SearchRange,
-            counts: wp.array2d[wp.int64],
-            keys: wp.array[wp.int64],
-            minima: Minima,
-            collected: wp.array[wp.int32],
-        ):
-            """Cull what is left of the candidates at the end of an item."""
-            count = collected[number_at]
-            if count > 0:
-                cull(tree_pair.kind, options, vertices_t0, vertices_t1, collected, 0, count, part, counts, keys, minima)
-
-    else:
-        is_discarded = make_candidate_cull(is_thick).is_discarded
-
-        @wp.func
-        def collect(
-            query: BoxTree,
-            target: BoxTree,
-            tree_pair: TreePair,
-            options: SearchOptions,
-            vertices_t0: wp.array[wp.vec3d],
-            vertices_t1: wp.array[wp.vec3d],
-            q: int,
-            block: int,
-            mask: wp.uint32,
-            part: SearchRange,
-            counts: wp.array2d[wp.int64],
-            keys: wp.array[wp.int64],
-            minima: Minima,
-            collected: wp.array[wp.int32],
-        ):
-            """Cull the candidates of a query and the boxes of a block in a mask, and write those that stay open."""
-            left = wp.uint32(mask)
+        Lanes without a candidate hold one from before, or vertex 0; their results are ignored.
+        """
+        left = (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
+        if has_volume(kind):
+            c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
+            c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
+            if wp.static(is_thick):
+                own = distances(kind, options, collected, begin)
+                left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
+            else:
+                separation = options.separation
+                left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)
+        if left != _NONE:
+            n = claim(counts, part.row, FOUND, number_of_bits(left))
             while left != _NONE:
-                place = block * WIDTH + lowest_bit(left)
+                k = begin + lowest_bit(left)
                 left = left & (left - wp.uint32(1))
-                a = box_corners(query, q)
-                b = box_corners(target, place)
-                i = query.primitive[q]
-                j = target.primitive[place]
-                if is_turned(tree_pair, i, j):
-                    c = a
-                    a = b
-                    b = c
-                    k = i
-                    i = j
-                    j = k
-                if not is_discarded(tree_pair.kind, a, b, vertices_t0, vertices_t1, options):
-                    write_pair(i, j, a, b, claim(counts, part.row, FOUND, 1), part, keys, minima)
+                a, b = corners_of(kind, collected, k)
+                write_pair(collected[k + 4 * capacity], collected[k + 5 * capacity], a, b, n, part, keys, minima)
+                n += wp.int64(1)
 
-        @wp.func
-        def cull_rest(
-            tree_pair: TreePair,
-            options: SearchOptions,
-            vertices_t0: wp.array[wp.vec3d],
-            vertices_t1: wp.array[wp.vec3d],
-            part: SearchRange,
-            counts: wp.array2d[wp.int64],
-            keys: wp.array[wp.int64],
-            minima: Minima,
-            collected: wp.array[wp.int32],
-        ):
-            """Nothing is left, since each candidate is culled as it is found."""
+    @wp.func
+    def collect(
+        query: BoxTree,
+        target: BoxTree,
+        tree_pair: TreePair,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        q: int,
+        block: int,
+        mask: wp.uint32,
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        minima: Minima,
+        collected: wp.array[wp.int32],
+    ):
+        """Collect the candidates of a query and the boxes of a block in a mask; cull while they fill the lanes."""
+        order = wp.where(tree_pair.symmetric != 0, 2, tree_pair.swapped)
+        count = collect_pairs(
+            query.primitive,
+            query.corners,
+            q,
+            target.primitive,
+            target.corners,
+            block,
+            mask,
+            order,
+            wp.where(tree_pair.kind == EDGE_EDGE, 2, 1),
+            collected[number_at],
+            capacity,
+            collected,
+        )
+        while count >= lanes:
+            count -= lanes
+            cull(
+                tree_pair.kind,
+                options,
+                vertices_t0,
+                vertices_t1,
+                collected,
+                count,
+                lanes,
+                part,
+                counts,
+                keys,
+                minima,
+            )
+        collected[number_at] = count
 
-    size = 6 * (width - 1 + WIDTH) + 1 if width > 1 else 1
-    return SimpleNamespace(size=wp.constant(size), collect=collect, cull_rest=cull_rest)
+    @wp.func
+    def cull_rest(
+        tree_pair: TreePair,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        minima: Minima,
+        collected: wp.array[wp.int32],
+    ):
+        """Cull what is left of the candidates at the end of an item."""
+        count = collected[number_at]
+        if count > 0:
+            cull(tree_pair.kind, options, vertices_t0, vertices_t1, collected, 0, count, part, counts, keys, minima)
+
+else:
+    is_discarded = specialised("candidate_cull", is_thick=is_thick).is_discarded
+
+    @wp.func
+    def collect(
+        query: BoxTree,
+        target: BoxTree,
+        tree_pair: TreePair,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        q: int,
+        block: int,
+        mask: wp.uint32,
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        minima: Minima,
+        collected: wp.array[wp.int32],
+    ):
+        """Cull the candidates of a query and the boxes of a block in a mask, and write those that stay open."""
+        left = wp.uint32(mask)
+        while left != _NONE:
+            place = block * WIDTH + lowest_bit(left)
+            left = left & (left - wp.uint32(1))
+            a = box_corners(query, q)
+            b = box_corners(target, place)
+            i = query.primitive[q]
+            j = target.primitive[place]
+            if is_turned(tree_pair, i, j):
+                c = a
+                a = b
+                b = c
+                k = i
+                i = j
+                j = k
+            if not is_discarded(tree_pair.kind, a, b, vertices_t0, vertices_t1, options):
+                write_pair(i, j, a, b, claim(counts, part.row, FOUND, 1), part, keys, minima)
+
+    @wp.func
+    def cull_rest(
+        tree_pair: TreePair,
+        options: SearchOptions,
+        vertices_t0: wp.array[wp.vec3d],
+        vertices_t1: wp.array[wp.vec3d],
+        part: SearchRange,
+        counts: wp.array2d[wp.int64],
+        keys: wp.array[wp.int64],
+        minima: Minima,
+        collected: wp.array[wp.int32],
+    ):
+        """Nothing is left, since each candidate is culled as it is found."""
+
+
+size = 6 * (width - 1 + WIDTH) + 1 if width > 1 else 1
+size = wp.constant(size)

@@ -19,13 +19,13 @@ Without a gap the normal is that of the sides, against the relative velocity.
 
 import warp as wp
 
-from .answer import make_answer
-from .closest_point import make_closest_point
+from .answer import parameters as parameters_of
+from .closest_point import closest_weights
 from .contacts import position
 from .pair_kind import EDGE_EDGE, VERTEX_FACE
-from .patch import make_patch
-from .points import Points, corners, make_points, points_of
+from .patch import corners_at
 from .rounding import UNIT_ROUNDOFF, inverse_power_of_two
+from .single_points import Points, corners, largest, points_of
 
 # Roundings of the largest corners up to which a gap is none.
 NOISE = 32.0
@@ -38,10 +38,6 @@ _LEAST_SQUARE = wp.constant(wp.float64((NOISE * UNIT_ROUNDOFF[wp.float64]) ** 2)
 _SUM = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
 
 vec3d = wp.vec3d
-closest_weights = make_closest_point(wp.float64).closest_weights
-corners_at = make_patch(wp.float64, 1).corners_at
-largest = make_points(1).largest
-parameters_of = make_answer(wp.float64).parameters
 
 
 @wp.struct

@@ -14,16 +14,33 @@ A separation is a box, or with ``is_euclidean`` a ball. A comparison with NaN is
 anything, so a pair with a number that is not finite stays open.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
-from .norm import EUCLIDEAN_NORM, make_norm
-from .once import once
+from . import simd
+from .norm import EUCLIDEAN_NORM
 from .pair_kind import VERTEX_FACE
-from .patch import make_patch
+from .parameters import is_thick, width
+from .patch import Corners
 from .rounding import NORMAL, SIDES, SQUARE_UNDERFLOW, UNIT_ROUNDOFF, VOLUME
-from .simd import make_simd
+from .simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    bits_of,
+    both,
+    cross,
+    dot,
+    either,
+    greatest,
+    is_less,
+    magnitude,
+    minus,
+    select,
+    spread,
+    square_root,
+    vec,
+)
+from .template import specialised
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
 _SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
@@ -40,189 +57,164 @@ _ZERO = wp.constant(wp.float64(0.0))
 _NONE = wp.constant(wp.uint32(0))
 
 
-@once
-def make_cull(width: int, is_thick: bool = False) -> SimpleNamespace:
-    """The tests for a number of lanes; with ``is_thick`` the pair in each lane has a separation of its own, a ball."""
-    simd = make_simd(wp.float64, width)
-    Lanes = simd.Lanes
-    Mask = simd.Mask
-    Vec3 = simd.Vec3
-    vec = simd.vec
-    spread = simd.spread
-    minus = simd.minus
-    magnitude = simd.magnitude
-    greatest = simd.greatest
-    is_less = simd.is_less
-    both = simd.both
-    either = simd.either
-    select = simd.select
-    dot = simd.dot
-    square_root = simd.square_root
-    length = make_norm(wp.float64, width, EUCLIDEAN_NORM).length
-    cross = simd.cross
-    bits_of = simd.bits_of
-    Corners = make_patch(wp.float64, width).Corners
-    Separation = Lanes if is_thick else wp.float64
+length = specialised("support", width=width, norm=EUCLIDEAN_NORM).length
+Separation = Lanes if is_thick else wp.float64
 
-    if is_thick:
-
-        @wp.func
-        def has_separation(separation: Separation) -> bool:
-            """Whether a lane may have a separation."""
-            return True
-
-        @simd.func
-        def with_one(separation: Separation) -> Lanes:
-            """One more than the separation."""
-            return spread(_ONE) + separation
-
-        @simd.func
-        def enlarged(separation: Separation) -> Separation:
-            """The separation, enlarged by more than the roundings of its products."""
-            return _SEPARATION_UP * separation
-
-    else:
-
-        @wp.func
-        def has_separation(separation: Separation) -> bool:
-            """Whether there is a separation."""
-            return separation > _ZERO
-
-        @wp.func
-        def with_one(separation: Separation) -> Lanes:
-            """One more than the separation."""
-            return spread(_ONE + separation)
-
-        @wp.func
-        def enlarged(separation: Separation) -> Separation:
-            """The separation, enlarged by more than the roundings of its products."""
-            return separation * _SEPARATION_UP
-
-    @simd.func
-    def is_free_by_volume(
-        c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64
-    ) -> Mask:
-        """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
-        n0 = cross(c0.q, c0.r)
-        n1 = cross(c1.q, c1.r)
-        nm = cross(c0.q, c1.r) + cross(c1.q, c0.r)  # twice the middle coefficient of Q×R
-        b0 = dot(c0.w00, n0)
-        b1 = _THIRD * (dot(c1.w00, n0) + dot(c0.w00, nm))
-        b2 = _THIRD * (dot(c0.w00, n1) + dot(c1.w00, nm))
-        b3 = dot(c1.w00, n1)
-        p = magnitude(c0.w00) + magnitude(c1.w00)
-        q = magnitude(c0.q) + magnitude(c1.q)
-        r = magnitude(c0.r) + magnitude(c1.r)
-        n = vec(q.y * r.z + q.z * r.y, q.z * r.x + q.x * r.z, q.x * r.y + q.y * r.x)
-        size = dot(p, n)
-        # an underflow in Q×R is multiplied by P and by the separation
-        bound = _BOUND * size + _GUARD * (with_one(separation) + p.x + p.y + p.z)
-        if has_separation(separation):
-            if is_euclidean != 0:
-                # the length of the normal at any time is at most those of its coefficients (rounding, step 13)
-                squared = greatest(greatest(dot(n0, n0), dot(n1, n1)), _QUARTER * dot(nm, nm))
-                longest = square_root(squared + spread(_SQUARE_UNDERFLOW)) + _NORMAL * (n.x + n.y + n.z)
-                bound = bound + enlarged(separation) * longest
-            else:
-                # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
-                bound = bound + enlarged(separation) * (n.x + n.y + n.z)
-        if t_end < _ONE:
-            # the blossom on [0, t_end]
-            s = _ONE - t_end
-            t0 = s * b0 + t_end * b1
-            t1 = s * b1 + t_end * b2
-            t2 = s * b2 + t_end * b3
-            b1 = t0
-            b2 = s * t0 + t_end * t1
-            b3 = s * b2 + t_end * (s * t1 + t_end * t2)
-        is_negative = is_less(b0, spread(_ZERO))
-        b1 = select(is_negative, minus(b1), b1)
-        b2 = select(is_negative, minus(b2), b2)
-        b3 = select(is_negative, minus(b3), b3)
-        beyond = both(is_less(bound, magnitude(b0)), is_less(bound, b1))
-        beyond = both(beyond, both(is_less(bound, b2), is_less(bound, b3)))
-        limit = spread(_LARGEST)
-        return both(beyond, both(is_less(size, limit), is_less(bound, limit)))
-
-    @simd.func
-    def later(a: Lanes, b: Lanes, t_end: wp.float64) -> Lanes:
-        """A linear function at ``t_end`` from its values at 0 and 1."""
-        if t_end < _ONE:
-            b = (_ONE - t_end) * a + t_end * b
-        return b
-
-    @simd.func
-    def is_free_along(
-        d: Vec3,
-        is_triangle: bool,
-        c0: Corners,
-        c1: Corners,
-        size: Vec3,
-        separation: Separation,
-        is_euclidean: int,
-        t_end: wp.float64,
-    ) -> Mask:
-        """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
-        m = magnitude(d)
-        bound = _SIDES * dot(m, size) + spread(_SIDES_UNDERFLOW)
-        if has_separation(separation):
-            if is_euclidean != 0:
-                bound = bound + enlarged(separation) * length(d)
-            else:
-                bound = bound + enlarged(separation) * (m.x + m.y + m.z)
-        a = dot(d, c0.w00)
-        # turned to the side of the first corner
-        d = select(is_less(a, spread(_ZERO)), minus(d), d)
-        a = magnitude(a)
-        beyond = both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w00), t_end)))
-        a = dot(d, c0.w01)
-        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w01), t_end))))
-        a = dot(d, c0.w10)
-        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w10), t_end))))
-        if not is_triangle:
-            a = dot(d, c0.w11)
-            beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w11), t_end))))
-        return both(beyond, is_less(bound, spread(_LARGEST)))
-
-    @simd.func
-    def is_free_by_sides(
-        kind: int, c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64
-    ) -> Mask:
-        """Whether a direction across a side, in the plane of both at the start, separates the pair on [0, t_end]."""
-        n = cross(c0.q, c0.r)
-        size = greatest(magnitude(c0.w00), magnitude(c1.w00))
-        size = greatest(size, greatest(magnitude(c0.w01), magnitude(c1.w01)))
-        size = greatest(size, greatest(magnitude(c0.w10), magnitude(c1.w10)))
-        is_triangle = kind == VERTEX_FACE
-        if not is_triangle:
-            size = greatest(size, greatest(magnitude(c0.w11), magnitude(c1.w11)))
-        free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
-        free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end))
-        if is_triangle:
-            free = either(
-                free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
-            )
-        return free
+if is_thick:
 
     @wp.func
-    def free_lanes(
-        kind: int,
-        c0: Corners,
-        c1: Corners,
-        separation: Separation,
-        is_euclidean: int,
-        t_end: wp.float64,
-        needed: wp.uint32,
-    ) -> wp.uint32:
-        """Bits of the lanes for which a test proves that there is no contact on [0, t_end]; others are not needed."""
-        free = bits_of(is_free_by_volume(c0, c1, separation, is_euclidean, t_end))
-        if (needed & ~free) != _NONE:
-            free = free | bits_of(is_free_by_sides(kind, c0, c1, separation, is_euclidean, t_end))
-        return free
+    def has_separation(separation: Separation) -> bool:
+        """Whether a lane may have a separation."""
+        return True
 
-    return SimpleNamespace(
-        is_free_by_volume=is_free_by_volume,
-        is_free_by_sides=is_free_by_sides,
-        free_lanes=free_lanes,
-        bits_of=bits_of,
-    )
+    @simd.func
+    def with_one(separation: Separation) -> Lanes:
+        """One more than the separation."""
+        return spread(_ONE) + separation
+
+    @simd.func
+    def enlarged(separation: Separation) -> Separation:
+        """The separation, enlarged by more than the roundings of its products."""
+        return _SEPARATION_UP * separation
+
+else:
+
+    @wp.func
+    def has_separation(separation: Separation) -> bool:
+        """Whether there is a separation."""
+        return separation > _ZERO
+
+    @wp.func
+    def with_one(separation: Separation) -> Lanes:
+        """One more than the separation."""
+        return spread(_ONE + separation)
+
+    @wp.func
+    def enlarged(separation: Separation) -> Separation:
+        """The separation, enlarged by more than the roundings of its products."""
+        return separation * _SEPARATION_UP
+
+
+@simd.func
+def is_free_by_volume(c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64) -> Mask:
+    """Whether the volume keeps its sign on [0, t_end], with a magnitude that excludes a contact."""
+    n0 = cross(c0.q, c0.r)
+    n1 = cross(c1.q, c1.r)
+    nm = cross(c0.q, c1.r) + cross(c1.q, c0.r)  # twice the middle coefficient of Q×R
+    b0 = dot(c0.w00, n0)
+    b1 = _THIRD * (dot(c1.w00, n0) + dot(c0.w00, nm))
+    b2 = _THIRD * (dot(c0.w00, n1) + dot(c1.w00, nm))
+    b3 = dot(c1.w00, n1)
+    p = magnitude(c0.w00) + magnitude(c1.w00)
+    q = magnitude(c0.q) + magnitude(c1.q)
+    r = magnitude(c0.r) + magnitude(c1.r)
+    n = vec(q.y * r.z + q.z * r.y, q.z * r.x + q.x * r.z, q.x * r.y + q.y * r.x)
+    size = dot(p, n)
+    # an underflow in Q×R is multiplied by P and by the separation
+    bound = _BOUND * size + _GUARD * (with_one(separation) + p.x + p.y + p.z)
+    if has_separation(separation):
+        if is_euclidean != 0:
+            # the length of the normal at any time is at most those of its coefficients (rounding, step 13)
+            squared = greatest(greatest(dot(n0, n0), dot(n1, n1)), _QUARTER * dot(nm, nm))
+            longest = square_root(squared + spread(_SQUARE_UNDERFLOW)) + _NORMAL * (n.x + n.y + n.z)
+            bound = bound + enlarged(separation) * longest
+        else:
+            # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
+            bound = bound + enlarged(separation) * (n.x + n.y + n.z)
+    if t_end < _ONE:
+        # the blossom on [0, t_end]
+        s = _ONE - t_end
+        t0 = s * b0 + t_end * b1
+        t1 = s * b1 + t_end * b2
+        t2 = s * b2 + t_end * b3
+        b1 = t0
+        b2 = s * t0 + t_end * t1
+        b3 = s * b2 + t_end * (s * t1 + t_end * t2)
+    is_negative = is_less(b0, spread(_ZERO))
+    b1 = select(is_negative, minus(b1), b1)
+    b2 = select(is_negative, minus(b2), b2)
+    b3 = select(is_negative, minus(b3), b3)
+    beyond = both(is_less(bound, magnitude(b0)), is_less(bound, b1))
+    beyond = both(beyond, both(is_less(bound, b2), is_less(bound, b3)))
+    limit = spread(_LARGEST)
+    return both(beyond, both(is_less(size, limit), is_less(bound, limit)))
+
+
+@simd.func
+def later(a: Lanes, b: Lanes, t_end: wp.float64) -> Lanes:
+    """A linear function at ``t_end`` from its values at 0 and 1."""
+    if t_end < _ONE:
+        b = (_ONE - t_end) * a + t_end * b
+    return b
+
+
+@simd.func
+def is_free_along(
+    d: Vec3,
+    is_triangle: bool,
+    c0: Corners,
+    c1: Corners,
+    size: Vec3,
+    separation: Separation,
+    is_euclidean: int,
+    t_end: wp.float64,
+) -> Mask:
+    """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
+    m = magnitude(d)
+    bound = _SIDES * dot(m, size) + spread(_SIDES_UNDERFLOW)
+    if has_separation(separation):
+        if is_euclidean != 0:
+            bound = bound + enlarged(separation) * length(d)
+        else:
+            bound = bound + enlarged(separation) * (m.x + m.y + m.z)
+    a = dot(d, c0.w00)
+    # turned to the side of the first corner
+    d = select(is_less(a, spread(_ZERO)), minus(d), d)
+    a = magnitude(a)
+    beyond = both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w00), t_end)))
+    a = dot(d, c0.w01)
+    beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w01), t_end))))
+    a = dot(d, c0.w10)
+    beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w10), t_end))))
+    if not is_triangle:
+        a = dot(d, c0.w11)
+        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w11), t_end))))
+    return both(beyond, is_less(bound, spread(_LARGEST)))
+
+
+@simd.func
+def is_free_by_sides(
+    kind: int, c0: Corners, c1: Corners, separation: Separation, is_euclidean: int, t_end: wp.float64
+) -> Mask:
+    """Whether a direction across a side, in the plane of both at the start, separates the pair on [0, t_end]."""
+    n = cross(c0.q, c0.r)
+    size = greatest(magnitude(c0.w00), magnitude(c1.w00))
+    size = greatest(size, greatest(magnitude(c0.w01), magnitude(c1.w01)))
+    size = greatest(size, greatest(magnitude(c0.w10), magnitude(c1.w10)))
+    is_triangle = kind == VERTEX_FACE
+    if not is_triangle:
+        size = greatest(size, greatest(magnitude(c0.w11), magnitude(c1.w11)))
+    free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
+    free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end))
+    if is_triangle:
+        free = either(
+            free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
+        )
+    return free
+
+
+@wp.func
+def free_lanes(
+    kind: int,
+    c0: Corners,
+    c1: Corners,
+    separation: Separation,
+    is_euclidean: int,
+    t_end: wp.float64,
+    needed: wp.uint32,
+) -> wp.uint32:
+    """Bits of the lanes for which a test proves that there is no contact on [0, t_end]; others are not needed."""
+    free = bits_of(is_free_by_volume(c0, c1, separation, is_euclidean, t_end))
+    if (needed & ~free) != _NONE:
+        free = free | bits_of(is_free_by_sides(kind, c0, c1, separation, is_euclidean, t_end))
+    return free

@@ -11,175 +11,165 @@ A facet has a number: 0, 1, 2 for the axes; 3, 4, 5 for the first side crossed w
 its own widest facet, and its direction at any time is chosen by the number.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
-from .moving_clip import make_moving_clip
-from .once import once
-from .patch import make_patch
+from . import simd
+from .moving_clip import clip_along
+from .parameters import real
+from .patch import Corners, beyond, num_sides, side_of
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import make_simd
+from .simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    both,
+    cross,
+    dot,
+    greatest,
+    is_at_most,
+    is_less,
+    magnitude,
+    minus,
+    select,
+    spread,
+    vec,
+)
+
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+two = wp.constant(real(2.0))
+three = wp.constant(real(3.0))
+six = wp.constant(real(6.0))
+nine = wp.constant(real(9.0))
+one_percent = wp.constant(real(0.01))
+floor_errors = wp.constant(real(8.0))
+round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
+far_behind = wp.constant(real(-1.0e30))
 
 
-@once
-def make_facets(real, width: int) -> SimpleNamespace:
-    """Functions for one floating-point type and a number of lanes."""
-    simd = make_simd(real, width)
-    Lanes = simd.Lanes
-    Mask = simd.Mask
-    Vec3 = simd.Vec3
-    vec = simd.vec
-    spread = simd.spread
-    minus = simd.minus
-    magnitude = simd.magnitude
-    greatest = simd.greatest
-    is_less = simd.is_less
-    is_at_most = simd.is_at_most
-    both = simd.both
-    select = simd.select
-    dot = simd.dot
-    cross = simd.cross
-    patch = make_patch(real, width)
-    Corners = patch.Corners
-    side_of = patch.side_of
-    num_sides = patch.num_sides
-    beyond = patch.beyond
+@wp.struct
+class Facet:
+    """The facet with the largest slack at one time."""
 
-    zero = wp.constant(real(0.0))
-    one = wp.constant(real(1.0))
-    two = wp.constant(real(2.0))
-    three = wp.constant(real(3.0))
-    six = wp.constant(real(6.0))
-    nine = wp.constant(real(9.0))
-    one_percent = wp.constant(real(0.01))
-    floor_errors = wp.constant(real(8.0))
-    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
-    tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
-    far_behind = wp.constant(real(-1.0e30))
+    number: Lanes
+    slack: Lanes  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
+    floor_excess: Lanes  # largest slack beyond separation and rounding
 
-    @wp.struct
-    class Facet:
-        """The facet with the largest slack at one time."""
 
-        number: Lanes
-        slack: Lanes  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
-        floor_excess: Lanes  # largest slack beyond separation and rounding
+@wp.func
+def axis_of(axis: int) -> Vec3:
+    """A unit vector in every lane."""
+    x = spread(wp.where(axis == 0, one, zero))
+    y = spread(wp.where(axis == 1, one, zero))
+    return vec(x, y, spread(wp.where(axis == 2, one, zero)))
 
-    @wp.func
-    def axis_of(axis: int) -> Vec3:
-        """A unit vector in every lane."""
-        x = spread(wp.where(axis == 0, one, zero))
-        y = spread(wp.where(axis == 1, one, zero))
-        return vec(x, y, spread(wp.where(axis == 2, one, zero)))
 
-    @simd.func
-    def is_first_side(number: Lanes) -> Mask:
-        """Whether a facet is of the first side, or an axis."""
-        return is_less(number, spread(six))
+@simd.func
+def is_first_side(number: Lanes) -> Mask:
+    """Whether a facet is of the first side, or an axis."""
+    return is_less(number, spread(six))
 
-    @simd.func
-    def is_third_side(number: Lanes) -> Mask:
-        """Whether a facet is of the third side."""
-        return is_at_most(spread(nine), number)
 
-    @simd.func
-    def is_axis(number: Lanes) -> Mask:
-        """Whether a facet is an axis."""
-        return is_less(number, spread(three))
+@simd.func
+def is_third_side(number: Lanes) -> Mask:
+    """Whether a facet is of the third side."""
+    return is_at_most(spread(nine), number)
 
-    @simd.func
-    def chosen_side(number: Lanes, c: Corners) -> Vec3:
-        """The side of each lane's facet."""
-        of_others = select(is_third_side(number), side_of(c, 2), side_of(c, 1))
-        return select(is_first_side(number), side_of(c, 0), of_others)
 
-    @simd.func
-    def direction(number: Lanes, c: Corners) -> Vec3:
-        """Normal of each lane's facet, which is constant or linear in time."""
-        nothing = spread(zero)
-        s = chosen_side(number, c)
-        of_others = select(is_third_side(number), spread(nine), spread(six))
-        of_sides = select(is_first_side(number), spread(three), of_others)
-        axis = number - select(is_axis(number), nothing, of_sides)
-        is_x = is_less(axis, spread(one))
-        is_z = is_at_most(spread(two), axis)
-        x = select(is_x, nothing, select(is_z, s.y, minus(s.z)))
-        y = select(is_x, s.z, select(is_z, minus(s.x), nothing))
-        z = select(is_x, minus(s.y), select(is_z, nothing, s.x))
-        e_x = select(is_x, spread(one), nothing)
-        e_z = select(is_z, spread(one), nothing)
-        return select(is_axis(number), vec(e_x, spread(one) - e_x - e_z, e_z), vec(x, y, z))
+@simd.func
+def is_axis(number: Lanes) -> Mask:
+    """Whether a facet is an axis."""
+    return is_less(number, spread(three))
 
-    @simd.func
-    def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3) -> Facet:
-        """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
-        m = magnitude(d)
-        size = m.x + m.y + m.z
-        counts = is_less(spread(tiny_direction), size)
-        gap = beyond(d, c) - dot(m, separation)
-        excess = gap - spread(floor_errors) * dot(m, error)
-        facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
-        if number >= 0:
-            # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
-            slack = gap / size
-            is_wider = both(counts, is_less(facet.slack + spread(one_percent) * magnitude(facet.slack), slack))
-            facet.slack = select(is_wider, slack, facet.slack)
-            facet.number = select(is_wider, spread(real(number)), facet.number)
-        return facet
 
-    @wp.func
-    def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool) -> Facet:
-        """The facet that separates best at one time."""
-        facet = Facet()
-        facet.number = spread(zero)
-        facet.slack = spread(far_behind)
-        facet.floor_excess = spread(far_behind)
+@simd.func
+def chosen_side(number: Lanes, c: Corners) -> Vec3:
+    """The side of each lane's facet."""
+    of_others = select(is_third_side(number), side_of(c, 2), side_of(c, 1))
+    return select(is_first_side(number), side_of(c, 0), of_others)
+
+
+@simd.func
+def direction(number: Lanes, c: Corners) -> Vec3:
+    """Normal of each lane's facet, which is constant or linear in time."""
+    nothing = spread(zero)
+    s = chosen_side(number, c)
+    of_others = select(is_third_side(number), spread(nine), spread(six))
+    of_sides = select(is_first_side(number), spread(three), of_others)
+    axis = number - select(is_axis(number), nothing, of_sides)
+    is_x = is_less(axis, spread(one))
+    is_z = is_at_most(spread(two), axis)
+    x = select(is_x, nothing, select(is_z, s.y, minus(s.z)))
+    y = select(is_x, s.z, select(is_z, minus(s.x), nothing))
+    z = select(is_x, minus(s.y), select(is_z, nothing, s.x))
+    e_x = select(is_x, spread(one), nothing)
+    e_z = select(is_z, spread(one), nothing)
+    return select(is_axis(number), vec(e_x, spread(one) - e_x - e_z, e_z), vec(x, y, z))
+
+
+@simd.func
+def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3) -> Facet:
+    """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
+    m = magnitude(d)
+    size = m.x + m.y + m.z
+    counts = is_less(spread(tiny_direction), size)
+    gap = beyond(d, c) - dot(m, separation)
+    excess = gap - spread(floor_errors) * dot(m, error)
+    facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
+    if number >= 0:
+        # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
+        slack = gap / size
+        is_wider = both(counts, is_less(facet.slack + spread(one_percent) * magnitude(facet.slack), slack))
+        facet.slack = select(is_wider, slack, facet.slack)
+        facet.number = select(is_wider, spread(real(number)), facet.number)
+    return facet
+
+
+@wp.func
+def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool) -> Facet:
+    """The facet that separates best at one time."""
+    facet = Facet()
+    facet.number = spread(zero)
+    facet.slack = spread(far_behind)
+    facet.floor_excess = spread(far_behind)
+    for axis in range(3):
+        facet = consider(facet, axis, axis_of(axis), c, separation, error)
+    for side in range(num_sides(is_face)):
+        s = side_of(c, side)
         for axis in range(3):
-            facet = consider(facet, axis, axis_of(axis), c, separation, error)
-        for side in range(num_sides(is_face)):
-            s = side_of(c, side)
-            for axis in range(3):
-                facet = consider(facet, 3 * side + 3 + axis, cross(s, axis_of(axis)), c, separation, error)
-        # the normal is used for the excess only: clipping along it is left to the volume
-        return consider(facet, -1, cross(side_of(c, 0), side_of(c, 1)), c, separation, error)
+            facet = consider(facet, 3 * side + 3 + axis, cross(s, axis_of(axis)), c, separation, error)
+    # the normal is used for the excess only: clipping along it is left to the volume
+    return consider(facet, -1, cross(side_of(c, 0), side_of(c, 1)), c, separation, error)
 
-    @simd.func
-    def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
-        """Lower bound of the gap along one direction, as a share of the separation along it."""
-        m = magnitude(d)
-        along = dot(m, separation)
-        counts = both(is_less(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z))), is_less(spread(zero), along))
-        share = (beyond(d, c) - dot(m, error) * spread(round_up)) / along
-        return select(counts, share, spread(zero))
 
-    @wp.func
-    def start_gap_share(c: Corners, is_face: bool, separation: Vec3, error: Vec3) -> Lanes:
-        """Tight lower bound of the gap (L∞) at one time, as a share of the separation, from all directions."""
-        share = separation_share(c, cross(side_of(c, 0), side_of(c, 1)), separation, error)
+@simd.func
+def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
+    """Lower bound of the gap along one direction, as a share of the separation along it."""
+    m = magnitude(d)
+    along = dot(m, separation)
+    counts = both(is_less(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z))), is_less(spread(zero), along))
+    share = (beyond(d, c) - dot(m, error) * spread(round_up)) / along
+    return select(counts, share, spread(zero))
+
+
+@wp.func
+def start_gap_share(c: Corners, is_face: bool, separation: Vec3, error: Vec3) -> Lanes:
+    """Tight lower bound of the gap (L∞) at one time, as a share of the separation, from all directions."""
+    share = separation_share(c, cross(side_of(c, 0), side_of(c, 1)), separation, error)
+    for axis in range(3):
+        share = greatest(share, separation_share(c, axis_of(axis), separation, error))
+    for side in range(num_sides(is_face)):
+        s = side_of(c, side)
         for axis in range(3):
-            share = greatest(share, separation_share(c, axis_of(axis), separation, error))
-        for side in range(num_sides(is_face)):
-            s = side_of(c, side)
-            for axis in range(3):
-                share = greatest(share, separation_share(c, cross(s, axis_of(axis)), separation, error))
-        return share
+            share = greatest(share, separation_share(c, cross(s, axis_of(axis)), separation, error))
+    return share
 
-    @simd.func
-    def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
-        """Upper bound of the rounding errors and the separation along d (rounding, step 6)."""
-        return dot(magnitude(d), separation + error) * spread(round_up)
 
-    moving_clip = make_moving_clip(real, width, Lanes, direction, offset)
-    return SimpleNamespace(
-        Facet=Facet,
-        is_first_side=is_first_side,
-        is_third_side=is_third_side,
-        is_axis=is_axis,
-        chosen_side=chosen_side,
-        direction=direction,
-        start_gap_share=start_gap_share,
-        widest_facet=widest_facet,
-        fall=moving_clip.fall,
-        clip_facet=moving_clip.clip,
-    )
+@simd.func
+def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
+    """Upper bound of the rounding errors and the separation along d (rounding, step 6)."""
+    return dot(magnitude(d), separation + error) * spread(round_up)
+
+
+clip_facet = clip_along(Lanes, direction, offset)

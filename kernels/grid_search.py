@@ -9,10 +9,9 @@ A box may be reached through several rows that share its bucket, and counts in i
 set and one level, the one that comes first finds the other.
 """
 
-from typing import Any
-
 import warp as wp
 
+from . import pair_search as functions
 from .atomics import claim
 from .box_tree import WIDTH, BoxTree
 from .collision_filter import CollisionFilter
@@ -33,8 +32,8 @@ from .hash_grid import (
 from .interrupts import is_stopped
 from .lanes import chosen, lowest_bit
 from .minima import CANDIDATES, Minima
-from .once import once
-from .pair_search import lanes_before, make_pair_search
+from .pair_search import lanes_before
+from .parameters import end, is_thick, width, with_lists
 from .search_types import BOXES, SearchOptions, SearchRange, TreePair
 from .simd import fingerprint
 
@@ -123,204 +122,130 @@ def lanes_between(mask: wp.uint32, first: int, last: int, block: int) -> wp.uint
     return result
 
 
-@once
-def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = False) -> Any:
-    """The kernel of a search that ends at a stage; the arguments are those of `make_pair_search`."""
-    with_cull = end != BOXES
-    lists = ".lists" if with_lists else ""
-    thick = ".thick" if is_thick else ""
-    module = wp.get_module(f"ccd_warp.grid_search.{end}{lists}{thick}.{width}.{fingerprint()}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
-    functions = make_pair_search(end, with_lists, width, is_thick)
-    overlaps, search_block = functions.overlaps, functions.search_block
-    cull_rest, num_collected = functions.cull_rest, functions.num_collected
+with_cull = end != BOXES
+lists = ".lists" if with_lists else ""
+thick = ".thick" if is_thick else ""
+module = wp.get_module(f"ccd_warp.grid_search.{end}{lists}{thick}.{width}.{fingerprint()}")
+wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+overlaps, search_block = functions.overlaps, functions.search_block
+cull_rest, num_collected = functions.cull_rest, functions.num_collected
 
-    @wp.func
-    def search_run(
-        query: BoxTree,
-        target: BoxTree,
-        target_grid: HashGrid,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        item_block: int,
-        item_lane: int,
-        query_block: int,
-        queries: wp.uint32,  # lanes of the query block
-        own_block: int,  # the query block among blocks of the same boxes, otherwise -1
-        first: int,  # place
-        last: int,  # place after the last one
-        first_cell: wp.uint64,
-        last_cell: wp.uint64,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ) -> int:
-        """Search a run of places in a row of cells for partners of queries; returns the number of candidates."""
-        num_candidates = int(0)
-        parent = int(first / (WIDTH * WIDTH))
-        while parent * WIDTH * WIDTH < last:
-            if is_stopped(options.stop):
-                break
-            parent_block = target.block_begin[1] + parent
-            blocks = overlaps(target.nodes, parent_block, query.nodes, item_block, item_lane, 0)
-            blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
-            while blocks != _NONE:
-                lane = lowest_bit(blocks)
-                blocks = blocks & (blocks - wp.uint32(1))
-                block = parent * WIDTH + lane
-                targets = lanes_between(_LANES, first, last, block)
-                targets = in_cells(target_grid.cells, block, targets, first_cell, last_cell)
-                if targets != _NONE:
-                    near = wp.uint32(queries)
-                    if part.level == 1:
-                        near = near & overlaps(query.nodes, query_block, target.nodes, parent_block, lane, 0)
-                    num_candidates += search_block(
-                        query,
-                        target,
-                        tree_pair,
-                        options,
-                        collision_filter,
-                        vertices_t0,
-                        vertices_t1,
-                        query_block,
-                        near,
-                        block,
-                        targets,
-                        own_block,
-                        part,
-                        counts,
-                        keys,
-                        minima,
-                        collected,
-                    )
-            parent += 1
-        return num_candidates
 
-    @wp.func
-    def search_level(
-        query: BoxTree,
-        target: BoxTree,
-        target_grid: HashGrid,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        item_block: int,
-        item_lane: int,
-        query_block: int,
-        queries: wp.uint32,  # lanes of the query block
-        own_block: int,
-        level: int,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ) -> int:
-        """Search the cells of a level in which partners of the queries may stand; returns the number of candidates."""
-        num_candidates = int(0)
-        corners = corners_of(query.nodes, query.num_aabbs, query_block, queries)
-        density = density_of(level, target_grid.cells_per_unit)
-        low = cell_at(wp.vec3f(corners[0], corners[1], corners[2]), level, density)
-        high = cell_at(wp.vec3f(corners[3], corners[4], corners[5]), level, density)
-        if level < LAST_LEVEL:
-            low = low - wp.vec3i(PARTS, 1, 1)
-        num_buckets = 1 << target_grid.bucket_bits
-        for z in range(low[2], high[2] + 1):
-            for y in range(low[1], high[1] + 1):
-                first_cell = cell_key(level, low[0], y, z)
-                last_cell = cell_key(level, high[0], y, z)
-                bucket = bucket_of(first_cell, target_grid.bucket_bits)
-                # a small table has fewer buckets than a row has cells
-                left = wp.min(high[0] - low[0] + 1, num_buckets)
-                while left > 0:
-                    # up to the last bucket, and then from the first one on
-                    count = wp.min(left, num_buckets - bucket)
-                    # what comes before the queries in their own set has found them
-                    first = wp.max(target_grid.bucket_begin[bucket], own_block * WIDTH)
-                    last = target_grid.bucket_begin[bucket + count]
-                    left -= count
-                    bucket = 0
-                    if first < last:
-                        num_candidates += search_run(
-                            query,
-                            target,
-                            target_grid,
-                            tree_pair,
-                            options,
-                            collision_filter,
-                            vertices_t0,
-                            vertices_t1,
-                            item_block,
-                            item_lane,
-                            query_block,
-                            queries,
-                            own_block,
-                            first,
-                            last,
-                            first_cell,
-                            last_cell,
-                            part,
-                            counts,
-                            keys,
-                            minima,
-                            collected,
-                        )
-        return num_candidates
+@wp.func
+def search_run(
+    query: BoxTree,
+    target: BoxTree,
+    target_grid: HashGrid,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    item_block: int,
+    item_lane: int,
+    query_block: int,
+    queries: wp.uint32,  # lanes of the query block
+    own_block: int,  # the query block among blocks of the same boxes, otherwise -1
+    first: int,  # place
+    last: int,  # place after the last one
+    first_cell: wp.uint64,
+    last_cell: wp.uint64,
+    part: SearchRange,
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+    collected: wp.array[wp.int32],
+) -> int:
+    """Search a run of places in a row of cells for partners of queries; returns the number of candidates."""
+    num_candidates = int(0)
+    parent = int(first / (WIDTH * WIDTH))
+    while parent * WIDTH * WIDTH < last:
+        if is_stopped(options.stop):
+            break
+        parent_block = target.block_begin[1] + parent
+        blocks = overlaps(target.nodes, parent_block, query.nodes, item_block, item_lane, 0)
+        blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
+        while blocks != _NONE:
+            lane = lowest_bit(blocks)
+            blocks = blocks & (blocks - wp.uint32(1))
+            block = parent * WIDTH + lane
+            targets = lanes_between(_LANES, first, last, block)
+            targets = in_cells(target_grid.cells, block, targets, first_cell, last_cell)
+            if targets != _NONE:
+                near = wp.uint32(queries)
+                if part.level == 1:
+                    near = near & overlaps(query.nodes, query_block, target.nodes, parent_block, lane, 0)
+                num_candidates += search_block(
+                    query,
+                    target,
+                    tree_pair,
+                    options,
+                    collision_filter,
+                    vertices_t0,
+                    vertices_t1,
+                    query_block,
+                    near,
+                    block,
+                    targets,
+                    own_block,
+                    part,
+                    counts,
+                    keys,
+                    minima,
+                    collected,
+                )
+        parent += 1
+    return num_candidates
 
-    @wp.kernel(module=module)
-    def search_grid(
-        begin: int,
-        # in
-        part: SearchRange,
-        query: BoxTree,
-        target: BoxTree,
-        query_grid: HashGrid,
-        target_grid: HashGrid,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        # out
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ):
-        """Find the pairs of the query boxes of an item: the boxes of a block (level 1), or a single box (level 0)."""
-        # the item is box `item` of its level
-        item = part.first + (begin + wp.tid()) * part.stride
-        item_block = query.block_begin[part.level] + item / WIDTH
-        item_lane = item % WIDTH
-        query_block = item
-        pending = lanes_before(query.num_boxes - item * WIDTH)
-        if part.level == 0:
-            query_block = item / WIDTH
-            pending = wp.uint32(1) << wp.uint32(item_lane)
-        num_candidates = int(0)
-        collected = wp.zeros(shape=num_collected, dtype=wp.int32)
-        while pending != _NONE:
-            own = query_grid.cells[query_block * WIDTH + lowest_bit(pending)]
-            if own == NO_CELL:
-                break  # as are all that follow
-            if is_stopped(options.stop):
-                return
-            queries = in_cells(query_grid.cells, query_block, pending, first_of_row(own), last_of_row(own))
-            own_level = level_of_cell(own)
-            if own_level < LAST_LEVEL and is_at_an_end(own):
-                queries = queries & (~queries + wp.uint32(1))  # one alone: the box around several may cover any number
-            pending = pending & ~queries
-            levels = (wp.uint32(target_grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(tree_pair.rise)
-            level = int(own_level + tree_pair.rise)
-            while levels != _NONE:
-                if (levels & wp.uint32(1)) != _NONE:
-                    num_candidates += search_level(
+
+@wp.func
+def search_level(
+    query: BoxTree,
+    target: BoxTree,
+    target_grid: HashGrid,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    item_block: int,
+    item_lane: int,
+    query_block: int,
+    queries: wp.uint32,  # lanes of the query block
+    own_block: int,
+    level: int,
+    part: SearchRange,
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+    collected: wp.array[wp.int32],
+) -> int:
+    """Search the cells of a level in which partners of the queries may stand; returns the number of candidates."""
+    num_candidates = int(0)
+    corners = corners_of(query.nodes, query.num_aabbs, query_block, queries)
+    density = density_of(level, target_grid.cells_per_unit)
+    low = cell_at(wp.vec3f(corners[0], corners[1], corners[2]), level, density)
+    high = cell_at(wp.vec3f(corners[3], corners[4], corners[5]), level, density)
+    if level < LAST_LEVEL:
+        low = low - wp.vec3i(PARTS, 1, 1)
+    num_buckets = 1 << target_grid.bucket_bits
+    for z in range(low[2], high[2] + 1):
+        for y in range(low[1], high[1] + 1):
+            first_cell = cell_key(level, low[0], y, z)
+            last_cell = cell_key(level, high[0], y, z)
+            bucket = bucket_of(first_cell, target_grid.bucket_bits)
+            # a small table has fewer buckets than a row has cells
+            left = wp.min(high[0] - low[0] + 1, num_buckets)
+            while left > 0:
+                # up to the last bucket, and then from the first one on
+                count = wp.min(left, num_buckets - bucket)
+                # what comes before the queries in their own set has found them
+                first = wp.max(target_grid.bucket_begin[bucket], own_block * WIDTH)
+                last = target_grid.bucket_begin[bucket + count]
+                left -= count
+                bucket = 0
+                if first < last:
+                    num_candidates += search_run(
                         query,
                         target,
                         target_grid,
@@ -333,19 +258,90 @@ def make_grid_search(end: str, with_lists: bool, width: int, is_thick: bool = Fa
                         item_lane,
                         query_block,
                         queries,
-                        wp.where(tree_pair.within != 0 and level == own_level, query_block, -1),
-                        level,
+                        own_block,
+                        first,
+                        last,
+                        first_cell,
+                        last_cell,
                         part,
                         counts,
                         keys,
                         minima,
                         collected,
                     )
-                levels = levels >> wp.uint32(1)
-                level += 1
-        if wp.static(with_cull):
-            cull_rest(tree_pair, options, vertices_t0, vertices_t1, part, counts, keys, minima, collected)
-        if num_candidates > 0:
-            claim(counts, part.row, CANDIDATES, num_candidates)
+    return num_candidates
 
-    return search_grid
+
+@wp.kernel(module=module)
+def search_grid(
+    begin: int,
+    # in
+    part: SearchRange,
+    query: BoxTree,
+    target: BoxTree,
+    query_grid: HashGrid,
+    target_grid: HashGrid,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    # out
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Find the pairs of the query boxes of an item: the boxes of a block (level 1), or a single box (level 0)."""
+    # the item is box `item` of its level
+    item = part.first + (begin + wp.tid()) * part.stride
+    item_block = query.block_begin[part.level] + item / WIDTH
+    item_lane = item % WIDTH
+    query_block = item
+    pending = lanes_before(query.num_boxes - item * WIDTH)
+    if part.level == 0:
+        query_block = item / WIDTH
+        pending = wp.uint32(1) << wp.uint32(item_lane)
+    num_candidates = int(0)
+    collected = wp.zeros(shape=num_collected, dtype=wp.int32)
+    while pending != _NONE:
+        own = query_grid.cells[query_block * WIDTH + lowest_bit(pending)]
+        if own == NO_CELL:
+            break  # as are all that follow
+        if is_stopped(options.stop):
+            return
+        queries = in_cells(query_grid.cells, query_block, pending, first_of_row(own), last_of_row(own))
+        own_level = level_of_cell(own)
+        if own_level < LAST_LEVEL and is_at_an_end(own):
+            queries = queries & (~queries + wp.uint32(1))  # one alone: the box around several may cover any number
+        pending = pending & ~queries
+        levels = (wp.uint32(target_grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(tree_pair.rise)
+        level = int(own_level + tree_pair.rise)
+        while levels != _NONE:
+            if (levels & wp.uint32(1)) != _NONE:
+                num_candidates += search_level(
+                    query,
+                    target,
+                    target_grid,
+                    tree_pair,
+                    options,
+                    collision_filter,
+                    vertices_t0,
+                    vertices_t1,
+                    item_block,
+                    item_lane,
+                    query_block,
+                    queries,
+                    wp.where(tree_pair.within != 0 and level == own_level, query_block, -1),
+                    level,
+                    part,
+                    counts,
+                    keys,
+                    minima,
+                    collected,
+                )
+            levels = levels >> wp.uint32(1)
+            level += 1
+    if wp.static(with_cull):
+        cull_rest(tree_pair, options, vertices_t0, vertices_t1, part, counts, keys, minima, collected)
+    if num_candidates > 0:
+        claim(counts, part.row, CANDIDATES, num_candidates)

@@ -15,21 +15,19 @@ References: Karras 2012, "Thinking parallel, part II: tree traversal on the GPU"
 incoherent ray traversal on GPUs through compressed wide BVHs" (a stack of masks).
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
 from .box_tree import WIDTH, BoxTree, box_corners
-from .candidate_cull import make_candidate_cull, write_pair
+from .candidate_cull import is_discarded, write_pair
 from .collision_filter import CollisionFilter, is_excluded
 from .exact_boxes import boxes_apart, thick_boxes_apart
 from .half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
 from .interrupts import is_stopped
 from .lanes import lowest_bit
 from .minima import CANDIDATES, FOUND, Minima
-from .once import once
 from .pair_key import pair_key
 from .pair_search import is_pair_listed, lanes_after
+from .parameters import end, is_thick, with_lists
 from .search_types import BOXES, LIST, SearchOptions, SearchRange, TreePair, is_turned
 
 _LANES = wp.constant(wp.uint64(0xFFFF))
@@ -127,219 +125,238 @@ def shares_vertex(a: wp.vec3i, b: wp.vec3i) -> bool:
     return first or second or a[2] == b[0] or a[2] == b[1] or a[2] == b[2]
 
 
-@once
-def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) -> SimpleNamespace:
-    """The search that ends at a given stage; with or without lists of excluded pairs, and radii of the vertices."""
-    of_boxes = end == BOXES
-    is_listing = end == LIST
-    lists = ".lists" if with_lists else ""
-    thick = ".thick" if is_thick else ""
-    module = wp.get_module(f"ccd_warp.half_warp_search.{end}{lists}{thick}")
-    options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
-    wp.set_module_options(options, module=module)
-    # the trees of a search for contacts hold endpoint AABBs
-    overlaps = overlapping if of_boxes else moving_overlapping
-    column = CANDIDATES if is_listing else FOUND
-    is_discarded = make_candidate_cull(is_thick).is_discarded
-    apart = thick_boxes_apart if is_thick else boxes_apart
+of_boxes = end == BOXES
+is_listing = end == LIST
+lists = ".lists" if with_lists else ""
+thick = ".thick" if is_thick else ""
+module = wp.get_module(f"ccd_warp.half_warp_search.{end}{lists}{thick}")
+options = {"enable_backward": False, "fuse_fp": False, "block_dim": _BLOCK_DIM}
+wp.set_module_options(options, module=module)
+# the trees of a search for contacts hold endpoint AABBs
+overlaps = overlapping if of_boxes else moving_overlapping
+column = CANDIDATES if is_listing else FOUND
+apart = thick_boxes_apart if is_thick else boxes_apart
 
-    @wp.func
-    def is_left_out(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        collision_filter: CollisionFilter,
-        q: int,
-        p: int,
-        a: wp.vec3i,  # vertices of the query
-        b: wp.vec3i,
-    ) -> bool:
-        """Whether a pair of boxes, given by their places, shares a vertex, or the mesh excludes it."""
-        if shares_vertex(a, b):
+
+@wp.func
+def is_left_out(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    collision_filter: CollisionFilter,
+    q: int,
+    p: int,
+    a: wp.vec3i,  # vertices of the query
+    b: wp.vec3i,
+) -> bool:
+    """Whether a pair of boxes, given by their places, shares a vertex, or the mesh excludes it."""
+    if shares_vertex(a, b):
+        return True
+    if collision_filter.applies != 0:
+        if is_excluded(a, b, collision_filter):
             return True
-        if collision_filter.applies != 0:
-            if is_excluded(a, b, collision_filter):
-                return True
-            if wp.static(with_lists):
-                return is_pair_listed(query, target, tree_pair, collision_filter, q, p, a, b)
-        return False
+        if wp.static(with_lists):
+            return is_pair_listed(query, target, tree_pair, collision_filter, q, p, a, b)
+    return False
 
-    @wp.func
-    def search_leaf(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        q: int,
-        box: vec12f,
-        block: int,
-        allowed: wp.uint32,  # lanes
-        after: int,  # place after which the partners are
-        first: int,  # lane of the thread
-        last: int,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ):
-        """Write the pairs of a query and the boxes of a leaf block; each thread decides about those of its lanes."""
-        near = overlaps(target.nodes, block, box, first, last) & allowed
-        lanes = wp.uint32(_NONE)
-        a = box_corners(query, q)
-        while near != _NONE:
-            lane = lowest_bit(near)
-            near = near & (near - _ONE)
-            p = block * WIDTH + lane
-            # an empty place overlaps only a box that is infinite in quantized coordinates
-            if p < target.num_boxes and p > after:
-                b = box_corners(target, p)
-                is_out = is_left_out(query, target, tree_pair, collision_filter, q, p, a, b)
-                if wp.static(not of_boxes and not is_listing):
-                    if not is_out:
-                        turned = is_turned(tree_pair, query.primitive[q], target.primitive[p])
-                        c = wp.where(turned, b, a)
-                        d = wp.where(turned, a, b)
-                        is_out = is_discarded(tree_pair.kind, c, d, vertices_t0, vertices_t1, options)
+
+@wp.func
+def search_leaf(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    q: int,
+    box: vec12f,
+    block: int,
+    allowed: wp.uint32,  # lanes
+    after: int,  # place after which the partners are
+    first: int,  # lane of the thread
+    last: int,
+    part: SearchRange,
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Write the pairs of a query and the boxes of a leaf block; each thread decides about those of its lanes."""
+    near = overlaps(target.nodes, block, box, first, last) & allowed
+    lanes = wp.uint32(_NONE)
+    a = box_corners(query, q)
+    while near != _NONE:
+        lane = lowest_bit(near)
+        near = near & (near - _ONE)
+        p = block * WIDTH + lane
+        # an empty place overlaps only a box that is infinite in quantized coordinates
+        if p < target.num_boxes and p > after:
+            b = box_corners(target, p)
+            is_out = is_left_out(query, target, tree_pair, collision_filter, q, p, a, b)
+            if wp.static(not of_boxes and not is_listing):
                 if not is_out:
-                    lanes = lanes | (_ONE << wp.uint32(lane))
+                    turned = is_turned(tree_pair, query.primitive[q], target.primitive[p])
+                    c = wp.where(turned, b, a)
+                    d = wp.where(turned, a, b)
+                    is_out = is_discarded(tree_pair.kind, c, d, vertices_t0, vertices_t1, options)
+            if not is_out:
+                lanes = lanes | (_ONE << wp.uint32(lane))
+    if wp.static(of_boxes):
+        # where two sides are equal in quantized coordinates, the exact boxes decide
+        tied = lanes & ~overlapping_inside(target.nodes, block, box, first, last)
+        if tied != _NONE:
+            lanes = lanes & ~apart(
+                query, target, tree_pair, options, vertices_t0, vertices_t1, q / WIDTH, q % WIDTH, block, tied
+            )
+    every = united(lanes)
+    if every == _NONE:
+        return
+    begin = claim_together(counts, part.row, column, every)
+    i = query.primitive[q]
+    while lanes != _NONE:
+        lane = lowest_bit(lanes)
+        lanes = lanes & (lanes - _ONE)
+        p = block * WIDTH + lane
+        j = target.primitive[p]
+        n = begin + wp.int64(number_before(every, lane))
+        turned = is_turned(tree_pair, i, j)
+        e = wp.where(turned, j, i)
+        f = wp.where(turned, i, j)
         if wp.static(of_boxes):
-            # where two sides are equal in quantized coordinates, the exact boxes decide
-            tied = lanes & ~overlapping_inside(target.nodes, block, box, first, last)
-            if tied != _NONE:
-                lanes = lanes & ~apart(
-                    query, target, tree_pair, options, vertices_t0, vertices_t1, q / WIDTH, q % WIDTH, block, tied
-                )
-        every = united(lanes)
-        if every == _NONE:
-            return
-        begin = claim_together(counts, part.row, column, every)
-        i = query.primitive[q]
-        while lanes != _NONE:
-            lane = lowest_bit(lanes)
-            lanes = lanes & (lanes - _ONE)
-            p = block * WIDTH + lane
-            j = target.primitive[p]
-            n = begin + wp.int64(number_before(every, lane))
-            turned = is_turned(tree_pair, i, j)
-            e = wp.where(turned, j, i)
-            f = wp.where(turned, i, j)
-            if wp.static(of_boxes):
-                if n < wp.int64(part.capacity):
-                    keys[part.first_key + wp.int32(n)] = pair_key(e, f)
-            elif wp.static(is_listing):
-                if n < wp.int64(keys.shape[0]):
-                    keys[n] = pair_key(e, f)
-            else:
-                b = box_corners(target, p)
-                write_pair(e, f, wp.where(turned, b, a), wp.where(turned, a, b), n, part, keys, minima)
+            if n < wp.int64(part.capacity):
+                keys[part.first_key + wp.int32(n)] = pair_key(e, f)
+        elif wp.static(is_listing):
+            if n < wp.int64(keys.shape[0]):
+                keys[n] = pair_key(e, f)
+        else:
+            b = box_corners(target, p)
+            write_pair(e, f, wp.where(turned, b, a), wp.where(turned, a, b), n, part, keys, minima)
 
-    @wp.func
-    def search_query(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        q: int,
-        first: int,  # lane of the thread
-        last: int,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ):
-        """Find the pairs of a query box."""
-        box = box_at(query.nodes, query.num_aabbs, q)
-        top = target.num_levels - 1
-        level_begin = int(0)  # the first block of the level
-        for k in range(top):
-            level_begin += num_blocks(target, k)
-        level = wp.int32(top)
-        node = int(0)  # the block of this level on the way down
-        lanes = united(overlaps(target.nodes, level_begin, box, first, last))
-        # the lanes still to visit: of this level in the lowest bits, then of those above
-        pending = wp.uint64(without_preceding(lanes, tree_pair, q, top, 0))
-        above = wp.uint64(0)
-        while level <= top:
-            if (pending & _LANES) == _NOTHING:
-                level_begin += num_blocks(target, level)
-                level += 1
-                node = node >> 4  # WIDTH is 16
-                pending = (pending >> _BITS) | (above << _REST)
-                above = above >> _BITS
-            else:
-                child = node * WIDTH + lowest_bit(wp.uint32(pending & _LANES))
-                pending = pending & (pending - wp.uint64(1))
-                below = num_blocks(target, level - 1)
-                if child < below:  # an empty place overlaps only a box that is infinite in quantized coordinates
-                    if level > 1:
-                        if is_stopped(options.stop):
-                            return
-                        lanes = united(overlaps(target.nodes, level_begin - below + child, box, first, last))
-                        lanes = without_preceding(lanes, tree_pair, q, level - 1, child)
-                        if lanes != _NONE:
-                            level -= 1
-                            level_begin -= below
-                            node = child
-                            above = (above << _BITS) | (pending >> _REST)
-                            pending = (pending << _BITS) | wp.uint64(lanes)
-                    else:
-                        search_leaf(
-                            query,
-                            target,
-                            tree_pair,
-                            options,
-                            collision_filter,
-                            vertices_t0,
-                            vertices_t1,
-                            q,
-                            box,
-                            child,
-                            _EVERY,
-                            wp.where(tree_pair.within != 0, q, -1),
-                            first,
-                            last,
-                            part,
-                            counts,
-                            keys,
-                            minima,
-                        )
 
-    registers = _FEW_REGISTERS if of_boxes or is_listing else _MANY_REGISTERS
+@wp.func
+def search_query(
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    q: int,
+    first: int,  # lane of the thread
+    last: int,
+    part: SearchRange,
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Find the pairs of a query box."""
+    box = box_at(query.nodes, query.num_aabbs, q)
+    top = target.num_levels - 1
+    level_begin = int(0)  # the first block of the level
+    for k in range(top):
+        level_begin += num_blocks(target, k)
+    level = wp.int32(top)
+    node = int(0)  # the block of this level on the way down
+    lanes = united(overlaps(target.nodes, level_begin, box, first, last))
+    # the lanes still to visit: of this level in the lowest bits, then of those above
+    pending = wp.uint64(without_preceding(lanes, tree_pair, q, top, 0))
+    above = wp.uint64(0)
+    while level <= top:
+        if (pending & _LANES) == _NOTHING:
+            level_begin += num_blocks(target, level)
+            level += 1
+            node = node >> 4  # WIDTH is 16
+            pending = (pending >> _BITS) | (above << _REST)
+            above = above >> _BITS
+        else:
+            child = node * WIDTH + lowest_bit(wp.uint32(pending & _LANES))
+            pending = pending & (pending - wp.uint64(1))
+            below = num_blocks(target, level - 1)
+            if child < below:  # an empty place overlaps only a box that is infinite in quantized coordinates
+                if level > 1:
+                    if is_stopped(options.stop):
+                        return
+                    lanes = united(overlaps(target.nodes, level_begin - below + child, box, first, last))
+                    lanes = without_preceding(lanes, tree_pair, q, level - 1, child)
+                    if lanes != _NONE:
+                        level -= 1
+                        level_begin -= below
+                        node = child
+                        above = (above << _BITS) | (pending >> _REST)
+                        pending = (pending << _BITS) | wp.uint64(lanes)
+                else:
+                    search_leaf(
+                        query,
+                        target,
+                        tree_pair,
+                        options,
+                        collision_filter,
+                        vertices_t0,
+                        vertices_t1,
+                        q,
+                        box,
+                        child,
+                        _EVERY,
+                        wp.where(tree_pair.within != 0, q, -1),
+                        first,
+                        last,
+                        part,
+                        counts,
+                        keys,
+                        minima,
+                    )
 
-    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=registers)
-    def search_queries(
-        begin: int,
-        # in
-        part: SearchRange,
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        # out
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],  # or candidates, of a search that lists them
-        minima: Minima,
-    ):
-        """Find the pairs of a query box.
 
-        A search that culls its candidates is the second one, which is needed only if they exceeded ``part.capacity``.
-        Its queries are shared by so few half warps that it costs little where it is not.
-        """
-        thread = begin + wp.tid()
-        first = first_lane(thread)
-        last = end_lane(thread)
-        if last == 0:
-            return
-        if wp.static(of_boxes or is_listing):
+registers = _FEW_REGISTERS if of_boxes or is_listing else _MANY_REGISTERS
+
+
+@wp.kernel(module=module, grid_stride=False, cuda_max_registers=registers)
+def search_queries(
+    begin: int,
+    # in
+    part: SearchRange,
+    query: BoxTree,
+    target: BoxTree,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    # out
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],  # or candidates, of a search that lists them
+    minima: Minima,
+):
+    """Find the pairs of a query box.
+
+    A search that culls its candidates is the second one, which is needed only if they exceeded ``part.capacity``.
+    Its queries are shared by so few half warps that it costs little where it is not.
+    """
+    thread = begin + wp.tid()
+    first = first_lane(thread)
+    last = end_lane(thread)
+    if last == 0:
+        return
+    if wp.static(of_boxes or is_listing):
+        search_query(
+            query,
+            target,
+            tree_pair,
+            options,
+            collision_filter,
+            vertices_t0,
+            vertices_t1,
+            part.first + thread / HALF_WARP * part.stride,
+            first,
+            last,
+            part,
+            counts,
+            keys,
+            minima,
+        )
+    elif counts[part.row, CANDIDATES] > wp.int64(part.capacity):
+        for item in range(thread / HALF_WARP, query.num_boxes, part.stride):
             search_query(
                 query,
                 target,
@@ -348,7 +365,7 @@ def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) ->
                 collision_filter,
                 vertices_t0,
                 vertices_t1,
-                part.first + thread / HALF_WARP * part.stride,
+                item,
                 first,
                 last,
                 part,
@@ -356,23 +373,3 @@ def make_half_warp_search(end: str, with_lists: bool, is_thick: bool = False) ->
                 keys,
                 minima,
             )
-        elif counts[part.row, CANDIDATES] > wp.int64(part.capacity):
-            for item in range(thread / HALF_WARP, query.num_boxes, part.stride):
-                search_query(
-                    query,
-                    target,
-                    tree_pair,
-                    options,
-                    collision_filter,
-                    vertices_t0,
-                    vertices_t1,
-                    item,
-                    first,
-                    last,
-                    part,
-                    counts,
-                    keys,
-                    minima,
-                )
-
-    return SimpleNamespace(search_queries=search_queries, search_leaf=search_leaf, overlaps=overlaps)

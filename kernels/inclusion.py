@@ -6,82 +6,78 @@ evaluated on a box, the test becomes a clip: it gives the whole time interval in
 origin.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
-from .once import once
-from .patch import make_patch
+from . import simd
+from .parameters import real
+from .patch import Corners
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import make_simd
+from .simd import (
+    Lanes,
+    Vec3,
+    both,
+    dot,
+    either,
+    greatest,
+    is_at_most,
+    is_less,
+    least,
+    magnitude,
+    opposite,
+    select,
+    spread,
+)
+
+minus_one = wp.constant(real(-1.0))
+two = wp.constant(real(2.0))
+round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
 
 
-@once
-def make_inclusion(real, width: int) -> SimpleNamespace:
-    """Functions for one floating-point type and a number of lanes."""
-    simd = make_simd(real, width)
-    Lanes = simd.Lanes
-    Vec3 = simd.Vec3
-    spread = simd.spread
-    magnitude = simd.magnitude
-    least = simd.least
-    greatest = simd.greatest
-    is_less = simd.is_less
-    is_at_most = simd.is_at_most
-    both = simd.both
-    either = simd.either
-    opposite = simd.opposite
-    select = simd.select
-    dot = simd.dot
-    Corners = make_patch(real, width).Corners
-    minus_one = wp.constant(real(-1.0))
-    two = wp.constant(real(2.0))
-    round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
-    round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
-    tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
+@simd.func
+def offset(d: Vec3, margin: Vec3) -> Lanes:
+    """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); the margin is E + separation."""
+    return dot(magnitude(d), margin) * spread(round_up)
 
-    @simd.func
-    def offset(d: Vec3, margin: Vec3) -> Lanes:
-        """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); the margin is E + separation."""
-        return dot(magnitude(d), margin) * spread(round_up)
 
-    @simd.func
-    def clip_corner(a: Lanes, b: Lanes, off: Lanes, t: Lanes) -> Lanes:
-        """Time up to which one corner stays beyond ``off``, 2 if until the end; -1 if it is not beyond it at ``t``.
+@simd.func
+def clip_corner(a: Lanes, b: Lanes, off: Lanes, t: Lanes) -> Lanes:
+    """Time up to which one corner stays beyond ``off``, 2 if until the end; -1 if it is not beyond it at ``t``.
 
-        a and b are d·W at t = 0 and t = 1 (rounding, step 7). The quotient of those that leave is also that of those
-        that enter.
-        """
-        is_beyond_t0 = is_less(off, a)
-        is_beyond_t1 = is_less(off, b)
-        crossing = (a - off) / (a - b)
-        has_entered = is_less(crossing * spread(round_up), t)
-        stays = both(is_beyond_t1, either(is_beyond_t0, has_entered))
-        leaves = both(is_beyond_t0, opposite(is_beyond_t1))
-        s = select(leaves, least(spread(two), crossing * spread(round_down)), spread(minus_one))
-        return select(stays, spread(two), s)
+    a and b are d·W at t = 0 and t = 1 (rounding, step 7). The quotient of those that leave is also that of those
+    that enter.
+    """
+    is_beyond_t0 = is_less(off, a)
+    is_beyond_t1 = is_less(off, b)
+    crossing = (a - off) / (a - b)
+    has_entered = is_less(crossing * spread(round_up), t)
+    stays = both(is_beyond_t1, either(is_beyond_t0, has_entered))
+    leaves = both(is_beyond_t0, opposite(is_beyond_t1))
+    s = select(leaves, least(spread(two), crossing * spread(round_down)), spread(minus_one))
+    return select(stays, spread(two), s)
 
-    @simd.func
-    def clip_beyond(d: Vec3, off: Lanes, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
-        """Time s >= t such that d·W stays above ``off`` on [t, s), which proves it free; 2 if it does to the end.
 
-        ``off`` bounds the rounding errors and the separation along d, together; t0 and t1 are the corners at both ends.
-        """
-        s = clip_corner(dot(d, t0.w00), dot(d, t1.w00), off, t)
-        s = least(s, clip_corner(dot(d, t0.w01), dot(d, t1.w01), off, t))
-        s = least(s, clip_corner(dot(d, t0.w10), dot(d, t1.w10), off, t))
-        if not is_triangle:
-            s = least(s, clip_corner(dot(d, t0.w11), dot(d, t1.w11), off, t))
-        m = magnitude(d)
-        can_prove = is_at_most(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z)))
-        return select(both(can_prove, is_less(t, s)), s, t)
+@simd.func
+def clip_beyond(d: Vec3, off: Lanes, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
+    """Time s >= t such that d·W stays above ``off`` on [t, s), which proves it free; 2 if it does to the end.
 
-    @simd.func
-    def clip(d: Vec3, margin: Vec3, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
-        """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end.
+    ``off`` bounds the rounding errors and the separation along d, together; t0 and t1 are the corners at both ends.
+    """
+    s = clip_corner(dot(d, t0.w00), dot(d, t1.w00), off, t)
+    s = least(s, clip_corner(dot(d, t0.w01), dot(d, t1.w01), off, t))
+    s = least(s, clip_corner(dot(d, t0.w10), dot(d, t1.w10), off, t))
+    if not is_triangle:
+        s = least(s, clip_corner(dot(d, t0.w11), dot(d, t1.w11), off, t))
+    m = magnitude(d)
+    can_prove = is_at_most(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z)))
+    return select(both(can_prove, is_less(t, s)), s, t)
 
-        t0 and t1 are the corners at both ends of the step.
-        """
-        return clip_beyond(d, offset(d, margin), t, t0, t1, is_triangle)
 
-    return SimpleNamespace(clip=clip, clip_beyond=clip_beyond, clip_corner=clip_corner, offset=offset)
+@simd.func
+def clip(d: Vec3, margin: Vec3, t: Lanes, t0: Corners, t1: Corners, is_triangle: bool) -> Lanes:
+    """Time s >= t such that d separates the patch from the separation box on [t, s); 2 if it does until the end.
+
+    t0 and t1 are the corners at both ends of the step.
+    """
+    return clip_beyond(d, offset(d, margin), t, t0, t1, is_triangle)

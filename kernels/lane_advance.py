@@ -6,23 +6,40 @@ single pairs, at the time reached. Rounds are numbered for each pair by itself, 
 gets the same answer in whatever lane and company it is solved.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
-from .ball import make_ball
-from .facets import make_facets
-from .inclusion import make_inclusion
-from .lane_closest import make_lane_closest
-from .lane_pair import make_lane_pair
-from .lane_touch import make_lane_touch
-from .norm import MAXIMUM_NORM, is_ball, make_norm
-from .once import once
+from . import simd
+from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
+from .facets import clip_facet, widest_facet
+from .inclusion import clip, clip_beyond
+from .lane_closest import closest
+from .lane_pair import LanePair
+from .lane_touch import touching_point
+from .norm import is_ball
 from .pair_kind import VERTEX_FACE
-from .patch import make_patch
+from .parameters import norm, real, with_facets
+from .patch import Corners, Volume, corners_at
 from .rounding import UNIT_ROUNDOFF
-from .simd import make_simd
-from .volume import make_volume
+from .simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    bits_of,
+    both,
+    dot,
+    either,
+    greatest,
+    is_at_most,
+    is_less,
+    is_within,
+    mask_of,
+    opposite,
+    select,
+    spread,
+    vec,
+)
+from .support import length
+from .volume import clip_volume
 
 _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round: in the first rounds, and at most in the later ones.
@@ -34,249 +51,213 @@ _FACET_STEPS = wp.constant(4)
 _TURN_STEPS = wp.constant(2)
 
 
-@once
-def make_lane_advance(real, width: int, with_facets: bool, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
-    """Structs and functions for lanes of one floating-point type, with or without a separation and facets.
+is_euclidean = is_ball(norm)
 
-    In the Euclidean norm directions that turn with a side take the place of the facets.
+unit = UNIT_ROUNDOFF[real]
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+settled = wp.constant(real(8.0 * unit))  # a gain of the volume that is rounding only
+quarter = wp.constant(real(0.25))
+patience = wp.constant(real(3.0))
+huge = wp.constant(real(1.0e30))
+stall_errors = wp.constant(real(128.0))
+box_errors = wp.constant(real(256.0))
+floor_errors = wp.constant(real(8.0))
+
+
+@wp.struct
+class LaneReached:
+    """Where the lanes are."""
+
+    t: Lanes
+    u: Lanes  # weights of the contact
+    v: Lanes
+    point: Vec3
+    iterations: Lanes
+    gap: Lanes  # squared length of the last direction
+    slow: Lanes  # rounds with little progress
+    open: Mask
+    free: Mask
+    contact: Mask
+
+
+@simd.func
+def needs_facets(n: LanePair, volume: Volume) -> Mask:
+    """Whether only the facets of the patch and its separation box bring a pair all the way to a contact."""
+    needs = volume.is_flat
+    if wp.static(with_facets):
+        # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
+        needs = either(needs, opposite(is_within(n.separation, spread(box_errors) * n.error)))
+    return needs
+
+
+@simd.func
+def start(t: Lanes, open: wp.uint32) -> LaneReached:
+    """Lanes at a time, of which some are open."""
+    r = LaneReached()
+    r.t = t
+    r.open = mask_of(open)
+    r.iterations = spread(zero)
+    r.gap = spread(huge)
+    r.slow = spread(zero)
+    return r
+
+
+@wp.struct
+class LaneTurn:
+    """What the widest facet shows at a time."""
+
+    t: Lanes  # time up to which it separates, 2 if beyond the end
+    gap: Lanes  # square of its slack
+    number: Lanes  # of the facet
+    at_floor: Mask  # whether no facet separates by more than rounding
+
+
+@simd.func
+def turn(n: LanePair, c: Corners, is_face: bool, t: Lanes, end: Lanes) -> LaneTurn:
+    """Clip with the widest facet of each lane at time t; the corners are those at t."""
+    r = LaneTurn()
+    facet = widest_facet(c, n.separation, n.error, is_face)
+    s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
+    r.t = select(is_less(spread(zero), facet.slack), s, t)
+    r.gap = facet.slack * facet.slack
+    r.number = facet.number
+    r.at_floor = is_at_most(facet.floor_excess, spread(zero))
+    return r
+
+
+@simd.func
+def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
+    """The point of a patch with given weights."""
+    cu = spread(one) - u
+    cv = spread(one) - v
+    return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
+
+
+@simd.func
+def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
+    """Clip with the direction that the closest pair will have where it reaches the ball, fixed and turning.
+
+    d is its direction and length at t, with the velocity of its point; c are the corners at t.
     """
-    is_euclidean = is_ball(norm)
-    simd = make_simd(real, width)
-    Lanes = simd.Lanes
-    Mask = simd.Mask
-    Vec3 = simd.Vec3
-    vec = simd.vec
-    spread = simd.spread
-    greatest = simd.greatest
-    is_less = simd.is_less
-    is_at_most = simd.is_at_most
-    is_within = simd.is_within
-    both = simd.both
-    either = simd.either
-    opposite = simd.opposite
-    select = simd.select
-    dot = simd.dot
-    bits_of = simd.bits_of
-    mask_of = simd.mask_of
-    LanePair = make_lane_pair(real, width, norm).LanePair
-    Corners = make_patch(real, width).Corners
-    Volume = make_patch(real, width).Volume
-    corners_at = make_patch(real, width).corners_at
-    clip_volume = make_volume(real, width, norm).clip_volume
-    clip = make_inclusion(real, width).clip
-    clip_beyond = make_inclusion(real, width).clip_beyond
-    length = make_norm(real, width, norm).length
-    ball = make_ball(real, width)
-    offset = ball.offset
-    is_in_ball = ball.is_in_ball
-    with_largest_one = ball.with_largest_one
-    time_to_ball = ball.time_to_ball
-    turn_along = ball.turn_along
-    clip_turn = ball.clip_turn
-    widest_facet = make_facets(real, width).widest_facet
-    clip_facet = make_facets(real, width).clip_facet
-    closest = make_lane_closest(real, width).closest
-    touching_point = make_lane_touch(real, width).touching_point
+    h = time_to_ball(d, velocity, n.separation.x, end - t)
+    ahead = with_largest_one(d + h * velocity)
+    s = clip_beyond(ahead, offset(ahead, n.error, n.separation), t, n.t0, n.t1, is_face)
+    side = turn_along(c, with_largest_one(d), corners_at(n.t0, n.t1, t + h), ahead, is_face)
+    turned = clip_turn(n.t0, n.t1, n.separation, n.error, side, t, end, _TURN_STEPS)
+    return greatest(s, turned)
 
-    unit = UNIT_ROUNDOFF[real]
-    zero = wp.constant(real(0.0))
-    one = wp.constant(real(1.0))
-    settled = wp.constant(real(8.0 * unit))  # a gain of the volume that is rounding only
-    quarter = wp.constant(real(0.25))
-    patience = wp.constant(real(3.0))
-    huge = wp.constant(real(1.0e30))
-    stall_errors = wp.constant(real(128.0))
-    box_errors = wp.constant(real(256.0))
-    floor_errors = wp.constant(real(8.0))
 
-    @wp.struct
-    class LaneReached:
-        """Where the lanes are."""
+@simd.func
+def advance_round(
+    kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
+) -> LaneReached:
+    """One round of the lanes that are open.
 
-        t: Lanes
-        u: Lanes  # weights of the contact
-        v: Lanes
-        point: Vec3
-        iterations: Lanes
-        gap: Lanes  # squared length of the last direction
-        slow: Lanes  # rounds with little progress
-        open: Mask
-        free: Mask
-        contact: Mask
-
-    @simd.func
-    def needs_facets(n: LanePair, volume: Volume) -> Mask:
-        """Whether only the facets of the patch and its separation box bring a pair all the way to a contact."""
-        needs = volume.is_flat
-        if wp.static(with_facets):
-            # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
-            needs = either(needs, opposite(is_within(n.separation, spread(box_errors) * n.error)))
-        return needs
-
-    @simd.func
-    def start(t: Lanes, open: wp.uint32) -> LaneReached:
-        """Lanes at a time, of which some are open."""
-        r = LaneReached()
-        r.t = t
-        r.open = mask_of(open)
-        r.iterations = spread(zero)
-        r.gap = spread(huge)
-        r.slow = spread(zero)
-        return r
-
-    @wp.struct
-    class LaneTurn:
-        """What the widest facet shows at a time."""
-
-        t: Lanes  # time up to which it separates, 2 if beyond the end
-        gap: Lanes  # square of its slack
-        number: Lanes  # of the facet
-        at_floor: Mask  # whether no facet separates by more than rounding
-
-    @simd.func
-    def turn(n: LanePair, c: Corners, is_face: bool, t: Lanes, end: Lanes) -> LaneTurn:
-        """Clip with the widest facet of each lane at time t; the corners are those at t."""
-        r = LaneTurn()
-        facet = widest_facet(c, n.separation, n.error, is_face)
-        s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
-        r.t = select(is_less(spread(zero), facet.slack), s, t)
-        r.gap = facet.slack * facet.slack
-        r.number = facet.number
-        r.at_floor = is_at_most(facet.floor_excess, spread(zero))
-        return r
-
-    @simd.func
-    def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
-        """The point of a patch with given weights."""
-        cu = spread(one) - u
-        cv = spread(one) - v
-        return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
-
-    @simd.func
-    def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
-        """Clip with the direction that the closest pair will have where it reaches the ball, fixed and turning.
-
-        d is its direction and length at t, with the velocity of its point; c are the corners at t.
-        """
-        h = time_to_ball(d, velocity, n.separation.x, end - t)
-        ahead = with_largest_one(d + h * velocity)
-        s = clip_beyond(ahead, offset(ahead, n.error, n.separation), t, n.t0, n.t1, is_face)
-        side = turn_along(c, with_largest_one(d), corners_at(n.t0, n.t1, t + h), ahead, is_face)
-        turned = clip_turn(n.t0, n.t1, n.separation, n.error, side, t, end, _TURN_STEPS)
-        return greatest(s, turned)
-
-    @simd.func
-    def advance_round(
-        kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
-    ) -> LaneReached:
-        """One round of the lanes that are open.
-
-        Invariant: each pair is free of contact on [0, t).
-        """
-        is_triangle = kind == VERTEX_FACE
-        end = spread(t_end)
-        begin = reached.t
-        t = begin
-        x = end
-        free = mask_of(wp.uint32(0))
-        is_settled = free
-        if wp.static(with_facets):
-            # what is still open after the first rounds is mostly a contact: until the volume gains nothing more
-            steps = int(0)
-            moving = reached.open
-            while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
-                s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
-                free = either(free, both(moving, now_free))
-                gains = is_less(spread(settled), s - t)
-                t = select(moving, s, t)
-                x = select(moving, next_x, x)
-                moving = both(moving, both(gains, opposite(now_free)))
-                steps += 1
-            is_settled = opposite(moving)
-        else:
+    Invariant: each pair is free of contact on [0, t).
+    """
+    is_triangle = kind == VERTEX_FACE
+    end = spread(t_end)
+    begin = reached.t
+    t = begin
+    x = end
+    free = mask_of(wp.uint32(0))
+    is_settled = free
+    if wp.static(with_facets):
+        # what is still open after the first rounds is mostly a contact: until the volume gains nothing more
+        steps = int(0)
+        moving = reached.open
+        while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
+            s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
+            free = either(free, both(moving, now_free))
+            gains = is_less(spread(settled), s - t)
+            t = select(moving, s, t)
+            x = select(moving, next_x, x)
+            moving = both(moving, both(gains, opposite(now_free)))
+            steps += 1
+        is_settled = opposite(moving)
+    else:
+        last = t
+        for _ in range(_VOLUME_CLIPS):
             last = t
-            for _ in range(_VOLUME_CLIPS):
-                last = t
-                t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
-                free = either(free, now_free)
-                if bits_of(both(reached.open, opposite(free))) == _NONE:
-                    break
-            is_settled = is_at_most(t - last, spread(settled))
-        r = reached
-        still_open = both(reached.open, opposite(free))
-        if bits_of(still_open) == _NONE:
-            # the volume alone has settled all lanes
-            r.free = reached.open
-            r.contact = still_open
-            r.open = still_open
-            r.iterations = select(reached.open, reached.iterations + spread(one), reached.iterations)
-            return r
-        c = corners_at(n.t0, n.t1, t)
-        near = closest(c, is_triangle)
-        # a smaller gap may consist of rounding errors only
-        floor = spread(floor_errors) * n.error
-        near_floor = spread(stall_errors) * n.error
-        if wp.static(is_euclidean):
-            d = with_largest_one(near.d)
-            s = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_triangle)
-            at_floor = is_in_ball(near.d, floor, n.separation)
-            is_near = is_in_ball(near.d, near_floor, n.separation)
-            gap = length(near.d) - n.separation.x
-            gap = gap * gap
-            turns = both(both(still_open, is_at_most(s, end)), opposite(at_floor))
-            if bits_of(turns) != _NONE:
-                velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
-                s = select(turns, greatest(s, clip_ahead(n, c, near.d, velocity, is_triangle, t, end)), s)
-        else:
-            margin = n.error
-            if wp.static(with_facets):
-                floor = n.separation + floor
-                near_floor = n.separation + near_floor
-                margin = n.error + n.separation
-            at_floor = is_within(near.d, floor)
-            is_near = is_within(near.d, near_floor)
-            gap = dot(near.d, near.d)
-            s = clip(near.d, margin, t, n.t0, n.t1, is_triangle)
-        number = spread(zero)
-        if wp.static(with_facets and not is_euclidean):
-            turns = both(still_open, needs_facets(n, volume))
-            if bits_of(turns) != _NONE:
-                turned = turn(n, c, is_triangle, t, end)
-                number = select(turns, turned.number, number)
-                s = select(turns, greatest(s, turned.t), s)
-                at_floor = either(both(turns, turned.at_floor), both(opposite(turns), at_floor))
-                gap = select(turns, turned.gap, gap)
-        has_stalled = both(is_at_most(spread(patience), reached.slow), is_near)
-        claims = either(both(at_floor, is_settled), has_stalled)
-        free = either(free, is_less(end, s))
-        point = near.point
-        size = floor + n.delta
-        is_in_box = is_within(point, size)
-        if wp.static(is_euclidean):
-            # the point of contact with a ball is the closest one
-            is_in_box = is_in_ball(point, floor, n.separation + n.delta)
-        if wp.static(with_facets and not is_euclidean):
-            # of a patch at the corner of a separation box another point may touch than the closest one
-            has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
-            others = both(both(both(still_open, claims), has_box), opposite(either(is_in_box, free)))
-            if bits_of(others) != _NONE:
-                point = select(others, touching_point(n.separation, c, number, near.point, size, is_triangle), point)
-                is_in_box = is_within(point, size)
-        contact = both(still_open, both(both(claims, is_in_box), opposite(free)))
+            t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
+            free = either(free, now_free)
+            if bits_of(both(reached.open, opposite(free))) == _NONE:
+                break
+        is_settled = is_at_most(t - last, spread(settled))
+    r = reached
+    still_open = both(reached.open, opposite(free))
+    if bits_of(still_open) == _NONE:
+        # the volume alone has settled all lanes
+        r.free = reached.open
+        r.contact = still_open
+        r.open = still_open
         r.iterations = select(reached.open, reached.iterations + spread(one), reached.iterations)
-        r.u = select(contact, near.u, reached.u)
-        r.v = select(contact, near.v, reached.v)
-        r.point = select(contact, point, reached.point)
-        is_small = is_less(s - begin, spread(quarter) * (end - begin))
-        is_slow = both(is_small, is_less(spread(quarter) * reached.gap, gap))
-        r.slow = select(is_slow, reached.slow + spread(one), reached.slow)
-        r.gap = gap
-        r.t = select(reached.open, select(contact, t, s), reached.t)
-        r.free = both(reached.open, free)
-        r.contact = contact
-        # a lane that gains nothing needs other tools
-        goes_on = both(is_less(begin, s), opposite(either(free, contact)))
-        r.open = both(reached.open, goes_on)
         return r
-
-    return SimpleNamespace(LaneReached=LaneReached, start=start, advance_round=advance_round)
+    c = corners_at(n.t0, n.t1, t)
+    near = closest(c, is_triangle)
+    # a smaller gap may consist of rounding errors only
+    floor = spread(floor_errors) * n.error
+    near_floor = spread(stall_errors) * n.error
+    if wp.static(is_euclidean):
+        d = with_largest_one(near.d)
+        s = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_triangle)
+        at_floor = is_in_ball(near.d, floor, n.separation)
+        is_near = is_in_ball(near.d, near_floor, n.separation)
+        gap = length(near.d) - n.separation.x
+        gap = gap * gap
+        turns = both(both(still_open, is_at_most(s, end)), opposite(at_floor))
+        if bits_of(turns) != _NONE:
+            velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
+            s = select(turns, greatest(s, clip_ahead(n, c, near.d, velocity, is_triangle, t, end)), s)
+    else:
+        margin = n.error
+        if wp.static(with_facets):
+            floor = n.separation + floor
+            near_floor = n.separation + near_floor
+            margin = n.error + n.separation
+        at_floor = is_within(near.d, floor)
+        is_near = is_within(near.d, near_floor)
+        gap = dot(near.d, near.d)
+        s = clip(near.d, margin, t, n.t0, n.t1, is_triangle)
+    number = spread(zero)
+    if wp.static(with_facets and not is_euclidean):
+        turns = both(still_open, needs_facets(n, volume))
+        if bits_of(turns) != _NONE:
+            turned = turn(n, c, is_triangle, t, end)
+            number = select(turns, turned.number, number)
+            s = select(turns, greatest(s, turned.t), s)
+            at_floor = either(both(turns, turned.at_floor), both(opposite(turns), at_floor))
+            gap = select(turns, turned.gap, gap)
+    has_stalled = both(is_at_most(spread(patience), reached.slow), is_near)
+    claims = either(both(at_floor, is_settled), has_stalled)
+    free = either(free, is_less(end, s))
+    point = near.point
+    size = floor + n.delta
+    is_in_box = is_within(point, size)
+    if wp.static(is_euclidean):
+        # the point of contact with a ball is the closest one
+        is_in_box = is_in_ball(point, floor, n.separation + n.delta)
+    if wp.static(with_facets and not is_euclidean):
+        # of a patch at the corner of a separation box another point may touch than the closest one
+        has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
+        others = both(both(both(still_open, claims), has_box), opposite(either(is_in_box, free)))
+        if bits_of(others) != _NONE:
+            point = select(others, touching_point(n.separation, c, number, near.point, size, is_triangle), point)
+            is_in_box = is_within(point, size)
+    contact = both(still_open, both(both(claims, is_in_box), opposite(free)))
+    r.iterations = select(reached.open, reached.iterations + spread(one), reached.iterations)
+    r.u = select(contact, near.u, reached.u)
+    r.v = select(contact, near.v, reached.v)
+    r.point = select(contact, point, reached.point)
+    is_small = is_less(s - begin, spread(quarter) * (end - begin))
+    is_slow = both(is_small, is_less(spread(quarter) * reached.gap, gap))
+    r.slow = select(is_slow, reached.slow + spread(one), reached.slow)
+    r.gap = gap
+    r.t = select(reached.open, select(contact, t, s), reached.t)
+    r.free = both(reached.open, free)
+    r.contact = contact
+    # a lane that gains nothing needs other tools
+    goes_on = both(is_less(begin, s), opposite(either(free, contact)))
+    r.open = both(reached.open, goes_on)
+    return r

@@ -1,13 +1,12 @@
 """The points of several pairs at once, one pair in each lane, from the vertices that the cull has collected."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from .once import once
-from .points import make_points
-from .simd import header, make_simd
+from .parameters import width
+from .points import Points
+from .simd import Lanes, Vec3, header, vec
 
 
 def _gather(width: int) -> str:
@@ -52,40 +51,34 @@ _ROW = """
 """
 
 
-@once
-def make_lane_points(width: int) -> SimpleNamespace:
-    """Functions for several lanes of float64."""
-    simd = make_simd(wp.float64, width)
-    Lanes = simd.Lanes
-    Vec3 = simd.Vec3
-    vec = simd.vec
-    Points = make_points(width).Points
-    Rows: Any = wp.types.vector(length=3 * width, dtype=wp.float64)
+Rows: Any = wp.types.vector(length=3 * width, dtype=wp.float64)
 
-    @wp.func_native(_gather(width))
-    def gathered(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Rows:
-        """The coordinates of the points of all lanes, as rows."""
-        ...
 
-    @wp.func_native(_ROW.format(width=width))
-    def row(rows: Rows, axis: int) -> Lanes:
-        """A row of the coordinates."""
-        ...
+@wp.func_native(_gather(width))
+def gathered(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Rows:
+    """The coordinates of the points of all lanes, as rows."""
+    ...
 
-    @wp.func
-    def point_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Vec3:
-        """The point of a vertex for each lane; that of lane k is ``vertices[first + k]``."""
-        rows = gathered(x, vertices, first)
-        return vec(row(rows, 0), row(rows, 1), row(rows, 2))
 
-    @wp.func
-    def points_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int, stride: int) -> Points:
-        """The points of a pair for each lane; the vertices of lane k are ``vertices[first + k + n * stride]``."""
-        p = Points()
-        p.p0 = point_at(x, vertices, first)
-        p.p1 = point_at(x, vertices, first + stride)
-        p.p2 = point_at(x, vertices, first + 2 * stride)
-        p.p3 = point_at(x, vertices, first + 3 * stride)
-        return p
+@wp.func_native(_ROW.format(width=width))
+def row(rows: Rows, axis: int) -> Lanes:
+    """A row of the coordinates."""
+    ...
 
-    return SimpleNamespace(points_at=points_at)
+
+@wp.func
+def point_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Vec3:
+    """The point of a vertex for each lane; that of lane k is ``vertices[first + k]``."""
+    rows = gathered(x, vertices, first)
+    return vec(row(rows, 0), row(rows, 1), row(rows, 2))
+
+
+@wp.func
+def points_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int, stride: int) -> Points:
+    """The points of a pair for each lane; the vertices of lane k are ``vertices[first + k + n * stride]``."""
+    p = Points()
+    p.p0 = point_at(x, vertices, first)
+    p.p1 = point_at(x, vertices, first + stride)
+    p.p2 = point_at(x, vertices, first + 2 * stride)
+    p.p3 = point_at(x, vertices, first + 3 * stride)
+    return p

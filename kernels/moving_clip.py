@@ -7,76 +7,73 @@ is not, twice as long as the part that was.
 """
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from .once import once
-from .patch import make_patch
+from . import simd
+from .parameters import real
+from .patch import Corners, corners_at
 from .rounding import CROSSING, MOVING, RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import make_simd
+from .simd import (
+    Lanes,
+    Vec3,
+    bits_of,
+    both,
+    dot,
+    either,
+    greatest,
+    is_at_most,
+    is_less,
+    least,
+    magnitude,
+    mask_of,
+    minus,
+    opposite,
+    select,
+    spread,
+)
+
+unit = UNIT_ROUNDOFF[real]
+zero = wp.constant(real(0.0))
+half = wp.constant(real(0.5))
+one = wp.constant(real(1.0))
+two = wp.constant(real(2.0))
+four = wp.constant(real(4.0))
+moving = wp.constant(real(MOVING))
+round_down = wp.constant(real(1.0 - RELATIVE * unit))
+fraction_down = wp.constant(real(1.0 - CROSSING * unit))
+tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
+underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
 
 
-@once
-def make_moving_clip(real, width: int, Which: Any, direction: Callable, offset: Callable) -> SimpleNamespace:
-    """The clip for a floating-point type, a number of lanes, and a family of directions.
+@simd.func
+def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
+    """Fraction of an interval at which the steepest line from the first of three control points to another is zero.
+
+    2 if none of them falls to zero, -1 if the first is not above it.
+    """
+    is_clear = is_less(spread(zero), least(h1, h2))
+    fraction = h0 / greatest(spread(two) * (h0 - h1), h0 - h2)
+    return select(is_less(spread(zero), h0), select(is_clear, spread(two), fraction), minus(spread(one)))
+
+
+@simd.func
+def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
+    """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
+    h0 = sign * dot(d_t, w_t) - o_t
+    h1 = spread(half) * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - spread(half) * (o_t + o_x)
+    return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
+
+
+def clip_along(Which: Any, direction: Callable, offset: Callable) -> Any:
+    """The clip for a family of directions.
 
     Args:
-        real: Type of a number.
-        width: Number of lanes.
         Which: Type of what tells the directions of a family from each other.
         direction: That direction at given corners, for each lane.
         offset: Upper bound of rounding errors and separation along a direction.
     """
-    simd = make_simd(real, width)
-    Lanes = simd.Lanes
-    Vec3 = simd.Vec3
-    spread = simd.spread
-    minus = simd.minus
-    magnitude = simd.magnitude
-    least = simd.least
-    greatest = simd.greatest
-    is_less = simd.is_less
-    is_at_most = simd.is_at_most
-    both = simd.both
-    either = simd.either
-    opposite = simd.opposite
-    select = simd.select
-    dot = simd.dot
-    mask_of = simd.mask_of
-    bits_of = simd.bits_of
-    Corners = make_patch(real, width).Corners
-    corners_at = make_patch(real, width).corners_at
-
-    unit = UNIT_ROUNDOFF[real]
-    zero = wp.constant(real(0.0))
-    half = wp.constant(real(0.5))
-    one = wp.constant(real(1.0))
-    two = wp.constant(real(2.0))
-    four = wp.constant(real(4.0))
-    moving = wp.constant(real(MOVING))
-    round_down = wp.constant(real(1.0 - RELATIVE * unit))
-    fraction_down = wp.constant(real(1.0 - CROSSING * unit))
-    tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
-    underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
-
-    @simd.func
-    def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
-        """Fraction of an interval at which the steepest line from the first of three control points to another is zero.
-
-        2 if none of them falls to zero, -1 if the first is not above it.
-        """
-        is_clear = is_less(spread(zero), least(h1, h2))
-        fraction = h0 / greatest(spread(two) * (h0 - h1), h0 - h2)
-        return select(is_less(spread(zero), h0), select(is_clear, spread(two), fraction), minus(spread(one)))
-
-    @simd.func
-    def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
-        """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
-        h0 = sign * dot(d_t, w_t) - o_t
-        h1 = spread(half) * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - spread(half) * (o_t + o_x)
-        return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
 
     @simd.func
     def clip(
@@ -122,4 +119,4 @@ def make_moving_clip(real, width: int, Which: Any, direction: Callable, offset: 
             d_t = direction(which, c_t)
         return select(free, spread(two), t)
 
-    return SimpleNamespace(fall=fall, clip=clip)
+    return clip

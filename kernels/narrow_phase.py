@@ -4,32 +4,35 @@ Pairs are taken up ``width`` at a time, one in each lane (`lane_solver`), a thre
 lanes leave open go on to the solver for single pairs (`solver`) at the time that they have reached.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
+from . import lane_rows
 from .atomics import atomic_min_int64, claim
 from .contacts import ContactList
 from .interrupts import is_stopped
-from .lane_rows import make_lane_rows
-from .lane_solver import make_lane_solver
+from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, row_of, rows_from, rows_of
+from .lane_solver import LaneAnswer, first_rounds, later_rounds
 from .lanes import lowest_bit
 from .minima import ANY_OPEN, FOUND, OPEN, Minima
 from .norm import MAXIMUM_NORM, is_by_pair
-from .once import once
 from .pair_key import pair_of
-from .pair_options import make_pair_options
-from .pair_outcome import make_pair_outcome
-from .points import is_stationary, points_of, row_points
-from .query import make_query
-from .simd import fingerprint, make_simd
-from .solver import make_solver
-from .status import (
-    STATUS_COLLISION,
-    STATUS_INITIAL_CONTACT,
-    STATUS_ITERATION_LIMIT,
-    STATUS_NO_COLLISION,
+from .pair_options import options_of_pair, options_of_rows
+from .pair_outcome import (
+    cap_of_round,
+    finished,
+    finished_lanes,
+    is_set,
+    outcome_of,
+    record_contact,
+    rest_of,
+    skips_first_rounds,
 )
+from .parameters import norm, real, width
+from .query import Options
+from .simd import fingerprint
+from .single_points import is_stationary, points_of, row_points
+from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from .template import specialised
 
 # Pairs of an item of `points_toi` where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
@@ -39,401 +42,362 @@ _ONE = wp.constant(wp.uint32(1))
 vec3d = wp.vec3d
 
 
-@once
-def make_narrow_phase(real, width: int, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
-    """Kernels for one floating-point type of the iteration, a number of lanes and the norm of the separation.
+has_own = is_by_pair(norm)
+unbounded = wp.constant(wp.float64(float("inf")))
+Outcome = specialised("solver", real=real, norm=norm).Outcome
+simd64 = specialised("simd", width=width)
+none = wp.constant(wp.float64(int(STATUS_NO_COLLISION)))
+within = wp.constant(wp.float64(int(STATUS_COLLISION)))
+at_start = wp.constant(wp.float64(int(STATUS_INITIAL_CONTACT)))
+lanes = wp.constant(width)
 
-    Positions are always float64.
-    """
-    has_own = is_by_pair(norm)
-    Options = make_query(real).Options
-    options_of_pair = make_pair_options(real, width, norm).options_of_pair
-    options_of_rows = make_pair_options(real, width, norm).options_of_rows
-    Outcome = make_solver(real, False, norm).Outcome
-    pair_outcome = make_pair_outcome(real, width, False, norm)
-    is_set = pair_outcome.is_set
-    outcome_of = pair_outcome.outcome_of
-    skips_first_rounds = pair_outcome.skips_first_rounds
-    cap_of_round = pair_outcome.cap_of_round
-    finished = pair_outcome.finished
-    finished_lanes = pair_outcome.finished_lanes
-    rest_of = pair_outcome.rest_of
-    record_contact = pair_outcome.record_contact
-    lane_rows = make_lane_rows(width)
-    points_of_rows = lane_rows.points_of_rows
-    points_of_pairs = lane_rows.points_of_pairs
-    rows_from = lane_rows.rows_from
-    row_of = lane_rows.row_of
-    Index = lane_rows.Index
-    rows_of = lane_rows.rows_of
-    numbers_of = lane_rows.numbers_of
-    lane_solver = make_lane_solver(real, width, norm)
-    LaneAnswer = lane_solver.LaneAnswer
-    first_rounds = lane_solver.first_rounds
-    later_rounds = lane_solver.later_rounds
-    unbounded = wp.constant(wp.float64(float("inf")))
-    simd64 = make_simd(wp.float64, width)
-    lane_of = simd64.lane_of
-    mask_of = simd64.mask_of
-    spread = simd64.spread
-    select = simd64.select
-    both = simd64.both
-    is_at_most = simd64.is_at_most
-    put = lane_rows.put
-    put_vec2 = lane_rows.put_vec2
-    none = wp.constant(wp.float64(int(STATUS_NO_COLLISION)))
-    within = wp.constant(wp.float64(int(STATUS_COLLISION)))
-    at_start = wp.constant(wp.float64(int(STATUS_INITIAL_CONTACT)))
-    lanes = wp.constant(width)
 
-    @wp.struct
-    class Pending:
-        """Pairs that the first rounds have left open, until there are enough of them for all lanes."""
+@wp.struct
+class Pending:
+    """Pairs that the first rounds have left open, until there are enough of them for all lanes."""
 
-        count: int
-        rows: lane_rows.Rows
-        t: lane_rows.Numbers  # they are free on [0, t)
-        used: lane_rows.Numbers  # iterations so far
+    count: int
+    rows: lane_rows.Rows
+    t: lane_rows.Numbers  # they are free on [0, t)
+    used: lane_rows.Numbers  # iterations so far
 
-    @wp.func
-    def first_lanes(count: int) -> wp.uint32:
-        """Bits of the first ``count`` lanes."""
-        return (_ONE << wp.uint32(count)) - _ONE
 
-    @simd64.func
-    def write(
-        rows: Index,
-        count: int,
-        answer: LaneAnswer,
-        t_max: wp.float64,
-        # out
-        toi: wp.array[wp.float64],
-        status: wp.array[wp.int32],
-        parameters: wp.array[wp.vec2d],
-        gap: wp.array[wp.float64],
-        width_of: wp.array[wp.float64],
-        iterations: wp.array[wp.int32],
-    ):
-        """Write `outcome_of` of the first lanes, all at once."""
-        nothing = spread(wp.float64(0.0))
-        hit = both(mask_of(answer.contact), is_at_most(answer.t, spread(t_max)))
-        how = select(is_at_most(answer.t, nothing), spread(at_start), spread(within))
-        put(toi, rows, select(hit, answer.t, spread(unbounded)), count)
-        put(status, rows, select(hit, how, spread(none)), count)
-        put_vec2(parameters, rows, select(hit, answer.u, nothing), select(hit, answer.v, nothing), count)
-        put(gap, rows, select(hit, answer.gap, nothing), count)
-        put(width_of, rows, nothing, count)
-        put(iterations, rows, answer.iterations, count)
+@wp.func
+def first_lanes(count: int) -> wp.uint32:
+    """Bits of the first ``count`` lanes."""
+    return (_ONE << wp.uint32(count)) - _ONE
 
-    def own_module(name: str):
-        """A Warp module for each kernel, so that a scene compiles only those that it launches."""
-        of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-        module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}{of_norm}.{fingerprint()}")
-        wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
-        return module
 
-    @wp.kernel(module=own_module("points_toi"))
-    def points_toi(
-        begin: int,
-        # in
-        chunk: int,
-        count: int,
-        kind: int,
-        points_t0: wp.array2d[vec3d],
-        points_t1: wp.array2d[vec3d],
-        options: Options,
-        # out
-        toi: wp.array[wp.float64],
-        status: wp.array[wp.int32],
-        parameters: wp.array[wp.vec2d],
-        gap: wp.array[wp.float64],
-        width_of: wp.array[wp.float64],
-        iterations: wp.array[wp.int32],
-    ):
-        """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]; an item is ``chunk`` of them."""
-        following = (begin + wp.tid()) * chunk
-        end = wp.min(following + chunk, count)
-        cap = options.max_iterations
-        skips_first = skips_first_rounds(options)
-        pending = Pending()
-        while following < end or pending.count > 0:
-            if is_stopped(options.stop):
-                return
-            is_packed = pending.count >= lanes or following >= end
-            block = wp.min(lanes, end - following)
-            rows = rows_from(following, block)
-            if is_packed:
-                block = wp.min(lanes, pending.count)
-                pending.count -= block
-                rows = rows_of(pending.rows, pending.count, block)
-            else:
-                following += block
-            points_a = points_of_rows(points_t0, rows)
-            points_b = points_of_rows(points_t1, rows)
-            answer = LaneAnswer()
-            is_later = is_packed or skips_first
-            if is_later:
-                t = spread(wp.float64(0.0))
-                used = t
-                if is_packed:
-                    t = numbers_of(pending.t, pending.count, block)
-                    used = numbers_of(pending.used, pending.count, block)
-                open = first_lanes(block)
-                answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
-            else:
-                answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
-            write(rows, block, answer, options.t_max, toi, status, parameters, gap, width_of, iterations)
-            # what is written of these is overwritten
-            left = first_lanes(block) & ~finished_lanes(answer, options)
-            while left != _NONE:
-                lane = lowest_bit(left)
-                left = left & (left - _ONE)
-                i = row_of(rows, lane)
-                if not is_later and not is_set(answer.contact, lane):
-                    pending.rows[pending.count] = i
-                    pending.t[pending.count] = lane_of(answer.t, lane)
-                    pending.used[pending.count] = lane_of(answer.iterations, lane)
-                    pending.count += 1
-                    continue
-                a = row_points(points_t0, i)
-                b = row_points(points_t1, i)
-                outcome = rest_of(outcome_of(answer, lane, options), answer, lane, kind, a, b, options, cap)
-                toi[i] = outcome.toi
-                status[i] = outcome.status
-                parameters[i] = outcome.parameters
-                gap[i] = outcome.gap
-                width_of[i] = outcome.width
-                iterations[i] = outcome.iterations
+@simd64.func
+def write(
+    rows: Index,
+    count: int,
+    answer: LaneAnswer,
+    t_max: wp.float64,
+    # out
+    toi: wp.array[wp.float64],
+    status: wp.array[wp.int32],
+    parameters: wp.array[wp.vec2d],
+    gap: wp.array[wp.float64],
+    width_of: wp.array[wp.float64],
+    iterations: wp.array[wp.int32],
+):
+    """Write `outcome_of` of the first lanes, all at once."""
+    nothing = simd64.spread(wp.float64(0.0))
+    hit = simd64.both(simd64.mask_of(answer.contact), simd64.is_at_most(answer.t, simd64.spread(t_max)))
+    how = simd64.select(simd64.is_at_most(answer.t, nothing), simd64.spread(at_start), simd64.spread(within))
+    put(toi, rows, simd64.select(hit, answer.t, simd64.spread(unbounded)), count)
+    put(status, rows, simd64.select(hit, how, simd64.spread(none)), count)
+    put_vec2(parameters, rows, simd64.select(hit, answer.u, nothing), simd64.select(hit, answer.v, nothing), count)
+    put(gap, rows, simd64.select(hit, answer.gap, nothing), count)
+    put(width_of, rows, nothing, count)
+    put(iterations, rows, answer.iterations, count)
 
-    @wp.func
-    def next_block(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
-        """The block that a solver takes after that of pair k: the next of its chunk, or the first of its next chunk.
 
-        A chunk is one pair or a multiple of the lanes.
-        """
-        following = k + wp.int64(wp.min(lanes, chunk))
-        if following % wp.int64(chunk) == wp.int64(0):
-            following += wp.int64(num_solvers - 1) * wp.int64(chunk)
-        return following
+def own_module(name: str):
+    """A Warp module for each kernel, so that a scene compiles only those that it launches."""
+    of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
+    module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}{of_norm}.{fingerprint()}")
+    wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+    return module
 
-    @wp.kernel(module=own_module("solve_pairs"))
-    def solve_pairs(
-        begin: int,
-        # in
-        num_solvers: int,
-        chunk: int,
-        kind: int,
-        counts: wp.array2d[wp.int64],
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3d],
-        vertices_t1: wp.array[vec3d],
-        options: Options,
-        is_second: int,  # 1: the second round, of the pairs that the first has marked as open
-        only_moving: int,  # 1: a stationary pair is not solved, so it may touch
-        gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
-        # out
-        minima: Minima,
-        contacts: ContactList,
-    ):
-        """Solve the pairs of a solver, which are every ``num_solvers``-th chunk; lower the minima, list the contacts.
 
-        The first round marks each pair that it leaves open by the complement of its key.
-        """
-        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = cap_of_round(options, is_second, counts[kind, OPEN])
-        if cap == 0:
+@wp.kernel(module=own_module("points_toi"))
+def points_toi(
+    begin: int,
+    # in
+    chunk: int,
+    count: int,
+    kind: int,
+    points_t0: wp.array2d[vec3d],
+    points_t1: wp.array2d[vec3d],
+    options: Options,
+    # out
+    toi: wp.array[wp.float64],
+    status: wp.array[wp.int32],
+    parameters: wp.array[wp.vec2d],
+    gap: wp.array[wp.float64],
+    width_of: wp.array[wp.float64],
+    iterations: wp.array[wp.int32],
+):
+    """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]; an item is ``chunk`` of them."""
+    following = (begin + wp.tid()) * chunk
+    end = wp.min(following + chunk, count)
+    cap = options.max_iterations
+    skips_first = skips_first_rounds(options)
+    pending = Pending()
+    while following < end or pending.count > 0:
+        if is_stopped(options.stop):
             return
-        following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
-        skips_first = skips_first_rounds(options)
-        pending = Pending()
-        while following < count or pending.count > 0:
-            if is_stopped(options.stop):
-                return
-            is_packed = pending.count >= lanes or following >= count
-            block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
-            rows = rows_from(wp.int32(following), block)
+        is_packed = pending.count >= lanes or following >= end
+        block = wp.min(lanes, end - following)
+        rows = rows_from(following, block)
+        if is_packed:
+            block = wp.min(lanes, pending.count)
+            pending.count -= block
+            rows = rows_of(pending.rows, pending.count, block)
+        else:
+            following += block
+        points_a = points_of_rows(points_t0, rows)
+        points_b = points_of_rows(points_t1, rows)
+        answer = LaneAnswer()
+        is_later = is_packed or skips_first
+        if is_later:
+            t = simd64.spread(wp.float64(0.0))
+            used = t
             if is_packed:
-                block = wp.min(lanes, pending.count)
-                pending.count -= block
-                rows = rows_of(pending.rows, pending.count, block)
-            else:
-                k = wp.int32(following)
-                following = next_block(following, chunk, num_solvers)
-                if is_second != 0 and pairs[k] >= wp.int64(0):
-                    continue  # in the second round a block is one pair, and this one is not open
-            points_a, points_b = points_of_pairs(
-                kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
-            )
-            answer = LaneAnswer()
-            is_later = is_packed or skips_first
-            if is_later:
-                t = spread(wp.float64(0.0))
-                used = t
-                if is_packed:
-                    t = numbers_of(pending.t, pending.count, block)
-                    used = numbers_of(pending.used, pending.count, block)
-                open = first_lanes(block)
-                own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
-            elif wp.static(not has_own):
-                answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
-            for lane in range(block):
-                if is_set(answer.free, lane):
-                    continue
-                k = row_of(rows, lane)
-                if not is_later and not is_set(answer.contact, lane):
-                    pending.rows[pending.count] = k
-                    pending.t[pending.count] = lane_of(answer.t, lane)
-                    pending.used[pending.count] = lane_of(answer.iterations, lane)
-                    pending.count += 1
-                    continue
-                key = pairs[k]
-                if is_second != 0:
-                    key = ~key
+                t = numbers_of(pending.t, pending.count, block)
+                used = numbers_of(pending.used, pending.count, block)
+            open = first_lanes(block)
+            answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
+        else:
+            answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
+        write(rows, block, answer, options.t_max, toi, status, parameters, gap, width_of, iterations)
+        # what is written of these is overwritten
+        left = first_lanes(block) & ~finished_lanes(answer, options)
+        while left != _NONE:
+            lane = lowest_bit(left)
+            left = left & (left - _ONE)
+            i = row_of(rows, lane)
+            if not is_later and not is_set(answer.contact, lane):
+                pending.rows[pending.count] = i
+                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
+                pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
+                pending.count += 1
+                continue
+            a = row_points(points_t0, i)
+            b = row_points(points_t1, i)
+            outcome = rest_of(outcome_of(answer, lane, options), answer, lane, kind, a, b, options, cap)
+            toi[i] = outcome.toi
+            status[i] = outcome.status
+            parameters[i] = outcome.parameters
+            gap[i] = outcome.gap
+            width_of[i] = outcome.width
+            iterations[i] = outcome.iterations
+
+
+@wp.func
+def next_block(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
+    """The block that a solver takes after that of pair k: the next of its chunk, or the first of its next chunk.
+
+    A chunk is one pair or a multiple of the lanes.
+    """
+    following = k + wp.int64(wp.min(lanes, chunk))
+    if following % wp.int64(chunk) == wp.int64(0):
+        following += wp.int64(num_solvers - 1) * wp.int64(chunk)
+    return following
+
+
+@wp.kernel(module=own_module("solve_pairs"))
+def solve_pairs(
+    begin: int,
+    # in
+    num_solvers: int,
+    chunk: int,
+    kind: int,
+    counts: wp.array2d[wp.int64],
+    pairs: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertices_t0: wp.array[vec3d],
+    vertices_t1: wp.array[vec3d],
+    options: Options,
+    is_second: int,  # 1: the second round, of the pairs that the first has marked as open
+    only_moving: int,  # 1: a stationary pair is not solved, so it may touch
+    gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
+    # out
+    minima: Minima,
+    contacts: ContactList,
+):
+    """Solve the pairs of a solver, which are every ``num_solvers``-th chunk; lower the minima, list the contacts.
+
+    The first round marks each pair that it leaves open by the complement of its key.
+    """
+    count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+    cap = cap_of_round(options, is_second, counts[kind, OPEN])
+    if cap == 0:
+        return
+    following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
+    skips_first = skips_first_rounds(options)
+    pending = Pending()
+    while following < count or pending.count > 0:
+        if is_stopped(options.stop):
+            return
+        is_packed = pending.count >= lanes or following >= count
+        block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
+        rows = rows_from(wp.int32(following), block)
+        if is_packed:
+            block = wp.min(lanes, pending.count)
+            pending.count -= block
+            rows = rows_of(pending.rows, pending.count, block)
+        else:
+            k = wp.int32(following)
+            following = next_block(following, chunk, num_solvers)
+            if is_second != 0 and pairs[k] >= wp.int64(0):
+                continue  # in the second round a block is one pair, and this one is not open
+        points_a, points_b = points_of_pairs(kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1)
+        answer = LaneAnswer()
+        is_later = is_packed or skips_first
+        if is_later:
+            t = simd64.spread(wp.float64(0.0))
+            used = t
+            if is_packed:
+                t = numbers_of(pending.t, pending.count, block)
+                used = numbers_of(pending.used, pending.count, block)
+            open = first_lanes(block)
+            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
+        elif wp.static(not has_own):
+            answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
+        for lane in range(block):
+            if is_set(answer.free, lane):
+                continue
+            k = row_of(rows, lane)
+            if not is_later and not is_set(answer.contact, lane):
+                pending.rows[pending.count] = k
+                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
+                pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
+                pending.count += 1
+                continue
+            key = pairs[k]
+            if is_second != 0:
+                key = ~key
+            pair = pair_of(key)
+            first = first_corners[pair[0]]
+            second = second_corners[pair[1]]
+            a = points_of(kind, first, second, vertices_t0)
+            b = points_of(kind, first, second, vertices_t1)
+            outcome = Outcome()
+            outcome.status = STATUS_NO_COLLISION
+            is_needed = bool(True)
+            if only_moving != 0:
+                is_needed = not is_stationary(a, b)
+            if is_needed:
+                if is_set(answer.contact, lane):
+                    outcome = outcome_of(answer, lane, options)
+                else:
+                    so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
+                    t_reached = simd64.lane_of(answer.t, lane)
+                    own_options = options_of_pair(options, first, second)
+                    outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
+            if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                pairs[k] = ~key
+                claim(counts, kind, OPEN, 1)
+                claim(counts, 0, ANY_OPEN, 1)
+            elif outcome.status != STATUS_NO_COLLISION:
+                record_contact(
+                    kind,
+                    pair,
+                    first,
+                    second,
+                    outcome,
+                    vertices_t0,
+                    vertices_t1,
+                    options,
+                    only_moving,
+                    gaps_moved,
+                    minima,
+                    contacts,
+                )
+
+
+@wp.kernel(module=own_module("pairs_bound"))
+def pairs_bound(
+    begin: int,
+    # in
+    num_solvers: int,
+    chunk: int,
+    kind: int,
+    counts: wp.array2d[wp.int64],
+    pairs: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertices_t0: wp.array[vec3d],
+    vertices_t1: wp.array[vec3d],
+    options: Options,
+    is_second: int,
+    # out
+    least_bits: wp.array[wp.int64],
+    open_toi: wp.array[wp.float64],
+):
+    """Like ``solve_pairs``, for the least toi alone; that of a pair left open is written beside its key.
+
+    A pair is left out as soon as it is free up to the least toi found so far, which it then cannot lower; so the
+    least toi does not depend on the order of the pairs. As integers, the bits of two non-negative numbers compare
+    as the numbers do.
+    """
+    count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+    cap = cap_of_round(options, is_second, counts[kind, OPEN])
+    if cap == 0:
+        return
+    following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
+    skips_first = skips_first_rounds(options)
+    pending = Pending()
+    while following < count or pending.count > 0:
+        if is_stopped(options.stop):
+            return
+        is_packed = pending.count >= lanes or following >= count
+        block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
+        rows = rows_from(wp.int32(following), block)
+        if is_packed:
+            block = wp.min(lanes, pending.count)
+            pending.count -= block
+            rows = rows_of(pending.rows, pending.count, block)
+        else:
+            k = wp.int32(following)
+            following = next_block(following, chunk, num_solvers)
+            if is_second != 0 and pairs[k] >= wp.int64(0):
+                continue  # in the second round a block is one pair, and this one is not open
+        if least_bits[0] == wp.int64(0):
+            return  # no toi is less
+        points_a, points_b = points_of_pairs(kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1)
+        least = wp.cast(least_bits[0], wp.float64)
+        answer = LaneAnswer()
+        is_later = is_packed or skips_first
+        if is_later:
+            t = simd64.spread(wp.float64(0.0))
+            used = t
+            if is_packed:
+                t = numbers_of(pending.t, pending.count, block)
+                used = numbers_of(pending.used, pending.count, block)
+            open = first_lanes(block)
+            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
+        elif wp.static(not has_own):
+            answer = first_rounds(kind, points_a, points_b, options, cap, least)
+        for lane in range(block):
+            t_reached = simd64.lane_of(answer.t, lane)
+            # a pair that is free up to the least toi cannot lower it
+            if is_set(answer.free, lane) or wp.cast(t_reached, wp.int64) >= least_bits[0]:
+                continue
+            k = row_of(rows, lane)
+            if not is_later and not is_set(answer.contact, lane):
+                pending.rows[pending.count] = k
+                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
+                pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
+                pending.count += 1
+                continue
+            key = pairs[k]
+            if is_second != 0:
+                key = ~key
+            outcome = outcome_of(answer, lane, options)
+            if not is_set(answer.contact, lane):
                 pair = pair_of(key)
                 first = first_corners[pair[0]]
                 second = second_corners[pair[1]]
                 a = points_of(kind, first, second, vertices_t0)
                 b = points_of(kind, first, second, vertices_t1)
-                outcome = Outcome()
-                outcome.status = STATUS_NO_COLLISION
-                is_needed = bool(True)
-                if only_moving != 0:
-                    is_needed = not is_stationary(a, b)
-                if is_needed:
-                    if is_set(answer.contact, lane):
-                        outcome = outcome_of(answer, lane, options)
-                    else:
-                        so_far = wp.int32(lane_of(answer.iterations, lane))
-                        t_reached = lane_of(answer.t, lane)
-                        own_options = options_of_pair(options, first, second)
-                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                    pairs[k] = ~key
-                    claim(counts, kind, OPEN, 1)
-                    claim(counts, 0, ANY_OPEN, 1)
-                elif outcome.status != STATUS_NO_COLLISION:
-                    record_contact(
-                        kind,
-                        pair,
-                        first,
-                        second,
-                        outcome,
-                        vertices_t0,
-                        vertices_t1,
-                        options,
-                        only_moving,
-                        gaps_moved,
-                        minima,
-                        contacts,
-                    )
-
-    @wp.kernel(module=own_module("pairs_bound"))
-    def pairs_bound(
-        begin: int,
-        # in
-        num_solvers: int,
-        chunk: int,
-        kind: int,
-        counts: wp.array2d[wp.int64],
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3d],
-        vertices_t1: wp.array[vec3d],
-        options: Options,
-        is_second: int,
-        # out
-        least_bits: wp.array[wp.int64],
-        open_toi: wp.array[wp.float64],
-    ):
-        """Like ``solve_pairs``, for the least toi alone; that of a pair left open is written beside its key.
-
-        A pair is left out as soon as it is free up to the least toi found so far, which it then cannot lower; so the
-        least toi does not depend on the order of the pairs. As integers, the bits of two non-negative numbers compare
-        as the numbers do.
-        """
-        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = cap_of_round(options, is_second, counts[kind, OPEN])
-        if cap == 0:
-            return
-        following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
-        skips_first = skips_first_rounds(options)
-        pending = Pending()
-        while following < count or pending.count > 0:
-            if is_stopped(options.stop):
-                return
-            is_packed = pending.count >= lanes or following >= count
-            block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
-            rows = rows_from(wp.int32(following), block)
-            if is_packed:
-                block = wp.min(lanes, pending.count)
-                pending.count -= block
-                rows = rows_of(pending.rows, pending.count, block)
+                so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
+                own_options = options_of_pair(options, first, second)
+                outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
+            if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                pairs[k] = ~key
+                open_toi[k] = outcome.toi
+                claim(counts, kind, OPEN, 1)
+                claim(counts, 0, ANY_OPEN, 1)
             else:
-                k = wp.int32(following)
-                following = next_block(following, chunk, num_solvers)
-                if is_second != 0 and pairs[k] >= wp.int64(0):
-                    continue  # in the second round a block is one pair, and this one is not open
-            if least_bits[0] == wp.int64(0):
-                return  # no toi is less
-            points_a, points_b = points_of_pairs(
-                kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
-            )
-            least = wp.cast(least_bits[0], wp.float64)
-            answer = LaneAnswer()
-            is_later = is_packed or skips_first
-            if is_later:
-                t = spread(wp.float64(0.0))
-                used = t
-                if is_packed:
-                    t = numbers_of(pending.t, pending.count, block)
-                    used = numbers_of(pending.used, pending.count, block)
-                open = first_lanes(block)
-                own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
-            elif wp.static(not has_own):
-                answer = first_rounds(kind, points_a, points_b, options, cap, least)
-            for lane in range(block):
-                t_reached = lane_of(answer.t, lane)
-                # a pair that is free up to the least toi cannot lower it
-                if is_set(answer.free, lane) or wp.cast(t_reached, wp.int64) >= least_bits[0]:
-                    continue
-                k = row_of(rows, lane)
-                if not is_later and not is_set(answer.contact, lane):
-                    pending.rows[pending.count] = k
-                    pending.t[pending.count] = lane_of(answer.t, lane)
-                    pending.used[pending.count] = lane_of(answer.iterations, lane)
-                    pending.count += 1
-                    continue
-                key = pairs[k]
-                if is_second != 0:
-                    key = ~key
-                outcome = outcome_of(answer, lane, options)
-                if not is_set(answer.contact, lane):
-                    pair = pair_of(key)
-                    first = first_corners[pair[0]]
-                    second = second_corners[pair[1]]
-                    a = points_of(kind, first, second, vertices_t0)
-                    b = points_of(kind, first, second, vertices_t1)
-                    so_far = wp.int32(lane_of(answer.iterations, lane))
-                    own_options = options_of_pair(options, first, second)
-                    outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                    pairs[k] = ~key
-                    open_toi[k] = outcome.toi
-                    claim(counts, kind, OPEN, 1)
-                    claim(counts, 0, ANY_OPEN, 1)
-                else:
-                    atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
+                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
 
-    return SimpleNamespace(
-        real=real,
-        norm=norm,
-        chunk=PAIRS_OF_AN_ITEM if width > 1 else 1,
-        points_toi=None if has_own else points_toi,  # points that belong to no mesh have no radii
-        solve_pairs=solve_pairs,
-        pairs_bound=pairs_bound,
-    )
+
+chunk = PAIRS_OF_AN_ITEM if width > 1 else 1
+points_toi = None if has_own else points_toi

@@ -8,14 +8,6 @@ a norm of its own here. Kernels are made for one norm, so that a scene without E
 compiles nothing of them.
 """
 
-from types import SimpleNamespace
-
-import warp as wp
-
-from .once import once
-from .rounding import SQUARE_UNDERFLOW
-from .simd import make_simd
-
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
 # Each pair has a separation of its own: a ball, for meshes with radii and for what starts within its distance
@@ -34,35 +26,6 @@ def is_by_pair(norm: str) -> bool:
     return norm in (THICK_NORM, OWN_BOX_NORM)
 
 
-@once
-def make_norm(real, width: int, norm: str) -> SimpleNamespace:
-    """Functions for one floating-point type, a number of lanes and a norm."""
-    simd = make_simd(real, width)
-    Lanes = simd.Lanes
-    Vec3 = simd.Vec3
-    spread = simd.spread
-    square_root = simd.square_root
-    magnitude = simd.magnitude
-    dot = simd.dot
-    square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
-
-    @simd.func
-    def length(d: Vec3) -> Lanes:
-        """The Euclidean length of d; the slack of the separation covers its roundings (rounding, step 13)."""
-        return square_root(dot(d, d) + spread(square_underflow))
-
-    if not is_ball(norm):
-
-        @simd.func
-        def support(separation: Vec3, d: Vec3) -> Lanes:
-            """Largest product of d with a point of the separation box."""
-            return dot(separation, magnitude(d))
-
-    else:
-
-        @simd.func
-        def support(separation: Vec3, d: Vec3) -> Lanes:
-            """Largest product of d with a point of the ball."""
-            return separation.x * length(d)
-
-    return SimpleNamespace(length=length, support=support)
+def shape_of(norm: str) -> str:
+    """The norm whose separations have the same shape: a ball or a box."""
+    return EUCLIDEAN_NORM if is_ball(norm) else MAXIMUM_NORM

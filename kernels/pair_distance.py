@@ -17,12 +17,8 @@ import warp as wp
 
 from .contact_normal import to_unit_size
 from .pair_kind import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE
-from .points import Points, corners, make_points
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF, inverse_power_of_two
-
-largest = make_points(1).largest
-scaled = make_points(1).scaled
-total = make_points(1).total
+from .single_points import Points, corners, largest, scaled, total
 
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))

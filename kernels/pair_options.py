@@ -3,48 +3,42 @@
 Otherwise they are those of the query.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
 from .hold import MARGIN, held_at
 from .norm import is_ball, is_by_pair
-from .once import once
 from .pair_key import pair_of
-from .query import make_query
-from .simd import make_simd
+from .parameters import norm, real, width
+from .query import Options
+from .template import specialised
 from .thickness import distance_of
 
+Lanes = specialised("simd", width=width).Lanes
+Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
+lanes = wp.constant(width)
+infinite = wp.constant(wp.float64(float("inf")))
+margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
 
-@once
-def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
-    """Structs and functions for one floating-point type of the iteration, a number of lanes and a norm."""
-    Options = make_query(real).Options
-    Lanes = make_simd(wp.float64, width).Lanes
-    Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
-    lanes = wp.constant(width)
-    infinite = wp.constant(wp.float64(float("inf")))
-    margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
+if not is_by_pair(norm):
 
-    if not is_by_pair(norm):
+    @wp.func
+    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
+        """The options of a pair, given by the vertices of its primitives."""
+        return options
 
-        @wp.func
-        def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
-            """The options of a pair, given by the vertices of its primitives."""
-            return options
+    @wp.func
+    def options_of_rows(
+        options: Options,
+        pairs: wp.array[wp.int64],
+        rows: Index,
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+    ) -> Options:
+        """The options of the pair in each lane, given by its place in the list of keys."""
+        return options
 
-        @wp.func
-        def options_of_rows(
-            options: Options,
-            pairs: wp.array[wp.int64],
-            rows: Index,
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-        ) -> Options:
-            """The options of the pair in each lane, given by its place in the list of keys."""
-            return options
-
-        return SimpleNamespace(LaneOptions=Options, options_of_pair=options_of_pair, options_of_rows=options_of_rows)
+    LaneOptions = Options
+else:
 
     @wp.func
     def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
@@ -116,5 +110,3 @@ def make_pair_options(real, width: int, norm: str) -> SimpleNamespace:
             own.t_end = options.t_end
             own.method = options.method
             return own
-
-    return SimpleNamespace(LaneOptions=LaneOptions, options_of_pair=options_of_pair, options_of_rows=options_of_rows)

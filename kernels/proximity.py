@@ -13,8 +13,8 @@ from .interrupts import is_stopped
 from .minima import CONTACTS_OVERFLOW, FOUND, INVALID_INPUT, Minima, flag_world, world_of
 from .pair_distance import UNDERFLOW, PairDistance, measured
 from .pair_key import pair_of
-from .points import points_of
 from .rounding import RELATIVE, UNIT_ROUNDOFF
+from .single_points import points_of
 from .thickness import distance_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -14,25 +14,19 @@ In the last kernel a warp works on one pair (`whole_warp`), so that a pair far f
 and no other pair at all.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
 from .atomics import atomic_min_int64, claim
 from .contacts import ContactList
-from .lane_rows import make_lane_rows
-from .lane_solver import make_lane_solver
 from .minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
 from .norm import MAXIMUM_NORM, is_by_pair
-from .once import once
 from .pair_key import pair_of
-from .pair_options import make_pair_options
-from .pair_outcome import make_pair_outcome
-from .points import is_stationary, row_points
-from .query import CLIPPING, make_query
+from .parameters import norm, real
+from .query import CLIPPING, Options
 from .simd import fingerprint
-from .solver import make_solver
+from .single_points import is_stationary, row_points
 from .status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from .template import specialised
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
@@ -108,333 +102,322 @@ def turns_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Tur
     return turns
 
 
-@once
-def make_queued_pairs(real, norm: str = MAXIMUM_NORM) -> SimpleNamespace:
-    """For each of ``points_toi``, ``solve_pairs`` and ``pairs_bound`` of `narrow_phase` its kernels, in their order."""
-    has_own = is_by_pair(norm)
-    Options = make_query(real).Options
-    options_of_rows = make_pair_options(real, 1, norm).options_of_rows
-    Outcome = make_solver(real, True, norm).Outcome
-    pair_outcome = make_pair_outcome(real, 1, True, norm)
-    outcome_of = pair_outcome.outcome_of
-    skips_first_rounds = pair_outcome.skips_first_rounds
-    cap_of_round = pair_outcome.cap_of_round
-    finished = pair_outcome.finished
-    parameters_at = pair_outcome.parameters_at
-    record_contact = pair_outcome.record_contact
-    status_at_start = pair_outcome.status_at_start
-    lane_solver = make_lane_solver(real, 1, norm)
-    LaneAnswer = lane_solver.LaneAnswer
-    first_rounds = lane_solver.first_rounds
-    later_rounds = lane_solver.later_rounds
-    points_of_pairs = make_lane_rows(1).points_of_pairs
-    unbounded = wp.constant(wp.float64(float("inf")))
+has_own = is_by_pair(norm)
+options_of_rows = specialised("pair_options", real=real, norm=norm).options_of_rows
+Outcome = specialised("solver", norm=norm, real=real, on_warp=True).Outcome
+pair_outcome = specialised("pair_outcome", norm=norm, real=real, on_warp=True)
+lane_solver = specialised("lane_solver", norm=norm, real=real)
+points_of_pairs = specialised("lane_rows").points_of_pairs
+unbounded = wp.constant(wp.float64(float("inf")))
 
-    def own_module(name: str, stage: str):
-        """A Warp module for each kernel, so that each has its own registers and stack."""
-        of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-        module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{of_norm}.{fingerprint()}")
-        options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "block_dim": BLOCK_DIM}
-        wp.set_module_options(options, module=module)
-        return module
 
-    def make_points_toi(stage: str):
-        is_initial, is_last = stage == "first", stage == "last"
+def own_module(name: str, stage: str):
+    """A Warp module for each kernel, so that each has its own registers and stack."""
+    of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
+    module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{of_norm}.{fingerprint()}")
+    options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "block_dim": BLOCK_DIM}
+    wp.set_module_options(options, module=module)
+    return module
 
-        @wp.kernel(module=own_module("points_toi", stage), cuda_max_registers=MAX_REGISTERS[stage])
-        def points_toi(
-            begin: int,
-            # in
-            num_solvers: int,
-            count: int,
-            kind: int,
-            points_t0: wp.array2d[vec3d],
-            points_t1: wp.array2d[vec3d],
-            options: Options,
-            # in and out
-            counts: wp.array2d[wp.int64],
-            queue: Queue,
-            # out
-            toi: wp.array[wp.float64],
-            status: wp.array[wp.int32],
-            parameters: wp.array[wp.vec2d],
-            gap: wp.array[wp.float64],
-            width_of: wp.array[wp.float64],
-            iterations: wp.array[wp.int32],
-        ):
-            """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
-            cap = options.max_iterations
-            skips_first = skips_first_rounds(options)
-            last = count
-            if wp.static(not is_initial):
-                last = wp.int32(counts[0, QUEUED])
-            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-            following = turns.first
-            while following < last:
-                n = following
-                following += turns.stride
-                i = n
-                t = wp.float64(0.0)
-                used = int(0)
-                if wp.static(is_initial):
-                    if skips_first:
-                        enqueue(queue, counts, 0, QUEUED, i, t, used)
-                        continue
-                else:
-                    i = queue.rows[n]
-                    t = queue.t[n]
-                    used = wp.int32(queue.used[n])
-                    if i == _SETTLED:
-                        continue
-                    if wp.static(is_last):
-                        if i < 0:
-                            i = _SETTLED - 1 - i
-                            a = row_points(points_t0, i)
-                            b = row_points(points_t1, i)
-                            if turns.writes:
-                                parameters[i] = parameters_at(kind, toi[i], a, b, options)
-                            continue
-                a = row_points(points_t0, i)
-                b = row_points(points_t1, i)
-                outcome = Outcome()
+
+def make_points_toi(stage: str):
+    is_initial, is_last = stage == "first", stage == "last"
+
+    @wp.kernel(module=own_module("points_toi", stage), cuda_max_registers=MAX_REGISTERS[stage])
+    def points_toi(
+        begin: int,
+        # in
+        num_solvers: int,
+        count: int,
+        kind: int,
+        points_t0: wp.array2d[vec3d],
+        points_t1: wp.array2d[vec3d],
+        options: Options,
+        # in and out
+        counts: wp.array2d[wp.int64],
+        queue: Queue,
+        # out
+        toi: wp.array[wp.float64],
+        status: wp.array[wp.int32],
+        parameters: wp.array[wp.vec2d],
+        gap: wp.array[wp.float64],
+        width_of: wp.array[wp.float64],
+        iterations: wp.array[wp.int32],
+    ):
+        """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
+        cap = options.max_iterations
+        skips_first = pair_outcome.skips_first_rounds(options)
+        last = count
+        if wp.static(not is_initial):
+            last = wp.int32(counts[0, QUEUED])
+        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+        following = turns.first
+        while following < last:
+            n = following
+            following += turns.stride
+            i = n
+            t = wp.float64(0.0)
+            used = int(0)
+            if wp.static(is_initial):
+                if skips_first:
+                    enqueue(queue, counts, 0, QUEUED, i, t, used)
+                    continue
+            else:
+                i = queue.rows[n]
+                t = queue.t[n]
+                used = wp.int32(queue.used[n])
+                if i == _SETTLED:
+                    continue
                 if wp.static(is_last):
-                    outcome = finished(kind, t, used, False, a, b, options, cap)
-                else:
-                    answer = LaneAnswer()
-                    if wp.static(is_initial):
-                        answer = first_rounds(kind, a, b, options, cap, unbounded)
-                    else:
-                        answer = later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
-                    if answer.free | answer.contact == _NONE:
-                        used = wp.int32(answer.iterations)
-                        if wp.static(is_initial):
-                            enqueue(queue, counts, 0, QUEUED, i, answer.t, used)
-                        else:
-                            queue.t[n] = answer.t
-                            queue.used[n] = wp.int8(used)
+                    if i < 0:
+                        i = _SETTLED - 1 - i
+                        a = row_points(points_t0, i)
+                        b = row_points(points_t1, i)
+                        if turns.writes:
+                            parameters[i] = pair_outcome.parameters_at(kind, toi[i], a, b, options)
                         continue
-                    outcome = outcome_of(answer, 0, options)
-                    if wp.static(not is_initial):
-                        queue.rows[n] = _SETTLED
-                        if outcome.status != STATUS_NO_COLLISION and skips_first:
-                            queue.rows[n] = _SETTLED - 1 - i
+            a = row_points(points_t0, i)
+            b = row_points(points_t1, i)
+            outcome = Outcome()
+            if wp.static(is_last):
+                outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
+            else:
+                answer = lane_solver.LaneAnswer()
+                if wp.static(is_initial):
+                    answer = lane_solver.first_rounds(kind, a, b, options, cap, unbounded)
+                else:
+                    answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
+                if answer.free | answer.contact == _NONE:
+                    used = wp.int32(answer.iterations)
+                    if wp.static(is_initial):
+                        enqueue(queue, counts, 0, QUEUED, i, answer.t, used)
+                    else:
+                        queue.t[n] = answer.t
+                        queue.used[n] = wp.int8(used)
+                    continue
+                outcome = pair_outcome.outcome_of(answer, 0, options)
+                if wp.static(not is_initial):
+                    queue.rows[n] = _SETTLED
+                    if outcome.status != STATUS_NO_COLLISION and skips_first:
+                        queue.rows[n] = _SETTLED - 1 - i
+            if not turns.writes:
+                continue
+            toi[i] = outcome.toi
+            status[i] = outcome.status
+            if outcome.status == STATUS_INITIAL_CONTACT:
+                status[i] = pair_outcome.status_at_start(kind, outcome.gap, a, options)
+            parameters[i] = outcome.parameters
+            gap[i] = outcome.gap
+            width_of[i] = outcome.width
+            iterations[i] = outcome.iterations
+
+    return points_toi
+
+
+def make_solve_pairs(stage: str):
+    is_initial, is_last = stage == "first", stage == "last"
+
+    @wp.kernel(module=own_module("solve_pairs", stage), cuda_max_registers=MAX_REGISTERS[stage])
+    def solve_pairs(
+        begin: int,
+        # in
+        num_solvers: int,
+        kind: int,
+        counts: wp.array2d[wp.int64],
+        pairs: wp.array[wp.int64],
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
+        options: Options,
+        is_second: int,
+        queue: Queue,
+        only_moving: int,
+        gaps_moved: wp.float64,
+        # out
+        minima: Minima,
+        contacts: ContactList,
+    ):
+        """Like ``solve_pairs`` of `narrow_phase`."""
+        cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
+        if cap == 0:
+            return
+        skips_first = pair_outcome.skips_first_rounds(options)
+        last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+        if wp.static(not is_initial):
+            last = wp.int32(counts[kind, QUEUED + is_second])
+        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+        following = turns.first
+        while following < last:
+            n = following
+            following += turns.stride
+            k = n
+            t = wp.float64(0.0)
+            used = int(0)
+            if wp.static(is_initial):
+                if is_second != 0 and pairs[k] >= wp.int64(0):
+                    continue  # the second round is of the pairs that the first has left open
+                if skips_first:
+                    enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
+                    continue
+            else:
+                k = queue.rows[n]
+                t = queue.t[n]
+                used = wp.int32(queue.used[n])
+                if k == _SETTLED:
+                    continue
+            a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+            is_needed = only_moving == 0 or not is_stationary(a, b)
+            outcome = Outcome()
+            if wp.static(is_last):
+                if is_needed:
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+            else:
+                answer = lane_solver.LaneAnswer()
+                if wp.static(is_initial):
+                    answer = lane_solver.first_rounds(kind, a, b, options, cap, unbounded)
+                else:
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, unbounded)
+                if is_needed and answer.free | answer.contact == _NONE:
+                    used = wp.int32(answer.iterations)
+                    if wp.static(is_initial):
+                        enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
+                    else:
+                        queue.t[n] = answer.t
+                        queue.used[n] = wp.int8(used)
+                    continue
+                if is_needed and answer.contact != _NONE:
+                    outcome = pair_outcome.outcome_of(answer, 0, options)
+                if wp.static(not is_initial):
+                    queue.rows[n] = _SETTLED
+            if outcome.status == STATUS_NO_COLLISION or not turns.writes:
+                continue
+            key = pairs[k]
+            if is_second != 0:
+                key = ~key
+            if wp.static(is_last):
+                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                    pairs[k] = ~key
+                    claim(counts, kind, OPEN, 1)
+                    claim(counts, 0, ANY_OPEN, 1)
+                    continue
+            pair = pair_of(key)
+            first = first_corners[pair[0]]
+            second = second_corners[pair[1]]
+            pair_outcome.record_contact(
+                kind,
+                pair,
+                first,
+                second,
+                outcome,
+                vertices_t0,
+                vertices_t1,
+                options,
+                only_moving,
+                gaps_moved,
+                minima,
+                contacts,
+            )
+
+    return solve_pairs
+
+
+def make_pairs_bound(stage: str):
+    is_initial, is_last = stage == "first", stage == "last"
+
+    @wp.kernel(module=own_module("pairs_bound", stage), cuda_max_registers=MAX_REGISTERS[stage])
+    def pairs_bound(
+        begin: int,
+        # in
+        num_solvers: int,
+        kind: int,
+        counts: wp.array2d[wp.int64],
+        pairs: wp.array[wp.int64],
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
+        options: Options,
+        is_second: int,
+        queue: Queue,
+        # out
+        least_bits: wp.array[wp.int64],
+        open_toi: wp.array[wp.float64],
+    ):
+        """Like ``pairs_bound`` of `narrow_phase`."""
+        cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
+        if cap == 0:
+            return
+        skips_first = pair_outcome.skips_first_rounds(options)
+        last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+        if wp.static(not is_initial):
+            last = wp.int32(counts[kind, QUEUED + is_second])
+        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+        following = turns.first
+        while following < last:
+            n = following
+            following += turns.stride
+            k = n
+            t = wp.float64(0.0)
+            used = int(0)
+            if wp.static(is_initial):
+                if is_second != 0 and pairs[k] >= wp.int64(0):
+                    continue  # the second round is of the pairs that the first has left open
+                if skips_first:
+                    enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
+                    continue
+            else:
+                k = queue.rows[n]
+                t = queue.t[n]
+                used = wp.int32(queue.used[n])
+                # a pair that is free up to the least toi cannot lower it
+                is_done = k == _SETTLED or wp.cast(t, wp.int64) >= least_bits[0]
+                if turns.are_shared:
+                    is_done = agreed(is_done)
+                if is_done:
+                    continue
+            a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+            toi = unbounded
+            if wp.static(is_last):
+                own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
                 if not turns.writes:
                     continue
-                toi[i] = outcome.toi
-                status[i] = outcome.status
-                if outcome.status == STATUS_INITIAL_CONTACT:
-                    status[i] = status_at_start(kind, outcome.gap, a, options)
-                parameters[i] = outcome.parameters
-                gap[i] = outcome.gap
-                width_of[i] = outcome.width
-                iterations[i] = outcome.iterations
-
-        return points_toi
-
-    def make_solve_pairs(stage: str):
-        is_initial, is_last = stage == "first", stage == "last"
-
-        @wp.kernel(module=own_module("solve_pairs", stage), cuda_max_registers=MAX_REGISTERS[stage])
-        def solve_pairs(
-            begin: int,
-            # in
-            num_solvers: int,
-            kind: int,
-            counts: wp.array2d[wp.int64],
-            pairs: wp.array[wp.int64],
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-            vertices_t0: wp.array[vec3d],
-            vertices_t1: wp.array[vec3d],
-            options: Options,
-            is_second: int,
-            queue: Queue,
-            only_moving: int,
-            gaps_moved: wp.float64,
-            # out
-            minima: Minima,
-            contacts: ContactList,
-        ):
-            """Like ``solve_pairs`` of `narrow_phase`."""
-            cap = cap_of_round(options, is_second, counts[kind, OPEN])
-            if cap == 0:
-                return
-            skips_first = skips_first_rounds(options)
-            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-            if wp.static(not is_initial):
-                last = wp.int32(counts[kind, QUEUED + is_second])
-            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-            following = turns.first
-            while following < last:
-                n = following
-                following += turns.stride
-                k = n
-                t = wp.float64(0.0)
-                used = int(0)
-                if wp.static(is_initial):
-                    if is_second != 0 and pairs[k] >= wp.int64(0):
-                        continue  # the second round is of the pairs that the first has left open
-                    if skips_first:
-                        enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
-                        continue
-                else:
-                    k = queue.rows[n]
-                    t = queue.t[n]
-                    used = wp.int32(queue.used[n])
-                    if k == _SETTLED:
-                        continue
-                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
-                is_needed = only_moving == 0 or not is_stationary(a, b)
-                outcome = Outcome()
-                if wp.static(is_last):
-                    if is_needed:
-                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                        outcome = finished(kind, t, used, False, a, b, own, cap)
-                else:
-                    answer = LaneAnswer()
-                    if wp.static(is_initial):
-                        answer = first_rounds(kind, a, b, options, cap, unbounded)
-                    else:
-                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                        answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, unbounded)
-                    if is_needed and answer.free | answer.contact == _NONE:
-                        used = wp.int32(answer.iterations)
-                        if wp.static(is_initial):
-                            enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
-                        else:
-                            queue.t[n] = answer.t
-                            queue.used[n] = wp.int8(used)
-                        continue
-                    if is_needed and answer.contact != _NONE:
-                        outcome = outcome_of(answer, 0, options)
-                    if wp.static(not is_initial):
-                        queue.rows[n] = _SETTLED
-                if outcome.status == STATUS_NO_COLLISION or not turns.writes:
+                toi = outcome.toi
+                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                    pairs[k] = ~pairs[k]
+                    open_toi[k] = toi
+                    claim(counts, kind, OPEN, 1)
+                    claim(counts, 0, ANY_OPEN, 1)
                     continue
-                key = pairs[k]
-                if is_second != 0:
-                    key = ~key
-                if wp.static(is_last):
-                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                        pairs[k] = ~key
-                        claim(counts, kind, OPEN, 1)
-                        claim(counts, 0, ANY_OPEN, 1)
-                        continue
-                pair = pair_of(key)
-                first = first_corners[pair[0]]
-                second = second_corners[pair[1]]
-                record_contact(
-                    kind,
-                    pair,
-                    first,
-                    second,
-                    outcome,
-                    vertices_t0,
-                    vertices_t1,
-                    options,
-                    only_moving,
-                    gaps_moved,
-                    minima,
-                    contacts,
-                )
-
-        return solve_pairs
-
-    def make_pairs_bound(stage: str):
-        is_initial, is_last = stage == "first", stage == "last"
-
-        @wp.kernel(module=own_module("pairs_bound", stage), cuda_max_registers=MAX_REGISTERS[stage])
-        def pairs_bound(
-            begin: int,
-            # in
-            num_solvers: int,
-            kind: int,
-            counts: wp.array2d[wp.int64],
-            pairs: wp.array[wp.int64],
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-            vertices_t0: wp.array[vec3d],
-            vertices_t1: wp.array[vec3d],
-            options: Options,
-            is_second: int,
-            queue: Queue,
-            # out
-            least_bits: wp.array[wp.int64],
-            open_toi: wp.array[wp.float64],
-        ):
-            """Like ``pairs_bound`` of `narrow_phase`."""
-            cap = cap_of_round(options, is_second, counts[kind, OPEN])
-            if cap == 0:
-                return
-            skips_first = skips_first_rounds(options)
-            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-            if wp.static(not is_initial):
-                last = wp.int32(counts[kind, QUEUED + is_second])
-            turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-            following = turns.first
-            while following < last:
-                n = following
-                following += turns.stride
-                k = n
-                t = wp.float64(0.0)
-                used = int(0)
+            else:
+                least = wp.cast(least_bits[0], wp.float64)
+                answer = lane_solver.LaneAnswer()
                 if wp.static(is_initial):
-                    if is_second != 0 and pairs[k] >= wp.int64(0):
-                        continue  # the second round is of the pairs that the first has left open
-                    if skips_first:
-                        enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
-                        continue
+                    answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
                 else:
-                    k = queue.rows[n]
-                    t = queue.t[n]
-                    used = wp.int32(queue.used[n])
-                    # a pair that is free up to the least toi cannot lower it
-                    is_done = k == _SETTLED or wp.cast(t, wp.int64) >= least_bits[0]
-                    if turns.are_shared:
-                        is_done = agreed(is_done)
-                    if is_done:
-                        continue
-                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
-                toi = unbounded
-                if wp.static(is_last):
                     own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    outcome = finished(kind, t, used, False, a, b, own, cap)
-                    if not turns.writes:
-                        continue
-                    toi = outcome.toi
-                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                        pairs[k] = ~pairs[k]
-                        open_toi[k] = toi
-                        claim(counts, kind, OPEN, 1)
-                        claim(counts, 0, ANY_OPEN, 1)
-                        continue
-                else:
-                    least = wp.cast(least_bits[0], wp.float64)
-                    answer = LaneAnswer()
+                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
+                if answer.free | answer.contact == _NONE and answer.t < least:
+                    used = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        answer = first_rounds(kind, a, b, options, cap, least)
+                        enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
                     else:
-                        own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                        answer = later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
-                    if answer.free | answer.contact == _NONE and answer.t < least:
-                        used = wp.int32(answer.iterations)
-                        if wp.static(is_initial):
-                            enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
-                        else:
-                            queue.t[n] = answer.t
-                            queue.used[n] = wp.int8(used)
-                        continue
-                    if wp.static(not is_initial):
-                        queue.rows[n] = _SETTLED
-                    if answer.contact != _NONE and answer.t <= options.t_max:
-                        toi = answer.t
-                if toi < unbounded:
-                    atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
+                        queue.t[n] = answer.t
+                        queue.used[n] = wp.int8(used)
+                    continue
+                if wp.static(not is_initial):
+                    queue.rows[n] = _SETTLED
+                if answer.contact != _NONE and answer.t <= options.t_max:
+                    toi = answer.t
+            if toi < unbounded:
+                atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
 
-        return pairs_bound
+    return pairs_bound
 
-    return SimpleNamespace(
-        points_toi=[] if has_own else [make_points_toi(stage) for stage in STAGES],  # points have no radii
-        solve_pairs=[make_solve_pairs(stage) for stage in STAGES],
-        pairs_bound=[make_pairs_bound(stage) for stage in STAGES],
-    )
+
+points_toi = [] if has_own else [make_points_toi(stage) for stage in STAGES]
+solve_pairs = [make_solve_pairs(stage) for stage in STAGES]
+pairs_bound = [make_pairs_bound(stage) for stage in STAGES]

@@ -8,7 +8,7 @@ a pair depends neither on its lane nor on the width. No lane has a branch of its
 
 The operations on vectors are functions in Clang's vector extension; between them LLVM keeps vectors in registers. Warp
 resolves the operators +, -, * and / to functions called ``add``, ``sub``, ``mul`` and ``div`` where a function can see
-such names; ``make_simd(...).func`` is `wp.func` with these names in sight.
+such names; `func` is `wp.func` with these names in sight.
 """
 
 import inspect
@@ -16,12 +16,11 @@ import sys
 import types
 import zlib
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from .once import once
+from .parameters import real, width
 
 _CPP = {wp.float64: "double", wp.float32: "float"}
 _MASK_CPP = {wp.float64: "long long", wp.float32: "int"}
@@ -62,268 +61,266 @@ def fingerprint() -> str:
     return f"{zlib.crc32(inspect.getsource(sys.modules[__name__]).encode()):08x}"
 
 
-@once
-def make_simd(real, width: int) -> SimpleNamespace:
-    """Types and functions on lanes of one floating-point type.
+head = header(real, width)
+is_vector = width > 1
+Lanes: Any = wp.types.vector(length=width, dtype=real) if is_vector else real
+Mask: Any = wp.types.vector(length=width, dtype=_MASK[real]) if is_vector else wp.bool
 
-    `Lanes` is the type of a number, `Mask` that of a comparison, and `Vec3` that of a vector; for a width of 1 they are
-    Warp's own scalar, bool and vector of three.
-    """
-    head = header(real, width)
-    is_vector = width > 1
-    Lanes: Any = wp.types.vector(length=width, dtype=real) if is_vector else real
-    Mask: Any = wp.types.vector(length=width, dtype=_MASK[real]) if is_vector else wp.bool
+if is_vector:
 
-    if is_vector:
+    @wp.struct
+    class Vec3:
+        """A vector in each lane."""
 
-        @wp.struct
-        class Vec3:
-            """A vector in each lane."""
+        x: Lanes
+        y: Lanes
+        z: Lanes
 
-            x: Lanes
-            y: Lanes
-            z: Lanes
+    @wp.func
+    def vec(x: Lanes, y: Lanes, z: Lanes) -> Vec3:
+        """A vector of its components."""
+        r = Vec3()
+        r.x = x
+        r.y = y
+        r.z = z
+        return r
 
-        @wp.func
-        def vec(x: Lanes, y: Lanes, z: Lanes) -> Vec3:
-            """A vector of its components."""
-            r = Vec3()
-            r.x = x
-            r.y = y
-            r.z = z
-            return r
+else:
+    Vec3 = wp.types.vector(length=3, dtype=real)
 
-    else:
-        Vec3 = wp.types.vector(length=3, dtype=real)
+    @wp.func
+    def vec(x: Lanes, y: Lanes, z: Lanes) -> Vec3:
+        """A vector of its components."""
+        return Vec3(x, y, z)
 
-        @wp.func
-        def vec(x: Lanes, y: Lanes, z: Lanes) -> Vec3:
-            """A vector of its components."""
-            return Vec3(x, y, z)
 
-    @wp.func_native(head + "    return of_lanes(lanes(a) + lanes(b));\n")
-    def add(a: Lanes, b: Lanes) -> Lanes: ...
+@wp.func_native(head + "    return of_lanes(lanes(a) + lanes(b));\n")
+def add(a: Lanes, b: Lanes) -> Lanes: ...
 
-    @wp.func_native(head + "    return of_lanes(lanes(a) - lanes(b));\n")
-    def sub(a: Lanes, b: Lanes) -> Lanes: ...
 
-    @wp.func_native(head + "    return of_lanes(lanes(a) * lanes(b));\n")
-    def mul(a: Lanes, b: Lanes) -> Lanes: ...
+@wp.func_native(head + "    return of_lanes(lanes(a) - lanes(b));\n")
+def sub(a: Lanes, b: Lanes) -> Lanes: ...
 
-    if is_vector:
 
-        @wp.func_native(head + "    return of_lanes(__builtin_elementwise_sqrt(lanes(a)));\n")
-        def square_root(a: Lanes) -> Lanes:
-            """√a, correctly rounded."""
-            ...
+@wp.func_native(head + "    return of_lanes(lanes(a) * lanes(b));\n")
+def mul(a: Lanes, b: Lanes) -> Lanes: ...
 
-    else:
 
-        @wp.func
-        def square_root(a: Lanes) -> Lanes:
-            """√a, correctly rounded."""
-            return wp.sqrt(a)
+if is_vector:
 
-    if is_vector:
-
-        @wp.func_native(head + "    return of_lanes((Lanes)a * lanes(b));\n")
-        def mul(a: real, b: Lanes) -> Lanes: ...
-
-    @wp.func_native(head + "    return of_lanes(lanes(a) / lanes(b));\n")
-    def div(a: Lanes, b: Lanes) -> Lanes: ...
-
-    @wp.func_native(head + "    return of_lanes((Lanes)a);\n")
-    def spread(a: real) -> Lanes:
-        """A number in every lane."""
+    @wp.func_native(head + "    return of_lanes(__builtin_elementwise_sqrt(lanes(a)));\n")
+    def square_root(a: Lanes) -> Lanes:
+        """√a, correctly rounded."""
         ...
 
-    @wp.func_native(head + "    return of_lanes(-lanes(a));\n")
-    def minus(a: Lanes) -> Lanes:
-        """-a."""
-        ...
+else:
 
-    @wp.func_native(head + f"    return of_lanes({'__builtin_elementwise_abs' if is_vector else 'fabs'}(lanes(a)));\n")
-    def magnitude(a: Lanes) -> Lanes:
-        """|a|."""
-        ...
+    @wp.func
+    def square_root(a: Lanes) -> Lanes:
+        """√a, correctly rounded."""
+        return wp.sqrt(a)
 
-    @wp.func_native(head + "    const Lanes x = lanes(a), y = lanes(b);\n    return of_lanes(x < y ? x : y);\n")
-    def least(a: Lanes, b: Lanes) -> Lanes:
-        """The lesser of two; b where one is NaN."""
-        ...
 
-    @wp.func_native(head + "    const Lanes x = lanes(a), y = lanes(b);\n    return of_lanes(x > y ? x : y);\n")
-    def greatest(a: Lanes, b: Lanes) -> Lanes:
-        """The greater of two; b where one is NaN."""
-        ...
+if is_vector:
 
-    @wp.func_native(head + "    return of_mask((Mask)(lanes(a) < lanes(b)));\n")
-    def is_less(a: Lanes, b: Lanes) -> Mask:
-        """a < b."""
-        ...
+    @wp.func_native(head + "    return of_lanes((Lanes)a * lanes(b));\n")
+    def mul(a: real, b: Lanes) -> Lanes: ...
 
-    @wp.func_native(head + "    return of_mask((Mask)(lanes(a) <= lanes(b)));\n")
-    def is_at_most(a: Lanes, b: Lanes) -> Mask:
-        """a <= b."""
-        ...
 
-    @wp.func_native(head + "    return of_mask(mask(m) & mask(n));\n")
-    def both(m: Mask, n: Mask) -> Mask: ...
+@wp.func_native(head + "    return of_lanes(lanes(a) / lanes(b));\n")
+def div(a: Lanes, b: Lanes) -> Lanes: ...
 
-    @wp.func_native(head + "    return of_mask(mask(m) | mask(n));\n")
-    def either(m: Mask, n: Mask) -> Mask: ...
 
-    @wp.func_native(head + f"    return of_mask({'~' if is_vector else '!'}mask(m));\n")
-    def opposite(m: Mask) -> Mask: ...
+@wp.func_native(head + "    return of_lanes((Lanes)a);\n")
+def spread(a: real) -> Lanes:
+    """A number in every lane."""
+    ...
 
-    @wp.func_native(head + "    return of_lanes(mask(m) ? lanes(a) : lanes(b));\n")
-    def select(m: Mask, a: Lanes, b: Lanes) -> Lanes:
-        """a where the mask is set, b elsewhere."""
-        ...
 
-    if is_vector:
-        to_bits = f"""
+@wp.func_native(head + "    return of_lanes(-lanes(a));\n")
+def minus(a: Lanes) -> Lanes:
+    """-a."""
+    ...
+
+
+@wp.func_native(head + f"    return of_lanes({'__builtin_elementwise_abs' if is_vector else 'fabs'}(lanes(a)));\n")
+def magnitude(a: Lanes) -> Lanes:
+    """|a|."""
+    ...
+
+
+@wp.func_native(head + "    const Lanes x = lanes(a), y = lanes(b);\n    return of_lanes(x < y ? x : y);\n")
+def least(a: Lanes, b: Lanes) -> Lanes:
+    """The lesser of two; b where one is NaN."""
+    ...
+
+
+@wp.func_native(head + "    const Lanes x = lanes(a), y = lanes(b);\n    return of_lanes(x > y ? x : y);\n")
+def greatest(a: Lanes, b: Lanes) -> Lanes:
+    """The greater of two; b where one is NaN."""
+    ...
+
+
+@wp.func_native(head + "    return of_mask((Mask)(lanes(a) < lanes(b)));\n")
+def is_less(a: Lanes, b: Lanes) -> Mask:
+    """a < b."""
+    ...
+
+
+@wp.func_native(head + "    return of_mask((Mask)(lanes(a) <= lanes(b)));\n")
+def is_at_most(a: Lanes, b: Lanes) -> Mask:
+    """a <= b."""
+    ...
+
+
+@wp.func_native(head + "    return of_mask(mask(m) & mask(n));\n")
+def both(m: Mask, n: Mask) -> Mask: ...
+
+
+@wp.func_native(head + "    return of_mask(mask(m) | mask(n));\n")
+def either(m: Mask, n: Mask) -> Mask: ...
+
+
+@wp.func_native(head + f"    return of_mask({'~' if is_vector else '!'}mask(m));\n")
+def opposite(m: Mask) -> Mask: ...
+
+
+@wp.func_native(head + "    return of_lanes(mask(m) ? lanes(a) : lanes(b));\n")
+def select(m: Mask, a: Lanes, b: Lanes) -> Lanes:
+    """a where the mask is set, b elsewhere."""
+    ...
+
+
+if is_vector:
+    to_bits = f"""
     const Bits set = __builtin_convertvector(mask(m), Bits);
     wp::uint32 bits = 0;
     __builtin_memcpy(&bits, &set, sizeof(set));
     return bits & {(1 << width) - 1}u;
 """
-        from_bits = f"""
+    from_bits = f"""
     Mask r;
     for (int k = 0; k < {width}; ++k)
         r[k] = (bits >> k) & 1u ? -1 : 0;
     return of_mask(r);
 """
 
-        @wp.func_native(head + to_bits)
-        def bits_of(m: Mask) -> wp.uint32:
-            """The lanes whose mask is set, as bits."""
-            ...
-
-        @wp.func
-        def lane_of(a: Lanes, lane: int) -> real:
-            """The number in a lane."""
-            return a[lane]
-
-        @wp.func_native(head + from_bits)
-        def mask_of(bits: wp.uint32) -> Mask:
-            """The mask of the lanes whose bits are set."""
-            ...
-    else:
-
-        @wp.func
-        def bits_of(m: Mask) -> wp.uint32:
-            """The lanes whose mask is set, as bits."""
-            return wp.where(m, wp.uint32(1), wp.uint32(0))
-
-        @wp.func
-        def lane_of(a: Lanes, lane: int) -> real:
-            """The number in a lane."""
-            return a
-
-        @wp.func
-        def mask_of(bits: wp.uint32) -> Mask:
-            """The mask of the lanes whose bits are set."""
-            return bits != wp.uint32(0)
+    @wp.func_native(head + to_bits)
+    def bits_of(m: Mask) -> wp.uint32:
+        """The lanes whose mask is set, as bits."""
+        ...
 
     @wp.func
-    def add(a: Vec3, b: Vec3) -> Vec3:
-        return vec(add(a.x, b.x), add(a.y, b.y), add(a.z, b.z))
+    def lane_of(a: Lanes, lane: int) -> real:
+        """The number in a lane."""
+        return a[lane]
+
+    @wp.func_native(head + from_bits)
+    def mask_of(bits: wp.uint32) -> Mask:
+        """The mask of the lanes whose bits are set."""
+        ...
+else:
 
     @wp.func
-    def sub(a: Vec3, b: Vec3) -> Vec3:
-        return vec(sub(a.x, b.x), sub(a.y, b.y), sub(a.z, b.z))
+    def bits_of(m: Mask) -> wp.uint32:
+        """The lanes whose mask is set, as bits."""
+        return wp.where(m, wp.uint32(1), wp.uint32(0))
 
     @wp.func
-    def mul(a: Lanes, b: Vec3) -> Vec3:
-        return vec(mul(a, b.x), mul(a, b.y), mul(a, b.z))
+    def lane_of(a: Lanes, lane: int) -> real:
+        """The number in a lane."""
+        return a
 
     @wp.func
-    def scaled(a: Vec3, b: Vec3) -> Vec3:
-        """The products of the components."""
-        return vec(mul(a.x, b.x), mul(a.y, b.y), mul(a.z, b.z))
+    def mask_of(bits: wp.uint32) -> Mask:
+        """The mask of the lanes whose bits are set."""
+        return bits != wp.uint32(0)
 
-    @wp.func
-    def minus(a: Vec3) -> Vec3:
-        """-a."""
-        return vec(minus(a.x), minus(a.y), minus(a.z))
 
-    @wp.func
-    def magnitude(a: Vec3) -> Vec3:
-        """|a_k|."""
-        return vec(magnitude(a.x), magnitude(a.y), magnitude(a.z))
+@wp.func
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return vec(add(a.x, b.x), add(a.y, b.y), add(a.z, b.z))
 
-    @wp.func
-    def greatest(a: Vec3, b: Vec3) -> Vec3:
-        """The greater of each two components."""
-        return vec(greatest(a.x, b.x), greatest(a.y, b.y), greatest(a.z, b.z))
 
-    @wp.func
-    def least(a: Vec3, b: Vec3) -> Vec3:
-        """The lesser of each two components."""
-        return vec(least(a.x, b.x), least(a.y, b.y), least(a.z, b.z))
+@wp.func
+def sub(a: Vec3, b: Vec3) -> Vec3:
+    return vec(sub(a.x, b.x), sub(a.y, b.y), sub(a.z, b.z))
 
-    @wp.func
-    def select(m: Mask, a: Vec3, b: Vec3) -> Vec3:
-        """a where the mask is set, b elsewhere."""
-        return vec(select(m, a.x, b.x), select(m, a.y, b.y), select(m, a.z, b.z))
 
-    @wp.func
-    def dot(a: Vec3, b: Vec3) -> Lanes:
-        """a·b."""
-        return add(add(mul(a.x, b.x), mul(a.y, b.y)), mul(a.z, b.z))
+@wp.func
+def mul(a: Lanes, b: Vec3) -> Vec3:
+    return vec(mul(a, b.x), mul(a, b.y), mul(a, b.z))
 
-    @wp.func
-    def cross(a: Vec3, b: Vec3) -> Vec3:
-        """a×b."""
-        x = sub(mul(a.y, b.z), mul(a.z, b.y))
-        y = sub(mul(a.z, b.x), mul(a.x, b.z))
-        return vec(x, y, sub(mul(a.x, b.y), mul(a.y, b.x)))
 
-    @wp.func
-    def is_within(a: Vec3, size: Vec3) -> Mask:
-        """Whether a lies in [-size, size]."""
-        x = is_at_most(magnitude(a.x), size.x)
-        y = is_at_most(magnitude(a.y), size.y)
-        return both(both(x, y), is_at_most(magnitude(a.z), size.z))
+@wp.func
+def scaled(a: Vec3, b: Vec3) -> Vec3:
+    """The products of the components."""
+    return vec(mul(a.x, b.x), mul(a.y, b.y), mul(a.z, b.z))
 
-    operators = {"add": add, "sub": sub, "mul": mul, "div": div}
 
-    def func(f: Callable, inline: bool | None = None) -> Any:
-        """`wp.func` for a function that uses the operators on lanes."""
-        seen = types.FunctionType(f.__code__, {**f.__globals__, **operators}, f.__name__, None, f.__closure__)
-        seen.__annotations__ = f.__annotations__
-        seen.__doc__, seen.__module__, seen.__qualname__ = f.__doc__, f.__module__, f.__qualname__
-        return wp.func(seen, inline=inline)
+@wp.func
+def minus(a: Vec3) -> Vec3:
+    """-a."""
+    return vec(minus(a.x), minus(a.y), minus(a.z))
 
-    def rare(f: Callable) -> Any:
-        """The same for a function that is seldom called, and therefore kept out of line."""
-        return func(f, inline=False)
 
-    return SimpleNamespace(
-        Lanes=Lanes,
-        Mask=Mask,
-        Vec3=Vec3,
-        vec=vec,
-        func=func,
-        rare=rare,
-        spread=spread,
-        minus=minus,
-        magnitude=magnitude,
-        least=least,
-        greatest=greatest,
-        is_less=is_less,
-        is_at_most=is_at_most,
-        is_within=is_within,
-        both=both,
-        either=either,
-        opposite=opposite,
-        select=select,
-        scaled=scaled,
-        square_root=square_root,
-        dot=dot,
-        cross=cross,
-        bits_of=bits_of,
-        mask_of=mask_of,
-        lane_of=lane_of,
-    )
+@wp.func
+def magnitude(a: Vec3) -> Vec3:
+    """|a_k|."""
+    return vec(magnitude(a.x), magnitude(a.y), magnitude(a.z))
+
+
+@wp.func
+def greatest(a: Vec3, b: Vec3) -> Vec3:
+    """The greater of each two components."""
+    return vec(greatest(a.x, b.x), greatest(a.y, b.y), greatest(a.z, b.z))
+
+
+@wp.func
+def least(a: Vec3, b: Vec3) -> Vec3:
+    """The lesser of each two components."""
+    return vec(least(a.x, b.x), least(a.y, b.y), least(a.z, b.z))
+
+
+@wp.func
+def select(m: Mask, a: Vec3, b: Vec3) -> Vec3:
+    """a where the mask is set, b elsewhere."""
+    return vec(select(m, a.x, b.x), select(m, a.y, b.y), select(m, a.z, b.z))
+
+
+@wp.func
+def dot(a: Vec3, b: Vec3) -> Lanes:
+    """a·b."""
+    return add(add(mul(a.x, b.x), mul(a.y, b.y)), mul(a.z, b.z))
+
+
+@wp.func
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    """a×b."""
+    x = sub(mul(a.y, b.z), mul(a.z, b.y))
+    y = sub(mul(a.z, b.x), mul(a.x, b.z))
+    return vec(x, y, sub(mul(a.x, b.y), mul(a.y, b.x)))
+
+
+@wp.func
+def is_within(a: Vec3, size: Vec3) -> Mask:
+    """Whether a lies in [-size, size]."""
+    x = is_at_most(magnitude(a.x), size.x)
+    y = is_at_most(magnitude(a.y), size.y)
+    return both(both(x, y), is_at_most(magnitude(a.z), size.z))
+
+
+operators = {"add": add, "sub": sub, "mul": mul, "div": div}
+
+
+def func(f: Callable, inline: bool | None = None) -> Any:
+    """`wp.func` for a function that uses the operators on lanes."""
+    seen = types.FunctionType(f.__code__, {**f.__globals__, **operators}, f.__name__, None, f.__closure__)
+    seen.__annotations__ = f.__annotations__
+    seen.__doc__, seen.__module__, seen.__qualname__ = f.__doc__, f.__module__, f.__qualname__
+    return wp.func(seen, inline=inline)
+
+
+def rare(f: Callable) -> Any:
+    """The same for a function that is seldom called, and therefore kept out of line."""
+    return func(f, inline=False)

@@ -10,17 +10,14 @@ it is an upper bound. So a pair is called near only if it is.
 
 import warp as wp
 
-from .closest_point import make_closest_point
+from .closest_point import closest_weights
 from .pair_kind import VERTEX_FACE
-from .points import Points, corners, make_points
 from .rounding import UNIT_ROUNDOFF, inverse_power_of_two
+from .single_points import Points, corners, largest
 
 # The least tolerance that rounding at the length scale allows, times some digits: below it nothing is said of rounding.
 LEAST_TOLERANCE = {wp.float64: 2.0**-26, wp.float32: 2.0**-18}
 _NOISE = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
-
-closest_weights = make_closest_point(wp.float64).closest_weights
-largest = make_points(1).largest
 
 
 @wp.func(inline=False)

@@ -5,8 +5,6 @@ The least distance of a pair is proved in the norm of the separation. In the Euc
 direction is one of the facets of `facets`: an axis, a side crossed with an axis, or the normal.
 """
 
-from types import SimpleNamespace
-
 import warp as wp
 
 from .atomics import atomic_min_int64
@@ -14,13 +12,14 @@ from .contact_normal import to_unit_size
 from .contacts import vertices_of
 from .interrupts import is_stopped
 from .minima import FOUND, Minima, world_of
-from .once import once
+from .norm import is_ball
 from .pair_distance import UNDERFLOW, bound_along, measured
 from .pair_key import pair_of
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
-from .points import Points, corners, make_points, points_of
+from .parameters import norm
 from .proximity import Reach
 from .rounding import LARGEST, inverse_power_of_two
+from .single_points import Points, corners, largest, points_of, scaled, total
 from .thickness import distance_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -30,10 +29,6 @@ _ZERO = wp.constant(wp.float64(0.0))
 _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 _SHRUNK = wp.constant(wp.float64(2.0**-10))
 _RESTORED = wp.constant(wp.float64(2.0**10))
-
-largest = make_points(1).largest
-total = make_points(1).total
-scaled = make_points(1).scaled
 
 
 @wp.func
@@ -97,85 +92,82 @@ def lower_hold(corners: wp.vec3i, bits: wp.int64, minima: Minima):
         atomic_min_int64(minima.vertex, corners[k], bits)
 
 
-@once
-def make_holds(is_euclidean: bool) -> SimpleNamespace:
-    """The kernels that find holds, and whether there are any, in the norm of the separation."""
-    module = wp.get_module(f"ccd_warp.holds.{'ball' if is_euclidean else 'box'}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+module = wp.get_module(f"ccd_warp.holds.{'ball' if is_ball(norm) else 'box'}")
+wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
-    @wp.kernel(module=module)
-    def lower_holds(
-        begin: int,
-        # in
-        num_solvers: int,
-        chunk: int,
-        kind: int,
-        counts: wp.array2d[wp.int64],
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        x: wp.array[wp.vec3d],
-        reach: Reach,
-        # out
-        minima: Minima,
-    ):
-        """Lower the holds of the vertices of the pairs of a solver that are within the distance.
 
-        They are the bits of the minima of the vertices. A coordinate that is not finite holds at 0.
-        """
-        count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-        first = (begin + wp.tid()) * chunk
-        while first < count:
-            if is_stopped(reach.stop):
-                return
-            for k in range(first, wp.min(first + chunk, count)):
-                pair = pair_of(pairs[k])
-                a = first_corners[pair[0]]
-                b = second_corners[pair[1]]
-                least = least_distance(kind, points_of(kind, a, b, x), wp.static(is_euclidean))
-                if not (least > distance_of(reach.distance, reach.radius, a, b)):
-                    bits = wp.int64(0)
-                    if least > _ZERO:
-                        bits = wp.cast(least, wp.int64)
-                    lower_hold(a, bits, minima)
-                    if kind == EDGE_EDGE or kind == POINT_POINT:
-                        lower_hold(b, bits, minima)
-            if first > 2147483647 - num_solvers * chunk:
-                return
-            first += num_solvers * chunk
+@wp.kernel(module=module)
+def lower_holds(
+    begin: int,
+    # in
+    num_solvers: int,
+    chunk: int,
+    kind: int,
+    counts: wp.array2d[wp.int64],
+    pairs: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    # out
+    minima: Minima,
+):
+    """Lower the holds of the vertices of the pairs of a solver that are within the distance.
 
-    @wp.kernel(module=module)
-    def note_near_contacts(
-        begin: int,
-        # in
-        count: wp.array[wp.int32],
-        kinds: wp.array[wp.int32],
-        primitives: wp.array[wp.vec2i],
-        vertex_corners: wp.array[wp.vec3i],
-        edge_corners: wp.array[wp.vec3i],
-        face_corners: wp.array[wp.vec3i],
-        x: wp.array[wp.vec3d],
-        reach: Reach,
-        minima: Minima,
-        # out
-        world_near: wp.array[wp.int32],
-    ):
-        """Note the worlds of contacts that start within the distance; those beyond the list may be in any world."""
-        n = begin + wp.tid()
-        if n == 0 and count[0] > kinds.shape[0]:
-            for world in range(world_near.shape[0]):
-                world_near[world] = 1
-        if n >= count[0]:
+    They are the bits of the minima of the vertices. A coordinate that is not finite holds at 0.
+    """
+    count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+    first = (begin + wp.tid()) * chunk
+    while first < count:
+        if is_stopped(reach.stop):
             return
-        kind = kinds[n]
-        if kind == VERTEX_PLANE:
+        for k in range(first, wp.min(first + chunk, count)):
+            pair = pair_of(pairs[k])
+            a = first_corners[pair[0]]
+            b = second_corners[pair[1]]
+            least = least_distance(kind, points_of(kind, a, b, x), wp.static(is_ball(norm)))
+            if not (least > distance_of(reach.distance, reach.radius, a, b)):
+                bits = wp.int64(0)
+                if least > _ZERO:
+                    bits = wp.cast(least, wp.int64)
+                lower_hold(a, bits, minima)
+                if kind == EDGE_EDGE or kind == POINT_POINT:
+                    lower_hold(b, bits, minima)
+        if first > 2147483647 - num_solvers * chunk:
             return
-        first, second = vertices_of(kind, primitives[n], vertex_corners, edge_corners, face_corners)
-        least = least_distance(kind, points_of(kind, first, second, x), wp.static(is_euclidean))
-        if not (least > distance_of(reach.distance, reach.radius, first, second)):
-            world_near[world_of(minima, first[0])] = 1
+        first += num_solvers * chunk
 
-    return SimpleNamespace(lower_holds=lower_holds, note_near_contacts=note_near_contacts)
+
+@wp.kernel(module=module)
+def note_near_contacts(
+    begin: int,
+    # in
+    count: wp.array[wp.int32],
+    kinds: wp.array[wp.int32],
+    primitives: wp.array[wp.vec2i],
+    vertex_corners: wp.array[wp.vec3i],
+    edge_corners: wp.array[wp.vec3i],
+    face_corners: wp.array[wp.vec3i],
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    minima: Minima,
+    # out
+    world_near: wp.array[wp.int32],
+):
+    """Note the worlds of contacts that start within the distance; those beyond the list may be in any world."""
+    n = begin + wp.tid()
+    if n == 0 and count[0] > kinds.shape[0]:
+        for world in range(world_near.shape[0]):
+            world_near[world] = 1
+    if n >= count[0]:
+        return
+    kind = kinds[n]
+    if kind == VERTEX_PLANE:
+        return
+    first, second = vertices_of(kind, primitives[n], vertex_corners, edge_corners, face_corners)
+    least = least_distance(kind, points_of(kind, first, second, x), wp.static(is_ball(norm)))
+    if not (least > distance_of(reach.distance, reach.radius, first, second)):
+        world_near[world_of(minima, first[0])] = 1
 
 
 @wp.kernel

@@ -9,15 +9,10 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.distance_oracle import exact_distance_tois
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.kernels.advance import make_advance
-from ccd_warp.kernels.ball import make_ball
-from ccd_warp.kernels.inclusion import make_inclusion
 from ccd_warp.kernels.norm import EUCLIDEAN_NORM
-from ccd_warp.kernels.points import row_points
-from ccd_warp.kernels.query import make_query
 from ccd_warp.kernels.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
-from ccd_warp.kernels.solver import make_solver
-from ccd_warp.kernels.volume import make_volume
+from ccd_warp.kernels.single_points import row_points
+from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from rounding_samples import cross, drawn, exactly
 
@@ -32,14 +27,14 @@ SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -9
 def make_probe(real):
     """Kernels that write offsets, and the times to which the clips prove a pair free."""
     vec3 = wp.types.vector(length=3, dtype=real)
-    Options = make_query(real).Options
-    normalise = make_solver(real, False, EUCLIDEAN_NORM).normalise
-    ball = make_ball(real, 1)
+    Options = specialised("query", real=real).Options
+    normalise = specialised("solver", real=real, norm=EUCLIDEAN_NORM).normalise
+    ball = specialised("ball", real=real)
     offset, turn_of_side, clip_turn = ball.offset, ball.turn_of_side, ball.clip_turn
     with_largest_one = ball.with_largest_one
-    clip_beyond = make_inclusion(real, 1).clip_beyond
-    separation_offset = make_volume(real, 1, EUCLIDEAN_NORM).separation_offset
-    advance_volume = make_advance(real, False, EUCLIDEAN_NORM).advance_volume
+    clip_beyond = specialised("inclusion", real=real).clip_beyond
+    separation_offset = specialised("volume", real=real, norm=EUCLIDEAN_NORM).separation_offset
+    advance_volume = specialised("advance", real=real, norm=EUCLIDEAN_NORM).advance_volume
     module = wp.get_module(f"test_ball_rounding.{real.__name__}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 

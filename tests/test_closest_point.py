@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.closest_point import make_closest_point
+from ccd_warp.kernels.template import specialised
 
 import ccd_warp as ccd
 
@@ -26,8 +26,8 @@ POINT = {"float64": 2.0**-510, "float32": 2.0**-62}
 def _kernels(precision):
     real = {"float64": wp.float64, "float32": wp.float32}[precision]
     vec3 = wp.types.vector(length=3, dtype=real)
-    closest_weights = make_closest_point(real).closest_weights
-    closest_on_patch = make_closest_point(real).closest_on_patch
+    functions = specialised("closest_point", real=real)
+    closest_weights, closest_on_patch = functions.closest_weights, functions.closest_on_patch
 
     @wp.kernel(module="unique", enable_backward=False)
     def weights_of_patches(

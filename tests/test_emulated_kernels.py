@@ -5,13 +5,12 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
-from ccd_warp.kernels.candidate_cull import make_candidate_cull
 from ccd_warp.kernels.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
 from ccd_warp.kernels.lanes import vec8f
 from ccd_warp.kernels.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
-from ccd_warp.kernels.queued_pairs import make_queued_pairs
 from ccd_warp.kernels.search_types import SearchOptions
+from ccd_warp.kernels.template import specialised
 from ccd_warp.kernels.whole_warp import agreed, is_first, item_of_warp, latest
 from emulated.build import compiler
 from emulated.comparison import shared
@@ -167,7 +166,7 @@ def cull(num_listed, num_threads, *, capacity=300, found=0, beyond=0, only_if_co
     faces = array([[0, 1, 2]], wp.vec3i)
     inputs = [0, num_threads, part, only_if_complete, listed, corners, faces]
     inputs += [array(start, wp.vec3d), array(end, wp.vec3d), options]
-    kernel = make_candidate_cull(False).cull_candidates
+    kernel = specialised("candidate_cull").cull_candidates
     launch(kernel, num_threads, inputs, [counts, keys, minima])
     keys = keys.numpy()
     return np.sort(keys[keys >= 0]) >> 32, counts.numpy(), minima, (k + 3)[k % 3 != 1]
@@ -226,5 +225,5 @@ def test_warps_agree_while_others_lower_the_least_toi():
         least, open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
         inputs = [0, num_solvers, int(EDGE_EDGE), array(counts, wp.int64), *pairs]
         inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, queue]
-        launch(make_queued_pairs(wp.float64).pairs_bound[2], num_solvers, inputs, [least, open_toi], block_dim=32)
+        launch(specialised("queued_pairs").pairs_bound[2], num_solvers, inputs, [least, open_toi], block_dim=32)
         assert 0.3 - 1e-6 <= least.numpy().view(np.float64)[0] <= 0.3

@@ -135,11 +135,12 @@ def test_a_tolerance_far_larger_than_the_pair_leaves_the_parameters_finite(lengt
 
 def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
     """Warp does not look for operators in a function, so the names of the modules tell."""
-    from ccd_warp.kernels import narrow_phase, pair_search, search_types, simd
+    from ccd_warp.kernels import search_types, simd
+    from ccd_warp.kernels.template import specialised
 
     modules = [
-        narrow_phase.make_narrow_phase(wp.float64, 1).points_toi.module.name,
-        pair_search.make_pair_search(search_types.CULL, False, 1).search_pairs.module.name,
+        specialised("narrow_phase").points_toi.module.name,
+        specialised("pair_search", end=search_types.CULL).search_pairs.module.name,
     ]
     assert all(simd.fingerprint() in name for name in modules)
     before = simd.fingerprint()

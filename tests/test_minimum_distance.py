@@ -9,7 +9,7 @@ from ccd_warp.benchmarks.distance_oracle import exact_distance, exact_distance_t
 from ccd_warp.benchmarks.distance_queries import KINDS, check, grazing, run
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
-from ccd_warp.kernels import narrow_phase
+from ccd_warp.kernels.template import specialised
 from oracles import brute_force, corners_of
 from scenes import NO_FACES, crowd
 
@@ -312,19 +312,19 @@ def test_every_mesh_call_keeps_the_distance():
 
 
 def test_scene_without_a_distance_compiles_nothing_of_it(monkeypatch):
-    make, norms = narrow_phase.make_narrow_phase, []
+    norms = []
 
-    def seen(real, width, norm):
-        norms.append(norm)
-        return make(real, width, norm)
+    def seen(name, **parameters):
+        norms.append(parameters.get("norm", "maximum"))
+        return specialised(name, **parameters)
 
-    monkeypatch.setattr(narrow_phase, "make_narrow_phase", seen)
+    monkeypatch.setattr(lanes, "specialised", seen)
     for options in ({}, {"minimum_separation": 1e-3}, {"minimum_distance": 0.0}):
         mesh, start, end = crowd_of_all_kinds(83)
         ccd.mesh_ccd(mesh, start, end, device="cpu", **options)
         ccd.collision_free_step(mesh, start, end, device="cpu", **options)
     assert set(norms) <= {"maximum", "own_box"} and "maximum" in norms
-    kernels = [make(wp.float64, 1).solve_pairs, make(wp.float64, 1, "euclidean").solve_pairs]
+    kernels = [specialised("narrow_phase", norm=norm).solve_pairs for norm in ("maximum", "euclidean")]
     assert "euclidean" not in kernels[0].module.name and "euclidean" in kernels[1].module.name
 
 

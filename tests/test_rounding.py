@@ -17,17 +17,10 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
-from ccd_warp.kernels.advance import make_advance
 from ccd_warp.kernels.boxes import end_box
-from ccd_warp.kernels.facets import make_facets
-from ccd_warp.kernels.inclusion import make_inclusion
-from ccd_warp.kernels.patch import make_patch
-from ccd_warp.kernels.points import row_points
-from ccd_warp.kernels.query import make_query
 from ccd_warp.kernels.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
-from ccd_warp.kernels.solver import make_solver
-from ccd_warp.kernels.sub_patch import make_sub_patch
-from ccd_warp.kernels.volume import make_volume
+from ccd_warp.kernels.single_points import row_points
+from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from rounding_samples import cross, drawn, exactly
 
@@ -73,24 +66,24 @@ def make_probe(real):
     """Kernels that write the intermediate quantities of the solver, and the clips that it is built of."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    corners_at = make_patch(real, 1).corners_at
-    Options = make_query(real).Options
-    normalise = make_solver(real, False).normalise
-    sub_corners = make_sub_patch(real).sub_corners
+    corners_at = specialised("patch", real=real).corners_at
+    Options = specialised("query", real=real).Options
+    normalise = specialised("solver", real=real).normalise
+    sub_corners = specialised("sub_patch", real=real).sub_corners
     # the functions for one lane; `test_lane_width` compares those for several with them
-    inclusion = make_inclusion(real, 1)
+    inclusion = specialised("inclusion", real=real)
     clip = inclusion.clip
     clip_corner = inclusion.clip_corner
     offset = inclusion.offset
-    volume = make_volume(real, 1)
-    advance_volume = make_advance(real, False).advance_volume
+    volume = specialised("volume", real=real)
+    advance_volume = specialised("advance", real=real).advance_volume
     Hull = volume.Hull
     restrict = volume.restrict
     separation_offset = volume.separation_offset
     hull_fall = volume.fall
-    facets = make_facets(real, 1)
+    facets = specialised("facets", real=real)
     direction = facets.direction
-    fall = facets.fall
+    fall = specialised("moving_clip", real=real).fall
     clip_facet = facets.clip_facet
     half = wp.constant(real(0.5))
     num_clips = wp.constant(12)

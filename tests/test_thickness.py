@@ -12,7 +12,7 @@ import warp as wp
 from ccd_warp.benchmarks.distance_oracle import exact_distance_tois
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
-from ccd_warp.kernels import narrow_phase
+from ccd_warp.kernels.template import specialised
 from ccd_warp.kernels.thickness import sum_up
 from launches import host, on_device
 from oracles import brute_force, corners_of
@@ -30,6 +30,7 @@ from thick_scenes import (
 
 import ccd_warp as ccd
 from ccd_warp._engine.topology import Topology
+from ccd_warp._runtime import lanes
 
 PRECISIONS = ("float64", "float32")
 
@@ -572,13 +573,13 @@ def test_intersections_are_exact_whatever_the_thickness():
 
 
 def test_scene_without_radii_compiles_nothing_of_them(monkeypatch):
-    make, norms = narrow_phase.make_narrow_phase, []
+    norms = []
 
-    def seen(real, width, norm):
-        norms.append(norm)
-        return make(real, width, norm)
+    def seen(name, **parameters):
+        norms.append(parameters.get("norm", "maximum"))
+        return specialised(name, **parameters)
 
-    monkeypatch.setattr(narrow_phase, "make_narrow_phase", seen)
+    monkeypatch.setattr(lanes, "specialised", seen)
     for radius in (None, 0.0):
         mesh, start, end = two_sheets(1.0, radius)
         ccd.mesh_ccd(mesh, start, end, device="cpu")

@@ -10,6 +10,7 @@ from ccd_warp._engine.contacts import new_contact_list
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels import contact_place as kernels
+from ccd_warp.kernels.template import specialised
 
 
 class ContactArrays:
@@ -56,7 +57,9 @@ class ContactArrays:
         inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
         planes = self._topology.planes
         inputs += [planes.point, planes.vertex, planes.unit]
-        return self._filled(name, wp.vec3d, kernels.make_contact_points(real, dimension).fill_points, *inputs)
+        return self._filled(
+            name, wp.vec3d, specialised("contact_points", real=real, dimension=dimension).fill_points, *inputs
+        )
 
     def order_by_toi(self) -> wp.array:
         """Rows of the contacts by ascending toi, those with one toi by kind and pair; then all rows without a contact.

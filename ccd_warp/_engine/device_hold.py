@@ -17,8 +17,8 @@ from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels import device_hold as kernels
-from ccd_warp.kernels.norm import is_ball
-from ccd_warp.kernels.start_holds import make_holds
+from ccd_warp.kernels.norm import shape_of
+from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
     from ccd_warp._engine.topology import Topology
@@ -56,7 +56,7 @@ class DeviceHold:
         separation = options.separation(length_scale)
         distance = hold_distance(mesh, options, mesh.radius)
         norm = norm_of(mesh, options, may_change=True, is_held=True)
-        self._is_euclidean = is_ball(norm)
+        self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
         self._of_step: dict[str, Any] = {
@@ -86,7 +86,7 @@ class DeviceHold:
         topology, moving = self._topology, self._topology.moving_vertices
         listed = self._contacts.count, self._contacts.kind, self._contacts.primitives
         recording.launch(
-            make_holds(self._is_euclidean).note_near_contacts,
+            specialised("start_holds", norm=self._norm).note_near_contacts,
             len(self._contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), stages.vertices_t0, self._of_start["reach"], stages.minima],
             outputs=[self._world_near],
@@ -100,5 +100,5 @@ class DeviceHold:
         """Record the launches that find the holds, after a reset; ``record_search`` records those of a search."""
         of_start = replace(stages, vertices_t1=stages.vertices_t0, **self._of_start)
         record_search(of_start, self._near)
-        of_start.lower_holds(recording, is_euclidean=self._is_euclidean)
+        of_start.lower_holds(recording, self._norm)
         recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.minima], outputs=[self._hold])

@@ -3,7 +3,6 @@
 from collections.abc import Collection
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +34,7 @@ from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step, thickness
 from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 from ccd_warp.kernels.norm import is_ball
+from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device_hold import DeviceHold
@@ -235,7 +235,7 @@ class DeviceStep:
             topology,
             tree_pairs,
             _NUM_AABBS,
-            narrow_phase_on(topology.device, options.real, norm) if self._has_narrow_phase else SimpleNamespace(),
+            narrow_phase_on(topology.device, options.real, norm) if self._has_narrow_phase else None,
             self._counts,
             vertices_t0=self._start,
             vertices_t1=self._end,
@@ -466,7 +466,7 @@ class DeviceStep:
                 if number < len(stages) - 1 or has_kinematic:
                     self._record_touched(recording, by_scene)
                 recording.launch(
-                    device_step.make_input(form.real, self._mesh.dimension).shorten,
+                    specialised("input_rows", real=form.real, dimension=self._mesh.dimension).shorten,
                     len(topology.moving_vertices),
                     inputs=[
                         topology.moving_vertices,
@@ -582,7 +582,7 @@ class DeviceStep:
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         """Record the launches that read positions and, in the first pass, reset the vertices."""
         topology, minima = self.topology, stages.minima
-        read = device_step.make_input(form.real, self._mesh.dimension)
+        read = specialised("input_rows", real=form.real, dimension=self._mesh.dimension)
         if is_first and form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,

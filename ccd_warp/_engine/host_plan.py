@@ -4,7 +4,6 @@ import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -30,7 +29,7 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
-from ccd_warp.kernels.norm import EUCLIDEAN_NORM, is_ball
+from ccd_warp.kernels.norm import EUCLIDEAN_NORM
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
@@ -173,7 +172,7 @@ class HostPlan:
             topology,
             self.tree_pairs,
             self._num_aabbs,
-            narrow_phase_on(topology.device, options.real, self._norm) if has_narrow_phase else SimpleNamespace(),
+            narrow_phase_on(topology.device, options.real, self._norm) if has_narrow_phase else None,
             self._counts,
             **{name.replace(" ", "_"): Slot(name) for name in names},
             box_radius=topology.box_radius,
@@ -553,8 +552,7 @@ class HostPlan:
 
     def lower_holds(self) -> None:
         """Lower the holds of the vertices of the pairs of a batch."""
-        is_euclidean = is_ball(self._norm)
-        self.play("distances", lambda stages, recording: stages.lower_holds(recording, is_euclidean=is_euclidean))
+        self.play("distances", lambda stages, recording: stages.lower_holds(recording, self._norm))
 
     def bound_displacements(self) -> None:
         """Lower the bounds of the vertices of the pairs of a batch."""

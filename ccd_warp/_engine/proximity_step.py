@@ -21,7 +21,8 @@ from ccd_warp._results import Contacts, Counts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import proximity as kernels
-from ccd_warp.kernels.norm import is_ball
+from ccd_warp.kernels.norm import shape_of
+from ccd_warp.kernels.template import specialised
 
 # Pairs of vertices and planes for which a call begins with capacity.
 _FEW = 1 << 10
@@ -158,7 +159,6 @@ class HoldStep(StepAtOneTime):
 
     def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, shape [W]."""
-        from ccd_warp.kernels import start_holds as kernels
 
         topology, device = self.topology, self.topology.device
         self.counts = Counts()  # nothing is searched
@@ -173,7 +173,7 @@ class HoldStep(StepAtOneTime):
             reach = reach_of(topology.radius, distance, self.workspace.flag.array)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             self.execution.launch(
-                kernels.make_holds(is_ball(norm_of(self.mesh, self.options))).note_near_contacts,
+                specialised("start_holds", norm=shape_of(norm_of(self.mesh, self.options))).note_near_contacts,
                 len(contacts),
                 inputs=[count, *listed, *corners_by_kind(topology), x, reach, self.workspace.contacts.minima],
                 outputs=[near],

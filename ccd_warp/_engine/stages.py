@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -14,9 +13,11 @@ from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, candidate_cull, device_step
+from ccd_warp.kernels import box_tree, device_step
 from ccd_warp.kernels.minima import FOUND, OPEN
+from ccd_warp.kernels.norm import shape_of
 from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
+from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
@@ -46,7 +47,7 @@ class Stages:
         topology: The mesh on its device.
         tree_pairs: The tree pairs to search.
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
-        narrow_phase: The kernels of ``make_narrow_phase`` for a precision.
+        narrow_phase: The kernels of ``narrow_phase`` for a precision.
         counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.minima``.
         vertices_t0: Start positions, wp.vec3d, shape [V].
         vertices_t1: End positions.
@@ -75,7 +76,7 @@ class Stages:
     topology: Topology
     tree_pairs: list[TreePair]
     num_aabbs: int
-    narrow_phase: SimpleNamespace
+    narrow_phase: Any
     counts: wp.array
     vertices_t0: Any
     vertices_t1: Any
@@ -270,7 +271,7 @@ class Stages:
         if not isinstance(candidates, Slot):
             num_threads = min(_MOST_CULLS, -(-len(candidates) // WIDTH) * WIDTH)
         launcher.launch(
-            candidate_cull.make_candidate_cull(self.is_thick).cull_candidates,
+            specialised("candidate_cull", is_thick=self.is_thick).cull_candidates,
             num_threads,
             inputs=[
                 num_threads,
@@ -355,11 +356,10 @@ class Stages:
 
         self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
 
-    def lower_holds(self, launcher: Launcher, *, is_euclidean: bool) -> None:
+    def lower_holds(self, launcher: Launcher, norm: str) -> None:
         """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
-        from ccd_warp.kernels.start_holds import make_holds  # not before something starts within its distance
 
-        self._at_one_time(launcher, make_holds(is_euclidean).lower_holds, [], [self.minima])
+        self._at_one_time(launcher, specialised("start_holds", norm=shape_of(norm)).lower_holds, [], [self.minima])
 
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""

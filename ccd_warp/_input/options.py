@@ -18,6 +18,7 @@ from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import norm, query
+from ccd_warp.kernels.template import specialised
 
 MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than there are cores
 
@@ -253,7 +254,7 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
 
 def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
     """The struct of the kernels, from the values of its fields in order."""
-    options = query.make_query(real).Options()
+    options = specialised("query", real=real).Options()
     for name, value in zip(_FIELDS, values, strict=True):
         setattr(options, name, value)
     if stop is not None:

@@ -10,10 +10,13 @@ import re
 from collections.abc import Collection
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import warp as wp
+
+from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+from ccd_warp.kernels.template import specialised
 
 _CPU_INFO = Path("/proc/cpuinfo")
 # Names of the features in NumPy, which has renamed its groups, and flags of Linux.
@@ -29,7 +32,7 @@ def lanes_of(device: Any) -> int:
     return 1 if device.is_cuda else cpu_lanes()
 
 
-def narrow_phase_on(device: Any, real: Any, norm: str) -> SimpleNamespace:
+def narrow_phase_on(device: Any, real: Any, norm: str) -> ModuleType:
     """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
 
     Args:
@@ -37,17 +40,14 @@ def narrow_phase_on(device: Any, real: Any, norm: str) -> SimpleNamespace:
         real: Floating-point type of the iteration, a Warp dtype.
         norm: That of the separation (``kernels.norm``).
     """
-    from ccd_warp.kernels.narrow_phase import make_narrow_phase  # not before a step needs it
-
     width = lanes_of(device)
-    return make_narrow_phase(real, width if width == 1 or real is wp.float64 else 2 * width, norm)
+    width = width if width == 1 or real is wp.float64 else 2 * width
+    return specialised("narrow_phase", real=real, width=width, norm=norm)
 
 
-def queued_pairs_in(real: Any, norm: str) -> SimpleNamespace:
+def queued_pairs_in(real: Any, norm: str) -> ModuleType:
     """The kernels of the narrow phase on CUDA for a precision and a norm, in the order of their launches."""
-    from ccd_warp.kernels.queued_pairs import make_queued_pairs
-
-    return make_queued_pairs(real, norm)
+    return specialised("queued_pairs", real=real, norm=norm)
 
 
 def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
@@ -57,27 +57,19 @@ def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is
     search that lists candidates is the same without.
     """
     if is_cuda:
-        from ccd_warp.kernels.half_warp_search import make_half_warp_search
-        from ccd_warp.kernels.search_types import LIST
-
-        return make_half_warp_search(end, with_lists, is_thick and end != LIST).search_queries
-    from ccd_warp.kernels.pair_search import make_pair_search
-    from ccd_warp.kernels.search_types import BOXES
-
-    return make_pair_search(end, with_lists, 1 if end == BOXES else lanes_of(device), is_thick).search_pairs
+        is_thick = is_thick and end != LIST
+        return specialised("half_warp_search", end=end, with_lists=with_lists, is_thick=is_thick).search_queries
+    width = 1 if end == BOXES else lanes_of(device)
+    return specialised("pair_search", end=end, with_lists=with_lists, width=width, is_thick=is_thick).search_pairs
 
 
 def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
     """The kernel of a search of spatial hashes; the arguments are those of :func:`pair_search_on`."""
     if is_cuda:
-        from ccd_warp.kernels.half_warp_grid_search import make_half_warp_grid_search
-        from ccd_warp.kernels.search_types import LIST
-
-        return make_half_warp_grid_search(end, with_lists, is_thick and end != LIST)
-    from ccd_warp.kernels.grid_search import make_grid_search
-    from ccd_warp.kernels.search_types import CULL
-
-    return make_grid_search(end, with_lists, lanes_of(device) if end == CULL else 1, is_thick)
+        is_thick = is_thick and end != LIST
+        return specialised("half_warp_grid_search", end=end, with_lists=with_lists, is_thick=is_thick).search_cells
+    width = lanes_of(device) if end == CULL else 1
+    return specialised("grid_search", end=end, with_lists=with_lists, width=width, is_thick=is_thick).search_grid
 
 
 @cache

@@ -28,7 +28,7 @@ def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs
 
     Args:
         launcher: An ``Execution`` or a ``Recording``.
-        kernels: The kernels of one name of ``make_queued_pairs``.
+        kernels: The kernels of one name of ``queued_pairs``.
         most_pairs: Number of pairs, or the most that there can be.
         inputs: Inputs of the kernels after the number of threads.
         outputs: Their outputs.

@@ -6,6 +6,7 @@ still finds a CPU: arrays lie in host memory, and sorts and scans are those of t
 """
 
 import ctypes
+import re
 import sys
 import time
 from collections import Counter
@@ -28,7 +29,7 @@ _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
 # In the source of the modules that solve pairs.
-_SOLVERS = "make_queued_pairs__locals__"
+_SOLVERS = re.compile("make_(points_toi|solve_pairs|pairs_bound)__locals__")
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132
 
@@ -81,7 +82,7 @@ class Emulation:
                 raise RuntimeError(f"emulated device: {message}")
 
     def _build(self, source: str) -> Path:
-        return build(source, self.is_sanitized, self.watches_solvers or _SOLVERS not in source)
+        return build(source, self.is_sanitized, self.watches_solvers or not _SOLVERS.search(source))
 
     @staticmethod
     def _load(path: Any) -> ctypes.CDLL:

@@ -116,7 +116,7 @@ PLANTED = [
         "contacts counted without an atomic operation",
         "kernels/pair_outcome.py",
         "n = claim_int(contacts.count, 0)",
-        "n = contacts.count[0]\n        contacts.count[0] = n + 1",
+        "n = contacts.count[0]\n    contacts.count[0] = n + 1",
         ("solvers",),
     ),
     Fault(
@@ -188,7 +188,7 @@ PLANTED = [
     Fault(
         "a warp does not agree before it works together",
         _QUEUE,
-        "                    if turns.are_shared:\n                        is_done = agreed(is_done)\n",
+        "                if turns.are_shared:\n                    is_done = agreed(is_done)\n",
         "",
         _ONE_PLACE,
     ),
@@ -303,7 +303,7 @@ PLANTED = [
     Fault("empty boxes not written", _TREE, "    if block == count - 1:\n", "    if block == count:\n", ("trees",)),
     Fault(
         "static bodies that move not noted",
-        _STEP,
+        "kernels/input_rows.py",
         "is_moved[0] = 1  # until `settle`, when all boxes are up to date",
         "pass",
         ("launch",),
@@ -352,8 +352,8 @@ PLANTED = [
     Fault(
         "one candidate beyond the list",
         _SEARCH,
-        "if n < wp.int64(keys.shape[0]):\n                    keys[n]",
-        "if n <= wp.int64(keys.shape[0]):\n                    keys[n]",
+        "if n < wp.int64(keys.shape[0]):\n                keys[n]",
+        "if n <= wp.int64(keys.shape[0]):\n                keys[n]",
         ("short lists",),
     ),
     Fault(
@@ -373,8 +373,8 @@ PLANTED = [
     Fault(
         "the place of a candidate of 32 bits",
         _SEARCH,
-        "if n < wp.int64(keys.shape[0]):\n                    keys[n]",
-        "if wp.int32(n) < keys.shape[0]:\n                    keys[wp.int32(n)]",
+        "if n < wp.int64(keys.shape[0]):\n                keys[n]",
+        "if wp.int32(n) < keys.shape[0]:\n                keys[wp.int32(n)]",
         ("beyond",),
     ),
     Fault(

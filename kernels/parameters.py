@@ -1,0 +1,18 @@
+"""The parameters of the templates, as those see them who import a template plainly: one pair in float64.
+
+A template (`template`) imports from here the parameters that it depends on, and has their values of the specialisation.
+"""
+
+from typing import Any
+
+import warp as wp
+
+real: Any = wp.float64  # floating-point type of the iteration
+width = 1  # number of lanes
+norm = "maximum"  # that of the separation (`norm`)
+on_warp = False  # whether the threads of a warp share one pair
+with_facets = True  # whether pairs may have a separation, or lie in one plane
+dimension = 3  # of the positions that are read or written
+end = "list"  # stage at which a search ends (`search_types`)
+with_lists = False  # whether there are lists of excluded pairs
+is_thick = False  # whether vertices have radii

@@ -1,0 +1,93 @@
+"""Files of this folder as templates: each is executed once for every set of parameters, into a module of its own.
+
+A template imports the parameters on which it depends from `parameters`; in a specialisation they have the values of
+that, and what the template imports from other templates is specialised alike. A file that imports no parameter is an
+ordinary module. Imported plainly, a template is the specialisation for the values that stand in `parameters`. So
+kernels are plain functions of plain modules, while each precision, number of lanes and norm compiles only what it
+needs.
+"""
+
+import builtins
+import importlib
+import re
+import sys
+from functools import cache
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import CodeType, ModuleType, SimpleNamespace
+from typing import Any
+
+from . import parameters
+from .once import once
+
+_FOLDER = Path(__file__).parent
+# What a file imports from this folder: a module and its names, or modules.
+_IMPORT = re.compile(r"^ *from \.(\w*) import (\([^)]*\)|.*)", re.MULTILINE)
+_NAME = re.compile(r"(\w+)(?: as \w+)?")
+
+
+@cache
+def _read(name: str) -> tuple[str, CodeType, str]:
+    """The path, the code and the source of a file: one code for all, as Warp parses the source of each code once."""
+    full_name, path = f"{__package__}.{name}", str(_FOLDER / f"{name}.py")
+    loader = SourceFileLoader(full_name, path)
+    code = loader.get_code(full_name)
+    assert code is not None
+    return path, code, loader.get_source(full_name)
+
+
+@cache
+def _parameters_of(name: str) -> frozenset[str]:
+    """The parameters on which a file depends: those that it imports and those of what it imports, if it imports any."""
+    imports = [(module, _NAME.findall(names)) for module, names in _IMPORT.findall(_read(name)[2])]
+    found = {each for module, names in imports if module == "parameters" for each in names}
+    if found:
+        modules = {each for module, names in imports for each in ([module] if module else names)}
+        found.update(*map(_parameters_of, modules - {"parameters"}))
+    return frozenset(found)
+
+
+@once
+def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
+    """A template, executed with parameters other than those of a plain import."""
+    suffix = ".".join(str(getattr(value, "__name__", value)) for _, value in values)
+    module = ModuleType(f"{__package__}.{name}.{suffix}")
+    alike = dict(values)
+
+    def import_alike(imported: str, scope: Any = None, local: Any = None, wanted: Any = (), level: int = 0) -> Any:
+        if level != 1:
+            return builtins.__import__(imported, scope, local, wanted, level)
+        if imported == "parameters":
+            return SimpleNamespace(**alike)
+        if imported:
+            return specialised(imported, **alike)
+        return SimpleNamespace(**{each: specialised(each, **alike) for each in wanted})
+
+    path, code, _ = _read(name)
+    module.__dict__.update(
+        __file__=path,
+        __package__=__package__,
+        __builtins__={**vars(builtins), "__import__": import_alike},
+    )
+    sys.modules[module.__name__] = module  # where those look for it who read the source of a function
+    exec(code, module.__dict__)
+    return module
+
+
+def specialised(name: str, **values: Any) -> Any:
+    """A template of this folder for parameters, once for each set of those on which it depends.
+
+    Args:
+        name: Name of the file.
+        values: The parameters by name; those left out are as in a plain import.
+
+    Raises:
+        ValueError: If there is no such parameter.
+    """
+    plain = vars(parameters)
+    if not values.keys() <= plain.keys():
+        raise ValueError(f"{name} is asked for with {', '.join(values)}; expected parameters of kernels/parameters.py")
+    given = tuple((each, values.get(each, plain[each])) for each in sorted(_parameters_of(name)))
+    if all(value == plain[each] for each, value in given):
+        return importlib.import_module(f"{__package__}.{name}")
+    return _specialise(name, given)

@@ -1,0 +1,39 @@
+"""Files of kernels as templates: one specialisation for each set of the parameters on which a file depends."""
+
+import pytest
+import warp as wp
+from ccd_warp.kernels import atomics, patch
+from ccd_warp.kernels.template import specialised
+
+
+def test_plain_import_is_the_specialisation_for_one_pair_in_float64():
+    assert specialised("patch") is patch is specialised("patch", real=wp.float64, width=1)
+
+
+def test_each_set_of_parameters_is_made_once():
+    single = specialised("patch", real=wp.float32)
+    assert single is specialised("patch", width=1, real=wp.float32)
+    assert single.Corners is not patch.Corners and single.Vec3 is specialised("simd", real=wp.float32).Vec3
+
+
+def test_what_a_template_imports_is_specialised_alike():
+    lanes = specialised("lane_advance", real=wp.float32, width=8, norm="euclidean", with_facets=False)
+    assert lanes.Corners is specialised("patch", real=wp.float32, width=8).Corners
+    assert lanes.length is specialised("support", real=wp.float32, width=8, norm="euclidean").length
+    assert lanes.with_facets is False
+
+
+def test_parameters_on_which_a_file_does_not_depend_change_nothing():
+    assert specialised("patch", norm="thick", dimension=2) is patch
+    assert specialised("atomics", real=wp.float32) is atomics  # imports no parameter
+
+
+def test_every_template_has_its_own_parameters_and_no_other():
+    outcome = specialised("pair_outcome", width=8)
+    # the solver of a single pair has no lanes, whatever those of the rounds
+    assert outcome.solver is specialised("solver") and outcome.simd is specialised("simd", width=8)
+
+
+def test_a_parameter_that_is_not_known_is_refused():
+    with pytest.raises(ValueError, match="patch is asked for with breadth; expected parameters"):
+        specialised("patch", breadth=8)
