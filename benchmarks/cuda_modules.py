@@ -33,12 +33,9 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     for real in (wp.float64, wp.float32):
         for dimension in (2, 3):
             name = f"{real.__name__} {dimension}"
-            modules[f"device_step input {name}"] = specialised(
-                "input_rows", real=real, dimension=dimension
-            ).read_moving.module
-            modules[f"contact_place points {name}"] = specialised(
-                "contact_points", real=real, dimension=dimension
-            ).fill_points.module
+            parameters = {"real": real, "dimension": dimension}
+            modules[f"input_rows {name}"] = specialised("input_rows", **parameters).read_moving.module
+            modules[f"contact_points {name}"] = specialised("contact_points", **parameters).fill_points.module
         norms = [MAXIMUM_NORM]
         if with_distances:
             norms += [EUCLIDEAN_NORM, THICK_NORM, OWN_BOX_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]

@@ -11,6 +11,7 @@ from .atomics import claim
 from .box_tree import WIDTH, BoxTree, box_corners
 from .candidate_cull import has_volume, write_pair
 from .cull import free_lanes
+from .lane_points import points_at
 from .lanes import lowest_bit, number_of_bits
 from .minima import FOUND, Minima
 from .pair_kind import EDGE_EDGE
@@ -30,7 +31,6 @@ lanes = wp.constant(width)
 number_at = wp.constant(6 * (width - 1 + WIDTH))
 
 if width > 1:
-    from .lane_points import points_at
 
     @wp.func
     def corners_of(kind: int, collected: wp.array[wp.int32], k: int):

@@ -51,26 +51,31 @@ _ROW = """
 """
 
 
-Rows: Any = wp.types.vector(length=3 * width, dtype=wp.float64)
+if width > 1:
+    Rows: Any = wp.types.vector(length=3 * width, dtype=wp.float64)
 
+    @wp.func_native(_gather(width))
+    def gathered(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Rows:
+        """The coordinates of the points of all lanes, as rows."""
+        ...
 
-@wp.func_native(_gather(width))
-def gathered(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Rows:
-    """The coordinates of the points of all lanes, as rows."""
-    ...
+    @wp.func_native(_ROW.format(width=width))
+    def row(rows: Rows, axis: int) -> Lanes:
+        """A row of the coordinates."""
+        ...
 
+    @wp.func
+    def point_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Vec3:
+        """The point of a vertex for each lane; that of lane k is ``vertices[first + k]``."""
+        rows = gathered(x, vertices, first)
+        return vec(row(rows, 0), row(rows, 1), row(rows, 2))
 
-@wp.func_native(_ROW.format(width=width))
-def row(rows: Rows, axis: int) -> Lanes:
-    """A row of the coordinates."""
-    ...
+else:
 
-
-@wp.func
-def point_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Vec3:
-    """The point of a vertex for each lane; that of lane k is ``vertices[first + k]``."""
-    rows = gathered(x, vertices, first)
-    return vec(row(rows, 0), row(rows, 1), row(rows, 2))
+    @wp.func
+    def point_at(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Vec3:
+        """The point of a vertex."""
+        return x[vertices[first]]
 
 
 @wp.func

@@ -574,7 +574,7 @@ print(*loaded)
 
 def test_cubins_made_without_a_gpu_are_what_warp_loads_on_one(tmp_path):
     """Warp's own `Module.load` on a stand-in for a GPU finds the file, and compiles nothing."""
-    name = "contact_place points float32 2"
+    name = "contact_points float32 2"
     folder = tmp_path / "cubins"
     make = ["--precompile", str(folder), "--arch", "80", "90", "120", "--modules", name]
     program = [sys.executable, "-P", "-m", "ccd_warp.benchmarks.gpu_check"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.kernels.norm import MAXIMUM_NORM
 from ccd_warp.kernels.search_types import BOXES, CULL
 
-from ccd_warp._runtime.lanes import lanes_of, narrow_phase_on
+from ccd_warp._runtime.lanes import grid_search_on, narrow_phase_on, pair_search_on
 
 # Threads a block that the check tries for the pair functions.
 BLOCK_DIMS = (32, 64, 128, 256)
@@ -20,8 +19,6 @@ BLOCK_DIMS = (32, 64, 128, 256)
 _BY_BLOCK_DIM = "points_toi"
 # Modules in whose place the CPU has others, with its lanes.
 _ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp", "candidate_cull")
-# The searches of the CPU, of those that this version has.
-_SEARCHES = ("pair_search", "grid_search")
 _NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
 
 
@@ -38,15 +35,11 @@ def variants() -> list[tuple[str, Any, int]]:
 def cpu_modules() -> list[Any]:
     """The modules of the CPU, whose answers are compared; those of the lanes are others than on CUDA."""
     cpu = wp.get_device("cpu")
-    widths = {BOXES: 1, CULL: lanes_of(cpu)}
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     for real in (wp.float64, wp.float32):
         modules |= {getattr(narrow_phase_on(cpu, real, MAXIMUM_NORM), kernel).module for kernel in _NARROW_PHASE}
-    for name in filter(lambda name: find_spec(f"ccd_warp.kernels.{name}"), _SEARCHES):
-        make = getattr(import_module(f"ccd_warp.kernels.{name}"), f"make_{name}")
-        for end, width in widths.items():
-            made = [make(end, with_lists, width) for with_lists in (False, True)]
-            modules |= {getattr(each, "search_pairs", each).module for each in made}
+    for search_on, end, with_lists in product((pair_search_on, grid_search_on), (BOXES, CULL), (False, True)):
+        modules.add(search_on(cpu, end, with_lists, is_cuda=False).module)
     return list(modules)
 
 
