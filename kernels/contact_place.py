@@ -13,9 +13,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Key of a row without a contact, which sorts last.
 _NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-_ZERO = wp.constant(wp.float64(0.0))
-_HALF = wp.constant(wp.float64(0.5))
-_ONE = wp.constant(wp.float64(1.0))
 
 
 @wp.func

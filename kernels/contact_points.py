@@ -1,8 +1,4 @@
-"""Where contacts in a list on a device are, and which come first: what is computed from the list when it is asked for.
-
-The kernels run over the capacity of the list and read the number of contacts on the device, so that a graph can hold
-them. Rows beyond that number are left as they are.
-"""
+"""Where the contacts of a list on a device are in space: the midpoints of their closest points."""
 
 import warp as wp
 
@@ -12,10 +8,6 @@ from .contacts import ContactList, position
 from .pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from .parameters import dimension, real
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-# Key of a row without a contact, which sorts last.
-_NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))

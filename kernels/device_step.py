@@ -1,4 +1,4 @@
-"""A step whose input and results stay on the device: the kernels that read its input and reset its results.
+"""A step whose input and results stay on the device: the kernels that reset its results and place its boxes.
 
 The sizes of these kernels do not depend on what the device finds: results have a place for every vertex, body and
 world, and lists have a fixed capacity. A pair beyond the capacity lowers its toi to 0 and sets a flag.
@@ -121,12 +121,6 @@ def keep_touched(
     if bits < _INFINITY_BITS or (flags & STRUCK) != 0:
         body_active[m.vertex_body[v]] = 1
         is_any_active[0] = 1
-
-
-@wp.func
-def is_finite(x: wp.vec3d) -> bool:
-    """Whether all coordinates are finite."""
-    return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
 
 
 @wp.kernel

@@ -1,28 +1,13 @@
-"""A step whose input and results stay on the device: the kernels that read its input and reset its results.
-
-The sizes of these kernels do not depend on what the device finds: results have a place for every vertex, body and
-world, and lists have a fixed capacity. A pair beyond the capacity lowers its toi to 0 and sets a flag.
-"""
+"""The input of a step on the device: the kernels that read rows of positions, check static ones, and shorten a step."""
 
 import warp as wp
 
 from . import in_space as positions
+from .device_step import PER_BODY, PER_VERTEX, PER_WORLD
 from .minima import INVALID_INPUT, STATIC_MOVED, Minima, flag_world, is_kinematic, world_of
 from .parameters import dimension, real
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-# The parts of a mesh that move by one common fraction in a line search.
-PER_SCENE = wp.constant(0)
-PER_WORLD = wp.constant(1)
-PER_BODY = wp.constant(2)
-PER_VERTEX = wp.constant(3)
-
-# Vertices and blocks of static bodies that one item processes on the CPU.
-CHUNK = wp.constant(64)
-
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
-_ZERO_BITS = wp.constant(wp.int64(0))
 
 
 @wp.func

@@ -1,7 +1,7 @@
 """The lanes of the narrow phase: what the rounds of `lane_advance` settle for several pairs at once.
 
 `first_rounds` takes pairs as they come: two rounds, which are all that most pairs need. What they leave open is packed
-into full vectors again, and `later_rounds` takes it from there, with the facets of `lane_facets` for pairs that have a
+into full vectors again, and `later_rounds` takes it from there, with the facets of `facets` for pairs that have a
 minimum separation or lie in one plane.
 """
 
