@@ -18,7 +18,7 @@ from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
 from . import parameters
-from .once import once
+from .once import building, once
 
 _FOLDER = Path(__file__).parent
 # What a file imports from this folder: a module and its names, or modules.
@@ -89,5 +89,9 @@ def specialised(name: str, **values: Any) -> Any:
         raise ValueError(f"{name} is asked for with {', '.join(values)}; expected parameters of kernels/parameters.py")
     given = tuple((each, values.get(each, plain[each])) for each in sorted(_parameters_of(name)))
     if all(value == plain[each] for each, value in given):
-        return importlib.import_module(f"{__package__}.{name}")
+        module = sys.modules.get(f"{__package__}.{name}")
+        if module is not None and not getattr(module.__spec__, "_initializing", False):
+            return module
+        with building:  # before the locks of imports: a thread that specialises imports with it locked
+            return importlib.import_module(f"{__package__}.{name}")
     return _specialise(name, given)
