@@ -159,11 +159,13 @@ def arrays_on_both(case, call):
         return expected, call()
 
 
-def test_solvers_do_not_race():
-    """Contacts of a scene in which every access of a solver to memory is looked at."""
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_searches_culls_and_solvers_do_not_race(broad_phase):
+    """Contacts of a scene in which every write of these to memory is looked at."""
     mesh, start, end = scenes.crowd(np.random.default_rng(44), 40, 0.2)
-    with emulation(Emulation(watches_solvers=True)):
-        result = ccd.CollisionPipeline(mesh, precision="float32").launch(on_device(start), on_device(end))
+    with emulation(Emulation(watches_all=True)):
+        pipeline = ccd.CollisionPipeline(mesh, precision="float32", broad_phase=broad_phase)
+        result = pipeline.launch(on_device(start), on_device(end))
     assert result.contacts.count.numpy()[0] > 10
 
 

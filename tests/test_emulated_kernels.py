@@ -17,8 +17,11 @@ from emulated.comparison import shared
 from emulated.device import emulation
 
 import ccd_warp as ccd
+from ccd_warp._engine.grids import Grid, fill_grids
+from ccd_warp._engine.topology import PrimitiveSet
 from ccd_warp._engine.trees import search_range
 from ccd_warp._input.options import Options
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
@@ -139,6 +142,44 @@ def test_threads_of_a_warp_take_the_latest_time_and_agree():
         assert np.array_equal(found.numpy(), np.repeat(warps.max(axis=1), 32))
     assert np.array_equal(said.numpy(), np.repeat(warps[:, 0] > 0.5, 32))
     assert np.array_equal(item.numpy(), np.where(np.arange(256) % 32 == 0, np.arange(256) // 32, -1))
+
+
+def hash_of(lower, upper, cell):
+    """The spatial hash of boxes, one for each vertex, filled on the emulated device."""
+    count = len(lower)
+    aabbs = np.zeros((count, 8), dtype=np.float32)
+    aabbs[:, :3], aabbs[:, 4:7] = lower, -upper
+    corners = np.repeat(np.arange(count), 3).reshape(-1, 3)
+    grid = Grid(PrimitiveSet("box", "moving", 1, array(np.arange(count), wp.int32), array(corners, wp.vec3i)))
+    grid.lay_out(1, cell, lambda _name, size, dtype: wp.empty(size, dtype=dtype, device="cpu"))
+    with emulation(shared().emulated):
+        fill_grids([grid], array(aabbs.ravel(), wp.float32), Execution(wp.get_device("cpu"), 1))
+    return grid
+
+
+def test_blocks_with_boxes_of_different_sizes_unite_their_levels():
+    """Sixteen boxes of one size fill a block, and there is a block of each; a level is twice as coarse as the last."""
+    cell, sizes = 2.0**-6, np.arange(6)
+    side = np.repeat(cell * 2.0**sizes, 16)[:, None]
+    for order in (slice(None), slice(None, None, -1)):
+        lower = np.zeros((96, 3)) - side[order] / 2
+        grid = hash_of(lower, lower + side[order], cell)
+        assert grid.cells.levels.numpy().tolist() == [(1 << len(sizes)) - 1]
+
+
+def test_boxes_in_no_bucket_come_after_all_others():
+    """Every third has a corner that is no number; their bucket is that after the last, which takes one bit more."""
+    rng = np.random.default_rng(6)
+    lower = rng.uniform(-0.4, 0.4, (300, 3))
+    upper = lower + 0.01
+    is_empty = np.arange(300) % 3 == 0
+    lower[is_empty, rng.integers(3, size=100)] = np.nan
+    grid = hash_of(lower, upper, 2.0**-6)
+    order, buckets = grid.order.numpy()[:300], grid.buckets.numpy()[:300]
+    assert np.array_equal(np.sort(order), np.arange(300)) and is_empty[order[200:]].all()
+    assert (np.diff(buckets) >= 0).all() and (buckets[200:] == 1 << grid.cells.bucket_bits).all()
+    begin = np.searchsorted(buckets, np.arange(len(grid.cells.bucket_begin)))
+    assert np.array_equal(grid.cells.bucket_begin.numpy(), begin)
 
 
 def minima_of(num_vertices):

@@ -28,8 +28,10 @@ from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_poin
 _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
-# In the source of the modules that solve pairs.
-_SOLVERS = re.compile("make_(points_toi|solve_pairs|pairs_bound)__locals__")
+# Kernels of the modules in which nearly all time goes: searches, culls and solvers.
+_SLOW = re.compile(
+    r"(search_queries|search_cells|cull_candidates|points_toi|solve_pairs|pairs_bound)\w*_cuda_kernel_forward"
+)
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132
 
@@ -39,12 +41,12 @@ class Emulation:
 
     Attributes:
         is_sanitized: Whether modules are compiled with AddressSanitizer.
-        watches_solvers: Whether races are looked for in the solvers as well, whose arithmetic takes most of the time.
+        watches_all: Whether races are looked for in searches, culls and solvers as well, in which nearly all time goes.
         launches: Number of launches of each kernel, by the names of its module and its own.
     """
 
-    def __init__(self, is_sanitized: bool = False, watches_solvers: bool = False) -> None:
-        self.is_sanitized, self.watches_solvers = is_sanitized, watches_solvers
+    def __init__(self, is_sanitized: bool = False, watches_all: bool = False) -> None:
+        self.is_sanitized, self.watches_all = is_sanitized, watches_all
         self.launches: Counter[tuple[str, str]] = Counter()
         self._libraries: dict[tuple[Any, bytes], ctypes.CDLL] = {}
         self._executables: dict[tuple[Any, bytes, int], _Executable] = {}
@@ -82,7 +84,7 @@ class Emulation:
                 raise RuntimeError(f"emulated device: {message}")
 
     def _build(self, source: str) -> Path:
-        return build(source, self.is_sanitized, self.watches_solvers or not _SOLVERS.search(source))
+        return build(source, self.is_sanitized, self.watches_all or not _SLOW.search(source))
 
     @staticmethod
     def _load(path: Any) -> ctypes.CDLL:

@@ -42,13 +42,12 @@ FINDERS = {
     "at one time": [_step("at_one_time", "worlds in one place", "float64")],
     "counts": ["test_emulated.py::test_searches_of_so_many_boxes"],
     "short lists": ["test_emulated.py::test_replays_with_lists_too_short_for_the_candidates"],
-    "solvers": ["test_emulated.py::test_solvers_do_not_race"],
+    "solvers": ["test_emulated.py::test_searches_culls_and_solvers_do_not_race"],
     "overflow": [
         "test_emulated.py::test_pairs_beyond_the_capacity_stop_the_scene",
         "test_emulated.py::test_contacts_beyond_the_capacity_are_missing_from_the_list_alone",
     ],
     "beyond": ["test_emulated.py::test_more_candidates_than_32_bits_count"],
-    "no number": ["test_emulated.py::test_coordinate_that_is_no_number_stops_its_world[None-vec3d-hash]"],
     "queue": ["test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "trees": ["test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
     "pairs": ["test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"],
@@ -110,7 +109,7 @@ PLANTED = [
         _GRIDS,
         "set_bits(grid.levels, 0, levels)",
         "grid.levels[0] = grid.levels[0] | levels",
-        ("hash",),
+        _ONE_PLACE,
     ),
     Fault(
         "contacts counted without an atomic operation",
@@ -285,7 +284,7 @@ PLANTED = [
         "ccd_warp/_engine/grids.py",
         "bits = grid.cells.bucket_bits + 1",
         "bits = grid.cells.bucket_bits",
-        ("no number",),
+        _ONE_PLACE,
     ),
     Fault(
         "a bucket begins after its first box", _GRIDS, "if buckets[middle] < b:", "if buckets[middle] <= b:", ("hash",)

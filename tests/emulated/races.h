@@ -35,22 +35,16 @@ public:
         num_used_ = 0;
     }
 
-    // The write to a place in this launch; null if there is none.
-    Access* find(uintptr_t address)
+    // The write to a place in this launch, or where one is to be noted; whether there is one.
+    Access& at(uintptr_t address, bool& is_known)
     {
-        if (num_used_ == 0)
-            return nullptr;
-        Place& place = places_[index_of(address)];
-        return place.launch == launch_ ? &place.write : nullptr;
-    }
-
-    void insert(uintptr_t address, const Access& write)
-    {
-        Place& place = places_[index_of(address)];
-        const bool is_new = place.launch != launch_;
-        place = { address, launch_, write };
-        if (is_new && ++num_used_ > places_.size() / 2)
+        if (num_used_ == places_.size() / 2)
             grow();
+        Place& place = places_[index_of(address)];
+        is_known = place.launch == launch_;
+        if (!is_known)
+            place.address = address, place.launch = launch_, ++num_used_;
+        return place.write;
     }
 
 private:
@@ -97,60 +91,66 @@ public:
     // The thread does not run for now: what it was about to write is written.
     void pause()
     {
-        finish_write();
+        if (pending_)
+            finish_write();
         stack_ = 0;
         stack_bytes_ = ~(size_t)0;  // no access is one of a thread
     }
 
     void write(const void* address, size_t size)
     {
-        finish_write();
+        if (pending_ || is_shared((uintptr_t)address))  // most writes are to the stack
+            begin_write(address, size);
+    }
+    void write_atomically(const void* address)
+    {
+        if (pending_)
+            finish_write();
+        if (is_shared((uintptr_t)address))
+            note((uintptr_t)address, true);
+    }
+
+private:
+    bool is_shared(uintptr_t address) const { return address - stack_ >= stack_bytes_; }
+
+    [[gnu::noinline]] void begin_write(const void* address, size_t size)
+    {
+        if (pending_)
+            finish_write();
         if (!is_shared((uintptr_t)address) || size > sizeof(before_))
             return;
         pending_ = (const char*)address;
         pending_size_ = size;
         memcpy(before_, address, size);
     }
-    void write_atomically(const void* address)
-    {
-        finish_write();
-        if (!is_shared((uintptr_t)address))
-            return;
-        if (const Access* other = writes_.find((uintptr_t)address); other && !other->is_atomic)
-            check(*other, "atomically changes", (uintptr_t)address);
-        put((uintptr_t)address, true);
-    }
-
-private:
-    static size_t step_of(size_t size) { return size <= 8 ? size : 4; }
-    bool is_shared(uintptr_t address) const { return address - stack_ >= stack_bytes_; }
-
     // Note a write that has happened since: what it has not changed, it may have left as it was.
     void finish_write()
     {
-        if (!pending_)
-            return;
         const char* address = std::exchange(pending_, nullptr);
-        const size_t step = step_of(pending_size_);
-        for (size_t k = 0; k < pending_size_; k += step) {
-            if (memcmp(address + k, before_ + k, step) == 0)
-                continue;
-            if (const Access* other = writes_.find((uintptr_t)address + k))
-                check(*other, "writes", (uintptr_t)address + k);
-            put((uintptr_t)address + k, false);
-        }
+        const size_t step = pending_size_ <= 8 ? pending_size_ : 4;
+        for (size_t k = 0; k < pending_size_; k += step)
+            if (number_at(address + k, step) != number_at(before_ + k, step))
+                note((uintptr_t)address + k, false);
     }
-    void put(uintptr_t address, bool is_atomic)
+    static uint64_t number_at(const char* address, size_t size)
     {
-        Access write = self_;
-        write.is_atomic = is_atomic;
-        writes_.insert(address, write);
+        uint64_t number = 0;
+        if (size == 4)  // most are
+            memcpy(&number, address, 4);
+        else
+            memcpy(&number, address, size);
+        return number;
     }
-    void check(const Access& other, const char* does, uintptr_t address)
+    void note(uintptr_t address, bool is_atomic)
     {
-        if (!other.is_ordered_before(self_))
-            Failure::record("race: thread %u %s what thread %u %s, at %p", self_.thread, does, other.thread,
-                            other.is_atomic ? "changes atomically" : "writes", (void*)address);
+        bool is_known;
+        Access& last = writes_.at(address, is_known);
+        if (is_known && !(last.is_atomic && is_atomic) && !last.is_ordered_before(self_))
+            Failure::record("race: thread %u %s what thread %u %s, at %p", self_.thread,
+                            is_atomic ? "atomically changes" : "writes", last.thread,
+                            last.is_atomic ? "changes atomically" : "writes", (void*)address);
+        last = self_;
+        last.is_atomic = is_atomic;
     }
 
     Writes writes_;
