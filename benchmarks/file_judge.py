@@ -2,6 +2,7 @@
 
 import base64
 import bz2
+import contextlib
 import gzip
 import io
 import itertools
@@ -9,6 +10,7 @@ import json
 import struct
 import tarfile
 import tempfile
+import xml.etree.ElementTree as ET
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -34,7 +36,7 @@ def whole_files() -> dict[str, Files]:
     off = "\n".join(["OFF", "12 6 0", *rows, *faces, ""])
     found: dict[str, Files] = {"ascii.ply": {"a.ply": ply.encode()}, "text.off": {"a.off": off.encode()}}
     mesh = trimesh.Trimesh(VERTICES, FACES, process=False)
-    for kind in ("ply", "stl", "stl_ascii", "obj", "glb"):
+    for kind in ("ply", "stl", "stl_ascii", "obj", "glb", "3mf", "dae"):  # the last two need lxml and pycollada
         data = mesh.export(file_type=kind)
         found[f"binary.{kind}"] = {f"a.{kind[:3]}": data.encode() if isinstance(data, str) else data}
     gltf = trimesh.Scene(mesh).export(file_type="gltf", merge_buffers=True)
@@ -68,6 +70,12 @@ def _files_of_cells(folder: Path) -> dict[str, Files]:
         found[kind] = {name: (folder / name).read_bytes() for name in names}
 
     mesh = meshio.Mesh(VERTICES, [("triangle", FACES)])
+    for how in ("XML", "HDF"):
+        with contextlib.chdir(folder), meshio.xdmf.TimeSeriesWriter("series.xdmf", data_format=how) as writer:
+            writer.write_points_cells(VERTICES, [("triangle", FACES)])
+            for k in range(2):
+                writer.write_data(k, point_data={"u": VERTICES * k})
+        keep(f"series.{how}.xdmf", "series.xdmf", *(["series.h5"] if how == "HDF" else []))
     mixed = meshio.Mesh(VERTICES, [("triangle", FACES[:4]), ("quad", [[0, 5, 8, 11]])])
     for how in ("XML", "HDF"):
         for kind, cells in (("", mesh), ("mixed.", mixed)):
@@ -86,6 +94,10 @@ def _files_of_cells(folder: Path) -> dict[str, Files]:
         writer.SetEncodeAppendedData(encode)
         writer.Write()
         keep(f"{kind}.vtu", "a.vtu")
+    pieces = "".join(f'<DataSet timestep="{k}" file="{name}"/>' for k, name in enumerate(("a.vtu", "b.vtu")))
+    collection = f'<VTKFile type="Collection" version="0.1"><Collection>{pieces}</Collection></VTKFile>'
+    one, two = (found[f"{kind}.vtu"]["a.vtu"] for kind in ("ascii", "base64"))
+    found["pvd"] = {"a.pvd": collection.encode(), "a.vtu": one, "b.vtu": two}
     return found
 
 
@@ -107,6 +119,17 @@ def judged(path: Path) -> np.ndarray:
             inner.write_bytes(data)
             parts.append(judged(inner))
         return np.concatenate(parts)
+    if suffix == ".pvd":
+        entries = ET.parse(path).getroot().findall("Collection/DataSet")
+        entries.sort(key=lambda entry: float(entry.attrib["timestep"]))
+        return np.concatenate([judged(path.with_name(entry.attrib["file"])) for entry in entries])
+    if suffix in (".3mf", ".dae"):
+        return _judged_3mf(path) if suffix == ".3mf" else _judged_dae(path)
+    if path.name == "series.xdmf":
+        with meshio.xdmf.TimeSeriesReader(path) as reader:
+            points, cells = reader.read_points_cells()
+            fields = [reader.read_data(k)[1]["u"] for k in range(reader.num_steps)]
+        return np.concatenate([(points + u)[b.data].reshape(-1, 3, 3) for u in fields for b in cells])
     if suffix == ".xdmf":
         mesh = meshio.read(path)
         corners = {"triangle": [[0, 1, 2]], "quad": [[0, 1, 2], [0, 2, 3]]}
@@ -136,6 +159,52 @@ def judged(path: Path) -> np.ndarray:
     polygons = [corners[a:b] for a, b in itertools.pairwise(offsets.tolist())]
     fans = [polygon[[0, k, k + 1]] for polygon in polygons for k in range(1, len(polygon) - 1)]
     return points[np.array(fans)]
+
+
+def _judged_3mf(path: Path) -> np.ndarray:
+    """The objects of a 3MF that its build names, with their transformations."""
+    model = next(data for name, data in _members(path.read_bytes()) if name == "3D/3dmodel.model")
+    core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+    root, corners = ET.fromstring(model), []
+    objects = {entry.attrib["id"]: entry for entry in root.iter(f"{core}object")}
+    for item in root.findall(f"{core}build/{core}item"):
+        entry = objects[item.attrib["objectid"]]
+        points = [[float(vertex.attrib[axis]) for axis in "xyz"] for vertex in entry.iter(f"{core}vertex")]
+        faces = [[int(face.attrib[k]) for k in ("v1", "v2", "v3")] for face in entry.iter(f"{core}triangle")]
+        matrix = np.array((item.attrib.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split(), float).reshape(4, 3)
+        if np.min(faces) < 0:
+            raise ValueError("a vertex has a negative number")
+        corners.append((np.array(points) @ matrix[:3] + matrix[3])[np.array(faces)])
+    return np.concatenate(corners)
+
+
+def _judged_dae(path: Path) -> np.ndarray:
+    """The triangles of a COLLADA file of one geometry in one node."""
+    name = "{http://www.collada.org/2005/11/COLLADASchema}"
+    root = ET.parse(path).getroot()
+    sources = {entry.attrib["id"]: entry for entry in root.iter() if "id" in entry.attrib}
+    (mesh,) = root.iter(f"{name}mesh")
+    (node,) = root.findall(f".//{name}visual_scene/{name}node")
+    (used,) = node.findall(f"{name}instance_geometry")
+    if sources[used.attrib["url"][1:]].find(f"{name}mesh") is not mesh:
+        raise ValueError("the node shows another geometry")
+    triangles = mesh.find(f"{name}triangles")
+    inputs = triangles.findall(f"{name}input")
+    vertex = next(entry for entry in inputs if entry.attrib["semantic"] == "VERTEX")
+    vertices = sources[vertex.attrib["source"][1:]]
+    position = next(entry for entry in vertices if entry.attrib["semantic"] == "POSITION")
+    source = sources[position.attrib["source"][1:]]
+    points = np.array(source.find(f"{name}float_array").text.split(), float)
+    if len(points) != int(source.find(f"{name}float_array").attrib["count"]):
+        raise ValueError("another count of numbers")
+    indices = np.array(triangles.find(f"{name}p").text.split(), int)
+    stride = 1 + max(int(entry.attrib["offset"]) for entry in inputs)
+    corners = indices.reshape(int(triangles.attrib["count"]), 3, stride)[:, :, int(vertex.attrib["offset"])]
+    if corners.min() < 0:
+        raise ValueError("a vertex has a negative number")
+    matrix = node.find(f"{name}matrix")
+    transform = np.eye(4) if matrix is None else np.array(matrix.text.split(), float).reshape(4, 4)
+    return (points.reshape(-1, 3) @ transform[:3, :3].T + transform[:3, 3])[corners]
 
 
 def _members(data: bytes) -> Iterator[tuple[str, bytes]]:

@@ -88,8 +88,9 @@ def read(folder: Path, files: Files) -> np.ndarray | str:
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.RLIM_INFINITY))
     signal.alarm(SECONDS)
     try:
-        if path.suffix == ".npz":
-            (series,) = find_series([path], max_bytes=MAX_BYTES)
+        if path.suffix in (".npz", ".pvd") or path.name == "series.xdmf":
+            displacement = "u" if path.suffix == ".xdmf" else None
+            (series,) = find_series([path], max_bytes=MAX_BYTES, displacement=displacement)
             meshes = [series.read(k) for k in range(len(series.labels))]
         else:
             meshes = [read_mesh(path, MAX_BYTES)]

@@ -322,6 +322,14 @@ def test_gltf_reads_the_buffer_beside_it_whole_or_not_at_all(tmp_path):
 # ---- Archives --------------------------------------------------------------------------------------------------------
 
 
+def test_collada_array_of_another_length_than_it_says_is_refused(tmp_path):
+    """Three numbers less are a vertex less, and the last faces would be others; the library for it is not asked."""
+    text = '<COLLADA><float_array id="a" count="9">0 0 0 1 0 0</float_array></COLLADA>'
+    (tmp_path / "a.dae").write_text(text)
+    with pytest.raises(InputError, match=r"a\.dae: array 'a' says that it holds 9 values, not 6$"):
+        read_static(tmp_path / "a.dae")
+
+
 def test_damaged_mesh_in_an_archive_is_refused_and_not_passed_over(tmp_path):
     (tmp_path / "a.zip").write_bytes(_zipped({"whole.ply": ASCII_PLY, "cut.ply": ASCII_PLY[:-20]}))
     with pytest.raises(InputError, match=r"a\.zip, cut\.ply: "):

@@ -193,8 +193,8 @@ def test_exit_status_tells_a_script_of_a_contact(ball):
     assert _run(*arguments, "--fail-on-contact") == 1
 
 
-def test_step_is_computed_again_where_a_file_beside_its_frames_has_changed(ball, monkeypatch):
-    """The positions of a glTF lie in its buffer, and the .gltf stays as it is."""
+def _in_gltf(ball):
+    """Frames whose positions lie in a file beside each; returns what to give, and what makes the third the second."""
     for k in range(4, 8):
         mesh = trimesh.load(ball / f"ball_{k}.ply", process=False)
         files = trimesh.Scene(mesh).export(file_type="gltf", merge_buffers=True)
@@ -202,7 +202,32 @@ def test_step_is_computed_again_where_a_file_beside_its_frames_has_changed(ball,
         tree["buffers"][0]["uri"] = f"{k}.bin"
         (ball / f"{k}.bin").write_bytes(buffer)
         (ball / f"ball_{k}.gltf").write_text(json.dumps(tree))
-    given = [*sorted(ball.glob("ball_*.gltf")), "--static", ball / "floor.ply", "--quiet", "--output"]
+    return sorted(ball.glob("ball_*.gltf")), lambda: (ball / "6.bin").write_bytes((ball / "5.bin").read_bytes())
+
+
+def _in_xdmf(ball):
+    """The same as a series whose geometries lie in a binary file for each frame."""
+    item = '<DataItem DataType="{}" Precision="8" Dimensions="{} 3" Format="{}">{}</DataItem>'
+    grids = []
+    for k in range(4, 8):
+        mesh = trimesh.load(ball / f"ball_{k}.ply", process=False)
+        mesh.vertices.astype(np.float64).tofile(ball / f"{k}.bin")
+        faces = item.format("Int", len(mesh.faces), "XML", " ".join(map(str, mesh.faces.ravel())))
+        points = item.format("Float", len(mesh.vertices), "Binary", f"{k}.bin")
+        grids.append(
+            f'<Grid><Time Value="{k}"/><Topology TopologyType="Triangle" NumberOfElements="{len(mesh.faces)}">{faces}'
+            f'</Topology><Geometry GeometryType="XYZ">{points}</Geometry></Grid>'
+        )
+    series = f'<Grid GridType="Collection" CollectionType="Temporal">{"".join(grids)}</Grid>'
+    (ball / "ball.xdmf").write_text(f'<Xdmf Version="3.0"><Domain>{series}</Domain></Xdmf>')
+    return [ball / "ball.xdmf"], lambda: (ball / "6.bin").write_bytes((ball / "5.bin").read_bytes())
+
+
+@pytest.mark.parametrize("frames_in", [_in_gltf, _in_xdmf])
+def test_step_is_computed_again_where_a_file_beside_its_frames_has_changed(ball, monkeypatch, frames_in):
+    """The positions lie in files beside the one that is given, which stays as it is."""
+    frames, make_third_the_second = frames_in(ball)
+    given = [*frames, "--static", ball / "floor.ply", "--quiet", "--output"]
     solve, solved = sequence_command.solve, []
 
     def solve_and_press(*arguments, **options):
@@ -213,7 +238,7 @@ def test_step_is_computed_again_where_a_file_beside_its_frames_has_changed(ball,
 
     monkeypatch.setattr(sequence_command, "solve", solve_and_press)
     assert _run(*given, ball / "out") == 130  # the steps 4 to 5 and 5 to 6 are kept; the ball strikes in the second
-    (ball / "6.bin").write_bytes((ball / "5.bin").read_bytes())
+    make_third_the_second()
     solved.append(None)
     assert _run(*given, ball / "out") == 0
     assert len(solved) == 3 + 2  # the second step again, and the last one
