@@ -127,6 +127,7 @@ def test_damaged_type_of_cells_in_xdmf_is_refused(tmp_path, monkeypatch):
         ('DataType="Int"', 'DataType="Ynt"', "cannot be read"),
         ('DataType="Int"', 'DataTyqe="Int"', "attributes that are not read: DataTyqe"),
         ('Precision="8" Dimensions="3 3"', 'Precision="4" Dimensions="3 3"', "are 18 numbers of int32; expected 9"),
+        ('Precision="8" Dimensions="3 3"', 'Precision="b" Dimensions="3 3"', "have the precision 'b'; expected 1, 2"),
         ('NumberOfElements="3"', 'NumberOfElements="2"', "holds 3 cells, and says that it has 2"),
         ("Triangle", "Quadrilateral", r"cells of the type Quadrilateral in the shape \(3, 3\)"),
     ):

@@ -100,6 +100,16 @@ def _step(nodes, mesh):
     return x0, x1
 
 
+def test_every_edge_of_a_quad_with_repeated_corners_stays_an_obstacle():
+    """Whatever corners are one, the triangles have the edges of the polygon, and no more of them than it takes."""
+    for quad in itertools.product(range(4), repeat=4):
+        mesh = ccd.CollisionMesh.from_volume(np.eye(4)[:, :3], [("quad", [quad])])
+        faces = [set(face) for face in mesh.faces.tolist()]
+        assert len(faces) == 1 or not (faces[0] <= faces[1] or faces[1] <= faces[0]), quad
+        for edge in zip(quad, np.roll(quad, 1), strict=True):
+            assert any({*edge} <= face for face in faces), quad
+
+
 def test_all_nodes_go_in_and_out_and_those_inside_meet_nothing(bar):
     """Every answer is that of the surface alone, whose vertices have numbers of their own."""
     nodes, cells = bar

@@ -322,11 +322,19 @@ def test_gltf_reads_the_buffer_beside_it_whole_or_not_at_all(tmp_path):
 # ---- Archives --------------------------------------------------------------------------------------------------------
 
 
-def test_collada_array_of_another_length_than_it_says_is_refused(tmp_path):
-    """Three numbers less are a vertex less, and the last faces would be others; the library for it is not asked."""
-    text = '<COLLADA><float_array id="a" count="9">0 0 0 1 0 0</float_array></COLLADA>'
-    (tmp_path / "a.dae").write_text(text)
-    with pytest.raises(InputError, match=r"a\.dae: array 'a' says that it holds 9 values, not 6$"):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<float_array id="a" count="9">0 0 0 1 0 0</float_array>', "float_array 'a' holds 6 values; it says 9"),
+        ('<triangles count="1"><input offset="1"/><p>0 1 2</p></triangles>', "triangles '' holds 3 indices; it says 6"),
+        ('<polylist count="2"><vcount>4</vcount><p>0 1 2 3</p></polylist>', "polylist '' holds 1 polygons; it says 2"),
+        ('<polylist count="1"><vcount>4</vcount><p>0 1 2</p></polylist>', "polylist '' holds 3 indices; it says 4"),
+    ],
+)
+def test_collada_whose_counts_do_not_agree_is_refused(tmp_path, text, message):
+    """Three numbers less are a vertex less, and an input less makes other faces; what reads COLLADA is not asked."""
+    (tmp_path / "a.dae").write_text(f"<COLLADA>{text}</COLLADA>")
+    with pytest.raises(InputError, match=rf"a\.dae: {message}$"):
         read_static(tmp_path / "a.dae")
 
 

@@ -2,7 +2,6 @@
 
 import io
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -13,6 +12,7 @@ import numpy as np
 
 from ccd_warp._files.archive import ARCHIVES, archive_end, unpack
 from ccd_warp._files.cells import Grid, displaced, reading, triangles
+from ccd_warp._files.collada import check_collada
 from ccd_warp._files.gltf import check_glb, check_gltf
 from ccd_warp._files.obj import read_obj
 from ccd_warp._files.off import read_off
@@ -226,21 +226,13 @@ def _read_with_trimesh(name: str, suffix: str, data: bytes, resolver: Any, max_b
         case ".3mf":
             unpack(name, data, max_bytes)
         case ".dae":
-            _check_counts(data)
+            check_collada(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # `process` would merge and drop vertices; the other two keep textures from causing the same.
         keep: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
         scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=resolver, **keep)
         return _flatten(scene)
-
-
-def _check_counts(data: bytes) -> None:
-    """Refuse a COLLADA file that is cut, or an array of which does not hold as many values as it says."""
-    for array in ET.fromstring(data).iter():
-        count = len((array.text or "").split())
-        if str(array.tag).endswith("_array") and array.get("count") != str(count):
-            raise InputError(f"array {array.get('id')!r} says that it holds {array.get('count')} values, not {count}")
 
 
 def _flatten(scene: Any) -> list[Part]:

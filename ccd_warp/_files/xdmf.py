@@ -138,6 +138,8 @@ class Xdmf:
             raise InputError(f"are {stated} of shape {shape}; expected {expected}: {CUT}")
         count, text, how = math.prod(shape), (item.text or "").strip(), item.get("Format")
         check_size("the array", 8 * count, max(self.max_bytes, PLAIN_BYTES))
+        if item.get("Precision", "8") not in ("1", "2", "4", "8"):
+            raise InputError(f"have the precision {item.get('Precision')!r}; expected 1, 2, 4 or 8: {CUT}")
         if how == "XML":
             values = all_numbers(text.encode(), float if kind == "f" else int)
         elif how == "Binary":

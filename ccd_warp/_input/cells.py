@@ -144,11 +144,12 @@ def surface_of(
 
 
 def _triangles(sides: _Integers) -> _Integers:
-    """Two triangles of each side, one where the other repeats a corner because the side has three."""
-    triangles = sides[:, [[0, 1, 2], [0, 2, 3]]]
-    is_whole = (triangles != np.roll(triangles, 1, axis=2)).all(axis=2)
-    is_whole[:, 0] |= ~is_whole[:, 1]
-    kept: _Integers = triangles[is_whole]
+    """Two triangles of each side, one where the other has all corners, because the side has three or fewer."""
+    first, second = sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]
+    is_same = first[:, :, None] == second[:, None, :]
+    has_second = ~is_same.any(axis=1).all(axis=1)
+    has_first = ~is_same.any(axis=2).all(axis=1) | ~has_second
+    kept: _Integers = np.stack([first, second], axis=1)[np.stack([has_first, has_second], axis=1)]
     return kept
 
 
