@@ -23,7 +23,6 @@ from .simd import (
     Lanes,
     Mask,
     Vec3,
-    both,
     cross,
     dot,
     greatest,
@@ -53,14 +52,14 @@ tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
 @simd.func
 def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
     """Upper bound of the rounding errors and the distance along d (rounding, steps 6 and 13)."""
-    return (dot(magnitude(d), error) + norm.support(separation, d)) * spread(round_up)
+    return (dot(magnitude(d), error) + norm.support(separation, d)) * round_up
 
 
 @simd.func
 def with_largest_one(d: Vec3) -> Vec3:
     """A direction with its largest component at about one; no number where it vanishes, which proves nothing."""
     m = magnitude(d)
-    return (spread(one) / greatest(m.x, greatest(m.y, m.z))) * d
+    return (one / greatest(m.x, greatest(m.y, m.z))) * d
 
 
 @simd.func
@@ -69,11 +68,11 @@ def is_in_ball(x: Vec3, slack: Vec3, radius: Vec3) -> Mask:
     nothing = spread(zero)
     m = magnitude(x)
     y = vec(
-        greatest(m.x - slack.x, nothing) / (radius.x + spread(tiny)),
-        greatest(m.y - slack.y, nothing) / (radius.y + spread(tiny)),
-        greatest(m.z - slack.z, nothing) / (radius.z + spread(tiny)),
+        greatest(m.x - slack.x, nothing) / (radius.x + tiny),
+        greatest(m.y - slack.y, nothing) / (radius.y + tiny),
+        greatest(m.z - slack.z, nothing) / (radius.z + tiny),
     )
-    return is_at_most(dot(y, y), spread(one))
+    return is_at_most(dot(y, y), one)
 
 
 @simd.func
@@ -102,9 +101,9 @@ class Turn:
 @simd.func
 def chosen(turn: Turn, c: Corners) -> Vec3:
     """The side of each lane."""
-    e = select(is_less(turn.number, spread(one)), side_of(c, 0), side_of(c, 1))
+    e = select(is_less(turn.number, one), side_of(c, 0), side_of(c, 1))
     if turn.is_face:
-        e = select(is_at_most(spread(two), turn.number), side_of(c, 2), e)
+        e = select(is_at_most(two, turn.number), side_of(c, 2), e)
     return e
 
 
@@ -120,8 +119,8 @@ def consider(turn: Turn, number: int, e: Vec3, d: Vec3) -> Turn:
     size = dot(e, e)
     along = dot(d, e)
     share = along * along
-    is_better = both(is_less(spread(tiny), size), is_less(share * turn.size, turn.share * size))
-    turn.number = select(is_better, spread(real(number)), turn.number)
+    is_better = is_less(tiny, size) & is_less(share * turn.size, turn.share * size)
+    turn.number = select(is_better, real(number), turn.number)
     turn.share = select(is_better, share, turn.share)
     turn.size = select(is_better, size, turn.size)
     return turn
@@ -158,9 +157,9 @@ def share_along(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
     """Lower bound of the distance along one direction, as a share of the separation."""
     d = with_largest_one(d)
     along = norm.support(separation, d)
-    counts = both(is_at_most(spread(tiny_direction), norm.length(d)), is_less(spread(zero), along))
-    share = (beyond(d, c) - dot(magnitude(d), error) * spread(round_up)) / along
-    return select(counts, share, spread(zero))
+    counts = is_at_most(tiny_direction, norm.length(d)) & is_less(zero, along)
+    share = (beyond(d, c) - dot(magnitude(d), error) * round_up) / along
+    return select(counts, share, zero)
 
 
 @wp.func

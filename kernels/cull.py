@@ -27,10 +27,8 @@ from .simd import (
     Mask,
     Vec3,
     bits_of,
-    both,
     cross,
     dot,
-    either,
     greatest,
     is_less,
     magnitude,
@@ -70,7 +68,7 @@ if is_thick:
     @simd.func
     def with_one(separation: Separation) -> Lanes:
         """One more than the separation."""
-        return spread(_ONE) + separation
+        return _ONE + separation
 
     @simd.func
     def enlarged(separation: Separation) -> Separation:
@@ -116,7 +114,7 @@ def is_free_by_volume(c0: Corners, c1: Corners, separation: Separation, is_eucli
         if is_euclidean != 0:
             # the length of the normal at any time is at most those of its coefficients (rounding, step 13)
             squared = greatest(greatest(dot(n0, n0), dot(n1, n1)), _QUARTER * dot(nm, nm))
-            longest = square_root(squared + spread(_SQUARE_UNDERFLOW)) + _NORMAL * (n.x + n.y + n.z)
+            longest = square_root(squared + _SQUARE_UNDERFLOW) + _NORMAL * (n.x + n.y + n.z)
             bound = bound + enlarged(separation) * longest
         else:
             # |n_k| of the normal at any time is at most n_k, so this bounds the sum of separation and rounding
@@ -130,14 +128,14 @@ def is_free_by_volume(c0: Corners, c1: Corners, separation: Separation, is_eucli
         b1 = t0
         b2 = s * t0 + t_end * t1
         b3 = s * b2 + t_end * (s * t1 + t_end * t2)
-    is_negative = is_less(b0, spread(_ZERO))
+    is_negative = is_less(b0, _ZERO)
     b1 = select(is_negative, minus(b1), b1)
     b2 = select(is_negative, minus(b2), b2)
     b3 = select(is_negative, minus(b3), b3)
-    beyond = both(is_less(bound, magnitude(b0)), is_less(bound, b1))
-    beyond = both(beyond, both(is_less(bound, b2), is_less(bound, b3)))
+    beyond = is_less(bound, magnitude(b0)) & is_less(bound, b1)
+    beyond = beyond & is_less(bound, b2) & is_less(bound, b3)
     limit = spread(_LARGEST)
-    return both(beyond, both(is_less(size, limit), is_less(bound, limit)))
+    return beyond & is_less(size, limit) & is_less(bound, limit)
 
 
 @simd.func
@@ -161,7 +159,7 @@ def is_free_along(
 ) -> Mask:
     """Whether all corners stay on one side of the origin along d (rounding, step 11)."""
     m = magnitude(d)
-    bound = _SIDES * dot(m, size) + spread(_SIDES_UNDERFLOW)
+    bound = _SIDES * dot(m, size) + _SIDES_UNDERFLOW
     if has_separation(separation):
         if is_euclidean != 0:
             bound = bound + enlarged(separation) * length(d)
@@ -169,17 +167,17 @@ def is_free_along(
             bound = bound + enlarged(separation) * (m.x + m.y + m.z)
     a = dot(d, c0.w00)
     # turned to the side of the first corner
-    d = select(is_less(a, spread(_ZERO)), minus(d), d)
+    d = select(is_less(a, _ZERO), minus(d), d)
     a = magnitude(a)
-    beyond = both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w00), t_end)))
+    beyond = is_less(bound, a) & is_less(bound, later(a, dot(d, c1.w00), t_end))
     a = dot(d, c0.w01)
-    beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w01), t_end))))
+    beyond = beyond & is_less(bound, a) & is_less(bound, later(a, dot(d, c1.w01), t_end))
     a = dot(d, c0.w10)
-    beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w10), t_end))))
+    beyond = beyond & is_less(bound, a) & is_less(bound, later(a, dot(d, c1.w10), t_end))
     if not is_triangle:
         a = dot(d, c0.w11)
-        beyond = both(beyond, both(is_less(bound, a), is_less(bound, later(a, dot(d, c1.w11), t_end))))
-    return both(beyond, is_less(bound, spread(_LARGEST)))
+        beyond = beyond & is_less(bound, a) & is_less(bound, later(a, dot(d, c1.w11), t_end))
+    return beyond & is_less(bound, _LARGEST)
 
 
 @simd.func
@@ -195,11 +193,9 @@ def is_free_by_sides(
     if not is_triangle:
         size = greatest(size, greatest(magnitude(c0.w11), magnitude(c1.w11)))
     free = is_free_along(cross(n, c0.q), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
-    free = either(free, is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end))
+    free = free | is_free_along(cross(n, c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
     if is_triangle:
-        free = either(
-            free, is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
-        )
+        free = free | is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
     return free
 
 

@@ -18,22 +18,7 @@ from .moving_clip import clip_along
 from .parameters import real
 from .patch import Corners, beyond, num_sides, side_of
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import (
-    Lanes,
-    Mask,
-    Vec3,
-    both,
-    cross,
-    dot,
-    greatest,
-    is_at_most,
-    is_less,
-    magnitude,
-    minus,
-    select,
-    spread,
-    vec,
-)
+from .simd import Lanes, Mask, Vec3, cross, dot, greatest, is_at_most, is_less, magnitude, minus, select, spread, vec
 
 zero = wp.constant(real(0.0))
 one = wp.constant(real(1.0))
@@ -68,19 +53,19 @@ def axis_of(axis: int) -> Vec3:
 @simd.func
 def is_first_side(number: Lanes) -> Mask:
     """Whether a facet is of the first side, or an axis."""
-    return is_less(number, spread(six))
+    return is_less(number, six)
 
 
 @simd.func
 def is_third_side(number: Lanes) -> Mask:
     """Whether a facet is of the third side."""
-    return is_at_most(spread(nine), number)
+    return is_at_most(nine, number)
 
 
 @simd.func
 def is_axis(number: Lanes) -> Mask:
     """Whether a facet is an axis."""
-    return is_less(number, spread(three))
+    return is_less(number, three)
 
 
 @simd.func
@@ -96,16 +81,16 @@ def direction(number: Lanes, c: Corners) -> Vec3:
     nothing = spread(zero)
     s = chosen_side(number, c)
     of_others = select(is_third_side(number), spread(nine), spread(six))
-    of_sides = select(is_first_side(number), spread(three), of_others)
+    of_sides = select(is_first_side(number), three, of_others)
     axis = number - select(is_axis(number), nothing, of_sides)
-    is_x = is_less(axis, spread(one))
-    is_z = is_at_most(spread(two), axis)
+    is_x = is_less(axis, one)
+    is_z = is_at_most(two, axis)
     x = select(is_x, nothing, select(is_z, s.y, minus(s.z)))
     y = select(is_x, s.z, select(is_z, minus(s.x), nothing))
     z = select(is_x, minus(s.y), select(is_z, nothing, s.x))
-    e_x = select(is_x, spread(one), nothing)
-    e_z = select(is_z, spread(one), nothing)
-    return select(is_axis(number), vec(e_x, spread(one) - e_x - e_z, e_z), vec(x, y, z))
+    e_x = select(is_x, one, nothing)
+    e_z = select(is_z, one, nothing)
+    return select(is_axis(number), vec(e_x, one - e_x - e_z, e_z), vec(x, y, z))
 
 
 @simd.func
@@ -113,16 +98,16 @@ def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, e
     """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
     m = magnitude(d)
     size = m.x + m.y + m.z
-    counts = is_less(spread(tiny_direction), size)
+    counts = is_less(tiny_direction, size)
     gap = beyond(d, c) - dot(m, separation)
-    excess = gap - spread(floor_errors) * dot(m, error)
+    excess = gap - floor_errors * dot(m, error)
     facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
     if number >= 0:
         # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
         slack = gap / size
-        is_wider = both(counts, is_less(facet.slack + spread(one_percent) * magnitude(facet.slack), slack))
+        is_wider = counts & is_less(facet.slack + one_percent * magnitude(facet.slack), slack)
         facet.slack = select(is_wider, slack, facet.slack)
-        facet.number = select(is_wider, spread(real(number)), facet.number)
+        facet.number = select(is_wider, real(number), facet.number)
     return facet
 
 
@@ -148,9 +133,9 @@ def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lane
     """Lower bound of the gap along one direction, as a share of the separation along it."""
     m = magnitude(d)
     along = dot(m, separation)
-    counts = both(is_less(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z))), is_less(spread(zero), along))
-    share = (beyond(d, c) - dot(m, error) * spread(round_up)) / along
-    return select(counts, share, spread(zero))
+    counts = is_less(tiny_direction, greatest(m.x, greatest(m.y, m.z))) & is_less(zero, along)
+    share = (beyond(d, c) - dot(m, error) * round_up) / along
+    return select(counts, share, zero)
 
 
 @wp.func
@@ -169,7 +154,7 @@ def start_gap_share(c: Corners, is_face: bool, separation: Vec3, error: Vec3) ->
 @simd.func
 def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
     """Upper bound of the rounding errors and the separation along d (rounding, step 6)."""
-    return dot(magnitude(d), separation + error) * spread(round_up)
+    return dot(magnitude(d), separation + error) * round_up
 
 
 clip_facet = clip_along(Lanes, direction, offset)

@@ -12,21 +12,7 @@ from . import simd
 from .parameters import real
 from .patch import Corners
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import (
-    Lanes,
-    Vec3,
-    both,
-    dot,
-    either,
-    greatest,
-    is_at_most,
-    is_less,
-    least,
-    magnitude,
-    opposite,
-    select,
-    spread,
-)
+from .simd import Lanes, Vec3, dot, greatest, is_at_most, is_less, least, magnitude, opposite, select
 
 minus_one = wp.constant(real(-1.0))
 two = wp.constant(real(2.0))
@@ -38,7 +24,7 @@ tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
 @simd.func
 def offset(d: Vec3, margin: Vec3) -> Lanes:
     """Upper bound of the exact Σ|d_k|·margin_k (rounding, step 6); the margin is E + separation."""
-    return dot(magnitude(d), margin) * spread(round_up)
+    return dot(magnitude(d), margin) * round_up
 
 
 @simd.func
@@ -51,11 +37,11 @@ def clip_corner(a: Lanes, b: Lanes, off: Lanes, t: Lanes) -> Lanes:
     is_beyond_t0 = is_less(off, a)
     is_beyond_t1 = is_less(off, b)
     crossing = (a - off) / (a - b)
-    has_entered = is_less(crossing * spread(round_up), t)
-    stays = both(is_beyond_t1, either(is_beyond_t0, has_entered))
-    leaves = both(is_beyond_t0, opposite(is_beyond_t1))
-    s = select(leaves, least(spread(two), crossing * spread(round_down)), spread(minus_one))
-    return select(stays, spread(two), s)
+    has_entered = is_less(crossing * round_up, t)
+    stays = is_beyond_t1 & (is_beyond_t0 | has_entered)
+    leaves = is_beyond_t0 & opposite(is_beyond_t1)
+    s = select(leaves, least(two, crossing * round_down), minus_one)
+    return select(stays, two, s)
 
 
 @simd.func
@@ -70,8 +56,8 @@ def clip_beyond(d: Vec3, off: Lanes, t: Lanes, t0: Corners, t1: Corners, is_tria
     if not is_triangle:
         s = least(s, clip_corner(dot(d, t0.w11), dot(d, t1.w11), off, t))
     m = magnitude(d)
-    can_prove = is_at_most(spread(tiny_direction), greatest(m.x, greatest(m.y, m.z)))
-    return select(both(can_prove, is_less(t, s)), s, t)
+    can_prove = is_at_most(tiny_direction, greatest(m.x, greatest(m.y, m.z)))
+    return select(can_prove & is_less(t, s), s, t)
 
 
 @simd.func

@@ -25,9 +25,7 @@ from .simd import (
     Mask,
     Vec3,
     bits_of,
-    both,
     dot,
-    either,
     greatest,
     is_at_most,
     is_less,
@@ -87,7 +85,7 @@ def needs_facets(n: LanePair, volume: Volume) -> Mask:
     needs = volume.is_flat
     if wp.static(with_facets):
         # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
-        needs = either(needs, opposite(is_within(n.separation, spread(box_errors) * n.error)))
+        needs = needs | opposite(is_within(n.separation, box_errors * n.error))
     return needs
 
 
@@ -119,18 +117,18 @@ def turn(n: LanePair, c: Corners, is_face: bool, t: Lanes, end: Lanes) -> LaneTu
     r = LaneTurn()
     facet = widest_facet(c, n.separation, n.error, is_face)
     s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
-    r.t = select(is_less(spread(zero), facet.slack), s, t)
+    r.t = select(is_less(zero, facet.slack), s, t)
     r.gap = facet.slack * facet.slack
     r.number = facet.number
-    r.at_floor = is_at_most(facet.floor_excess, spread(zero))
+    r.at_floor = is_at_most(facet.floor_excess, zero)
     return r
 
 
 @simd.func
 def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
     """The point of a patch with given weights."""
-    cu = spread(one) - u
-    cv = spread(one) - v
+    cu = one - u
+    cv = one - v
     return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
 
 
@@ -169,11 +167,11 @@ def advance_round(
         moving = reached.open
         while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
             s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
-            free = either(free, both(moving, now_free))
-            gains = is_less(spread(settled), s - t)
+            free = free | (moving & now_free)
+            gains = is_less(settled, s - t)
             t = select(moving, s, t)
             x = select(moving, next_x, x)
-            moving = both(moving, both(gains, opposite(now_free)))
+            moving = moving & gains & opposite(now_free)
             steps += 1
         is_settled = opposite(moving)
     else:
@@ -181,24 +179,24 @@ def advance_round(
         for _ in range(_VOLUME_CLIPS):
             last = t
             t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
-            free = either(free, now_free)
-            if bits_of(both(reached.open, opposite(free))) == _NONE:
+            free = free | now_free
+            if bits_of(reached.open & opposite(free)) == _NONE:
                 break
-        is_settled = is_at_most(t - last, spread(settled))
+        is_settled = is_at_most(t - last, settled)
     r = reached
-    still_open = both(reached.open, opposite(free))
+    still_open = reached.open & opposite(free)
     if bits_of(still_open) == _NONE:
         # the volume alone has settled all lanes
         r.free = reached.open
         r.contact = still_open
         r.open = still_open
-        r.iterations = select(reached.open, reached.iterations + spread(one), reached.iterations)
+        r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
         return r
     c = corners_at(n.t0, n.t1, t)
     near = closest(c, is_triangle)
     # a smaller gap may consist of rounding errors only
-    floor = spread(floor_errors) * n.error
-    near_floor = spread(stall_errors) * n.error
+    floor = floor_errors * n.error
+    near_floor = stall_errors * n.error
     if wp.static(is_euclidean):
         d = with_largest_one(near.d)
         s = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_triangle)
@@ -206,7 +204,7 @@ def advance_round(
         is_near = is_in_ball(near.d, near_floor, n.separation)
         gap = length(near.d) - n.separation.x
         gap = gap * gap
-        turns = both(both(still_open, is_at_most(s, end)), opposite(at_floor))
+        turns = still_open & is_at_most(s, end) & opposite(at_floor)
         if bits_of(turns) != _NONE:
             velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
             s = select(turns, greatest(s, clip_ahead(n, c, near.d, velocity, is_triangle, t, end)), s)
@@ -222,16 +220,16 @@ def advance_round(
         s = clip(near.d, margin, t, n.t0, n.t1, is_triangle)
     number = spread(zero)
     if wp.static(with_facets and not is_euclidean):
-        turns = both(still_open, needs_facets(n, volume))
+        turns = still_open & needs_facets(n, volume)
         if bits_of(turns) != _NONE:
             turned = turn(n, c, is_triangle, t, end)
             number = select(turns, turned.number, number)
             s = select(turns, greatest(s, turned.t), s)
-            at_floor = either(both(turns, turned.at_floor), both(opposite(turns), at_floor))
+            at_floor = (turns & turned.at_floor) | (opposite(turns) & at_floor)
             gap = select(turns, turned.gap, gap)
-    has_stalled = both(is_at_most(spread(patience), reached.slow), is_near)
-    claims = either(both(at_floor, is_settled), has_stalled)
-    free = either(free, is_less(end, s))
+    has_stalled = is_at_most(patience, reached.slow) & is_near
+    claims = (at_floor & is_settled) | has_stalled
+    free = free | is_less(end, s)
     point = near.point
     size = floor + n.delta
     is_in_box = is_within(point, size)
@@ -241,23 +239,23 @@ def advance_round(
     if wp.static(with_facets and not is_euclidean):
         # of a patch at the corner of a separation box another point may touch than the closest one
         has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
-        others = both(both(both(still_open, claims), has_box), opposite(either(is_in_box, free)))
+        others = still_open & claims & has_box & opposite(is_in_box | free)
         if bits_of(others) != _NONE:
             point = select(others, touching_point(n.separation, c, number, near.point, size, is_triangle), point)
             is_in_box = is_within(point, size)
-    contact = both(still_open, both(both(claims, is_in_box), opposite(free)))
-    r.iterations = select(reached.open, reached.iterations + spread(one), reached.iterations)
+    contact = still_open & claims & is_in_box & opposite(free)
+    r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
     r.u = select(contact, near.u, reached.u)
     r.v = select(contact, near.v, reached.v)
     r.point = select(contact, point, reached.point)
-    is_small = is_less(s - begin, spread(quarter) * (end - begin))
-    is_slow = both(is_small, is_less(spread(quarter) * reached.gap, gap))
-    r.slow = select(is_slow, reached.slow + spread(one), reached.slow)
+    is_small = is_less(s - begin, quarter * (end - begin))
+    is_slow = is_small & is_less(quarter * reached.gap, gap)
+    r.slow = select(is_slow, reached.slow + one, reached.slow)
     r.gap = gap
     r.t = select(reached.open, select(contact, t, s), reached.t)
-    r.free = both(reached.open, free)
+    r.free = reached.open & free
     r.contact = contact
     # a lane that gains nothing needs other tools
-    goes_on = both(is_less(begin, s), opposite(either(free, contact)))
-    r.open = both(reached.open, goes_on)
+    goes_on = is_less(begin, s) & opposite(free | contact)
+    r.open = reached.open & goes_on
     return r

@@ -10,7 +10,7 @@ from . import simd
 from .parameters import real
 from .patch import Corners
 from .rounding import TINY, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, both, cross, dot, either, greatest, is_at_most, is_less, least, minus, select, spread
+from .simd import Lanes, Vec3, cross, dot, greatest, is_at_most, is_less, least, minus, select, spread
 
 tiny = wp.constant(real(TINY[real]))
 quarter = wp.constant(real(0.25))
@@ -32,7 +32,7 @@ class LaneClosest:
 @simd.func
 def unit_interval(x: Lanes) -> Lanes:
     """x clamped to [0, 1], 0 for NaN."""
-    return least(greatest(x, spread(zero)), spread(one))
+    return least(greatest(x, zero), one)
 
 
 @simd.func
@@ -50,8 +50,8 @@ def closest_in_triangle(a: Vec3, ab: Vec3, ac: Vec3):
     det = bb * cc - bc * bc
     v = d1 * cc - d2 * bc
     u = d2 * bb - d1 * bc
-    inside = both(is_less(nothing, v), both(is_less(nothing, u), is_less(u + v, det)))
-    inside = both(inside, is_less(spread(tiny), det))  # beside it the quotients overflow
+    inside = is_less(nothing, v) & is_less(nothing, u) & is_less(u + v, det)
+    inside = inside & is_less(tiny, det)  # beside it the quotients overflow
     # squared distance of a + s·e, less that of a
     sb = unit_interval(d1 / bb)
     qb = sb * (sb * bb - (d1 + d1))
@@ -69,10 +69,10 @@ def closest_in_triangle(a: Vec3, ab: Vec3, ac: Vec3):
     side_u = select(nearer, sc, side_u)
     q = select(nearer, qc, q)
     nearer = is_less(qe, q)
-    side_v = select(nearer, spread(one) - se, side_v)
+    side_v = select(nearer, one - se, side_v)
     side_u = select(nearer, se, side_u)
     e = select(nearer, ac - ab, select(is_less(nothing, side_u), ac, ab))
-    inverse = spread(one) / det
+    inverse = one / det
     return select(inside, v * inverse, side_v), select(inside, u * inverse, side_u), inside, e
 
 
@@ -89,9 +89,9 @@ def closest_in_parallelogram(a: Vec3, ab: Vec3, ac: Vec3):
     v = unit_interval((d1 * cc - d2 * bc) / det)
     u = unit_interval((d2 - bc * v) / cc)
     v = unit_interval((d1 - bc * u) / bb)
-    inner_v = both(is_less(nothing, v), is_less(v, spread(one)))
-    inner_u = both(is_less(nothing, u), is_less(u, spread(one)))
-    return v, u, both(inner_v, inner_u), select(inner_v, ab, ac)
+    inner_v = is_less(nothing, v) & is_less(v, one)
+    inner_u = is_less(nothing, u) & is_less(u, one)
+    return v, u, inner_v & inner_u, select(inner_v, ab, ac)
 
 
 @simd.func
@@ -109,19 +109,19 @@ def closest(c: Corners, is_triangle: bool) -> LaneClosest:
         v, u, inside, e = closest_in_parallelogram(c.w00, ab, ac)
         r.u = u
         r.v = v
-        cu = spread(one) - u
-        cv = spread(one) - v
+        cu = one - u
+        cv = one - v
         r.point = cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
     # keep the direction where the gap is far smaller than the patch: orthogonal to the side, or to both
     normal = cross(ab, ac)
     along_normal = (dot(normal, c.w00) / dot(normal, normal)) * normal
-    along_side = r.point - (dot(r.point, e) / (dot(e, e) + spread(tiny))) * e
+    along_side = r.point - (dot(r.point, e) / (dot(e, e) + tiny)) * e
     # of a sliver the weights, or the normal, may be rounding only: then the point is not the foot of the normal
     off = r.point - along_normal
     size = dot(c.w00, c.w00) + dot(ab, ab) + dot(ac, ac)
-    trusted = spread(quarter) * dot(along_normal, along_normal) + spread(rounding) * size
-    inside = both(inside, is_at_most(dot(off, off), trusted))
-    is_corner = either(is_at_most(r.u, spread(zero)), is_at_most(spread(one), r.u))
-    is_corner = both(is_corner, either(is_at_most(r.v, spread(zero)), is_at_most(spread(one), r.v)))
+    trusted = quarter * dot(along_normal, along_normal) + rounding * size
+    inside = inside & is_at_most(dot(off, off), trusted)
+    is_corner = is_at_most(r.u, zero) | is_at_most(one, r.u)
+    is_corner = is_corner & (is_at_most(r.v, zero) | is_at_most(one, r.v))
     r.d = select(inside, along_normal, select(is_corner, r.point, along_side))
     return r

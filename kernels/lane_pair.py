@@ -152,26 +152,26 @@ def normalised(c: Corners64, s: simd64.Vec3) -> Corners:
     return r
 
 
-@wp.func
+@simd64.func
 def is_finite(sums: simd64.Vec3) -> wp.uint32:
     """Bits of the lanes whose differences neither overflow nor hold NaN."""
     limit = simd64.spread(LARGEST)
-    fits = simd64.both(simd64.is_at_most(sums.x, limit), simd64.is_at_most(sums.y, limit))
-    return simd64.bits_of(simd64.both(fits, simd64.is_at_most(sums.z, limit)))
+    fits = simd64.is_at_most(sums.x, limit) & simd64.is_at_most(sums.y, limit)
+    return simd64.bits_of(fits & simd64.is_at_most(sums.z, limit))
 
 
 @simd64.func
 def capped(length: simd64.Lanes, s: simd64.Lanes) -> simd64.Lanes:
     """A length in normalised units; corners are below 4, so anything larger has the effect of `_FAR`."""
-    return simd64.least(length * s, simd64.spread(_FAR))
+    return simd64.least(length * s, _FAR)
 
 
 @simd.func
 def with_bounds(n: LanePair, size: Vec3, separation: Vec3, delta: Vec3) -> LanePair:
     """Set the rounding bound of a projection, the separation and the largest gap that counts as contact."""
     least_error = spread(tiny)
-    n.error = spread(root_bound) * size + vec(least_error, least_error, least_error)
-    n.separation = spread(round_up) * separation
+    n.error = root_bound * size + vec(least_error, least_error, least_error)
+    n.separation = round_up * separation
     n.delta = delta + n.error + n.error
     return n
 
@@ -196,8 +196,8 @@ def scaled_pair(
     )
     # a separation that is cut is left to the solver for single pairs
     far = simd64.spread(_FAR)
-    is_cut = simd64.either(simd64.is_at_most(far, separation.x), simd64.is_at_most(far, separation.y))
-    n.is_valid = n.is_valid & ~simd64.bits_of(simd64.either(is_cut, simd64.is_at_most(far, separation.z)))
+    is_cut = simd64.is_at_most(far, separation.x) | simd64.is_at_most(far, separation.y)
+    n.is_valid = n.is_valid & ~simd64.bits_of(is_cut | simd64.is_at_most(far, separation.z))
     delta = simd64.vec(capped(delta_length, s.x), capped(delta_length, s.y), capped(delta_length, s.z))
     return with_bounds(n, narrowed(simd64.scaled(m, s)), narrowed(separation), narrowed(delta))
 
@@ -212,7 +212,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     scale = simd64.spread(options.length_scale)
     if options.length_scale <= wp.float64(0.0):
         scale = longest_side(points_t0, points_t1)
-        n.is_valid = n.is_valid & simd64.bits_of(simd64.is_at_most(scale, simd64.spread(LARGEST)))
+        n.is_valid = n.is_valid & simd64.bits_of(simd64.is_at_most(scale, LARGEST))
     limit = simd64.spread(LARGEST)
     delta_length = simd64.least(options.tolerance * scale, limit)
     if wp.static(has_own):
@@ -222,11 +222,11 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     m = simd64.greatest(largest(c0), largest(c1))
     most = simd64.greatest(m.x, simd64.greatest(m.y, m.z))
     if wp.static(has_own):
-        separation_length = simd64.greatest(separation_length - options.margin * most, simd64.spread(wp.float64(0.0)))
+        separation_length = simd64.greatest(separation_length - options.margin * most, wp.float64(0.0))
     if wp.static(is_euclidean):
         # a length, and one scale for all axes, so that the ball stays a ball
         if wp.static(not has_own):
-            separation_length = simd64.least(simd64.spread(options.minimum_separation), limit)
+            separation_length = simd64.least(options.minimum_separation, limit)
         shared = inverse_power_of_two(simd64.greatest(most, delta_length))
         return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation_length, delta_length)
     # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance

@@ -69,7 +69,7 @@ else:
 @simd.func
 def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
     """Upper bound of a coordinate of a point beyond the separation."""
-    return magnitude(size) + spread(three) * error - spread(round_down) * separation
+    return magnitude(size) + three * error - round_down * separation
 
 
 # not out of line for plain numbers: on CUDA the later rounds have a kernel of their own, and a call passes structs
@@ -77,8 +77,8 @@ def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
 @(simd.rare if width > 1 else simd.func)
 def with_start_gap(n: LanePair, is_face: bool, fraction: real) -> LanePair:
     """Reduce the separation to a fraction of the gap at the start, where that is smaller."""
-    share = spread(fraction) * start_gap_share(n.t0, is_face, n.separation, n.error)
-    share = least(greatest(share, spread(real(0.0))) * spread(round_down), spread(real(1.0)))
+    share = fraction * start_gap_share(n.t0, is_face, n.separation, n.error)
+    share = least(greatest(share, real(0.0)) * round_down, real(1.0))
     n.separation = share * n.separation
     return n
 
@@ -97,13 +97,13 @@ def make_solve(with_facets: bool):
             x64 = widened(beyond(reached.point.x, n.error.x, nothing))
             y64 = widened(beyond(reached.point.y, n.error.y, nothing))
             z64 = widened(beyond(reached.point.z, n.error.z, nothing))
-            all64 = length64(simd64.vec(x64, y64, z64)) * simd64.spread(length_up)
-            more = all64 - widened(n.separation.x) * simd64.spread(slack_down)
-            return simd64.greatest(more * simd64.spread(length_up), simd64.spread(wp.float64(0.0))) * n.unit.x
+            all64 = length64(simd64.vec(x64, y64, z64)) * length_up
+            more = all64 - widened(n.separation.x) * slack_down
+            return simd64.greatest(more * length_up, wp.float64(0.0)) * n.unit.x
         x = widened(beyond(reached.point.x, n.error.x, n.separation.x)) * n.unit.x
         y = widened(beyond(reached.point.y, n.error.y, n.separation.y)) * n.unit.y
         z = widened(beyond(reached.point.z, n.error.z, n.separation.z)) * n.unit.z
-        return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, simd64.spread(wp.float64(0.0))))
+        return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
 
     @wp.func
     def solve(
@@ -134,7 +134,7 @@ def make_solve(with_facets: bool):
             answer.free = answer.free | bits_of(reached.free)
             answer.contact = answer.contact | bits_of(reached.contact)
             # what is free up to the bound needs no better answer
-            open = bits_of(reached.open) & simd64.bits_of(simd64.is_less(widened(reached.t), simd64.spread(bound)))
+            open = bits_of(reached.open) & simd64.bits_of(simd64.is_less(widened(reached.t), bound))
             reached.open = mask_of(open)
             rounds += 1
         if answer.contact != _NONE:

@@ -16,10 +16,8 @@ from .rounding import TINY
 from .simd import (
     Lanes,
     Vec3,
-    both,
     cross,
     dot,
-    either,
     greatest,
     is_at_most,
     is_less,
@@ -42,8 +40,8 @@ flat = wp.constant(real(1.0e-5))  # component of a direction that counts as none
 def toward(d: Lanes, size: Lanes, otherwise: Lanes) -> Lanes:
     """Coordinate of the corner of a box that lies farthest along d; where d vanishes, any other within the box."""
     inside = greatest(least(otherwise, size), minus(size))
-    is_zero = is_at_most(magnitude(d), spread(flat))
-    return select(is_zero, inside, select(is_less(d, spread(zero)), minus(size), size))
+    is_zero = is_at_most(magnitude(d), flat)
+    return select(is_zero, inside, select(is_less(d, zero), minus(size), size))
 
 
 @simd.func
@@ -65,10 +63,10 @@ def point_on_side(separation: Vec3, c: Corners, number: Lanes, near: Vec3) -> Ve
     # the direction is across the axis, so along the axis it vanishes
     m = magnitude(d)
     along_x = is_at_most(m.x, nothing)
-    along_y = both(opposite(along_x), is_at_most(m.y, nothing))
-    along_z = both(opposite(either(along_x, along_y)), is_at_most(m.z, nothing))
+    along_y = opposite(along_x) & is_at_most(m.y, nothing)
+    along_z = opposite(along_x | along_y) & is_at_most(m.z, nothing)
     across = vec(select(along_x, nothing, side.x), select(along_y, nothing, side.y), select(along_z, nothing, side.z))
-    w = unit_interval(dot(b - start, across) / (dot(across, across) + spread(tiny)))
+    w = unit_interval(dot(b - start, across) / (dot(across, across) + tiny))
     corner = lower_end(d, lower_end(d, c.w00, c.w01), lower_end(d, c.w10, c.w11))
     return select(is_axis(number), corner, start + w * side)
 
@@ -80,8 +78,8 @@ def touching_point(separation: Vec3, c: Corners, number: Lanes, near: Vec3, size
     It is on the side, or the corner, of the widest facet, or where the patch faces a corner of the separation box.
     """
     normal = cross(side_of(c, 0), side_of(c, 1))
-    normal = select(is_less(dot(normal, c.w00), spread(zero)), minus(normal), normal)
-    longest = greatest(magnitude(normal.x), greatest(magnitude(normal.y), magnitude(normal.z))) + spread(tiny)
+    normal = select(is_less(dot(normal, c.w00), zero), minus(normal), normal)
+    longest = greatest(magnitude(normal.x), greatest(magnitude(normal.y), magnitude(normal.z))) + tiny
     b = vec(
         toward(normal.x / longest, separation.x, near.x),
         toward(normal.y / longest, separation.y, near.y),

@@ -19,9 +19,7 @@ from .simd import (
     Lanes,
     Vec3,
     bits_of,
-    both,
     dot,
-    either,
     greatest,
     is_at_most,
     is_less,
@@ -53,16 +51,16 @@ def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
 
     2 if none of them falls to zero, -1 if the first is not above it.
     """
-    is_clear = is_less(spread(zero), least(h1, h2))
-    fraction = h0 / greatest(spread(two) * (h0 - h1), h0 - h2)
-    return select(is_less(spread(zero), h0), select(is_clear, spread(two), fraction), minus(spread(one)))
+    is_clear = is_less(zero, least(h1, h2))
+    fraction = h0 / greatest(two * (h0 - h1), h0 - h2)
+    return select(is_less(zero, h0), select(is_clear, two, fraction), minus(spread(one)))
 
 
 @simd.func
 def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
     """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
     h0 = sign * dot(d_t, w_t) - o_t
-    h1 = spread(half) * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - spread(half) * (o_t + o_x)
+    h1 = half * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - half * (o_t + o_x)
     return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
 
 
@@ -83,40 +81,40 @@ def clip_along(Which: Any, direction: Callable, offset: Callable) -> Any:
 
         t0 and t1 are the corners at both ends of the step.
         """
-        margin = spread(moving) * error
+        margin = moving * error
         t = t_start
         x = end
         c_t = corners_at(t0, t1, t)
         d_t = direction(which, c_t)
-        sign = select(is_less(dot(d_t, c_t.w00), spread(zero)), minus(spread(one)), spread(one))
+        sign = select(is_less(dot(d_t, c_t.w00), zero), minus(spread(one)), one)
         free = mask_of(wp.uint32(0))
         running = opposite(free)
         for _ in range(steps):
             c_x = corners_at(t0, t1, x)
             d_x = direction(which, c_x)
-            o_t = offset(d_t, margin, separation) + spread(underflow)
-            o_x = offset(d_x, margin, separation) + spread(underflow)
+            o_t = offset(d_t, margin, separation) + underflow
+            o_x = offset(d_x, margin, separation) + underflow
             fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
             fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
             fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
             fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
             m_t = magnitude(d_t)
-            can_prove = is_at_most(spread(tiny_direction), greatest(m_t.x, greatest(m_t.y, m_t.z)))
-            running = both(running, both(can_prove, is_less(spread(zero), fraction)))
-            is_clear = is_less(spread(one), fraction)
-            free = either(free, both(running, both(is_clear, is_at_most(end, x))))
-            s = (t + (x - t) * (fraction * spread(fraction_down))) * spread(round_down)
+            can_prove = is_at_most(tiny_direction, greatest(m_t.x, greatest(m_t.y, m_t.z)))
+            running = running & can_prove & is_less(zero, fraction)
+            is_clear = is_less(one, fraction)
+            free = free | (running & is_clear & is_at_most(end, x))
+            s = (t + (x - t) * (fraction * fraction_down)) * round_down
             s = select(is_clear, x, s)
-            running = both(running, is_less(t, s))
+            running = running & is_less(t, s)
             s = select(running, s, t)
             step = s - t
-            x = select(running, least(end, s + select(is_clear, spread(four) * step, step + step)), x)
+            x = select(running, least(end, s + select(is_clear, four * step, step + step)), x)
             t = s
-            running = both(running, opposite(free))
+            running = running & opposite(free)
             if bits_of(running) == wp.uint32(0):
                 break
             c_t = corners_at(t0, t1, t)
             d_t = direction(which, c_t)
-        return select(free, spread(two), t)
+        return select(free, two, t)
 
     return clip

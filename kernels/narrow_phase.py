@@ -84,7 +84,7 @@ def write(
 ):
     """Write `outcome_of` of the first lanes, all at once."""
     nothing = simd64.spread(wp.float64(0.0))
-    hit = simd64.both(simd64.mask_of(answer.contact), simd64.is_at_most(answer.t, simd64.spread(t_max)))
+    hit = simd64.bit_and(simd64.mask_of(answer.contact), simd64.is_at_most(answer.t, simd64.spread(t_max)))
     how = simd64.select(simd64.is_at_most(answer.t, nothing), simd64.spread(at_start), simd64.spread(within))
     put(toi, rows, simd64.select(hit, answer.t, simd64.spread(unbounded)), count)
     put(status, rows, simd64.select(hit, how, simd64.spread(none)), count)

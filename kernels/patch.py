@@ -18,7 +18,7 @@ import warp as wp
 
 from . import simd
 from .parameters import real
-from .simd import Lanes, Mask, Vec3, dot, greatest, least, minus, spread
+from .simd import Lanes, Mask, Vec3, dot, greatest, least, minus
 
 one = wp.constant(real(1.0))
 
@@ -54,7 +54,7 @@ class Volume:
 def corners_at(t0: Corners, t1: Corners, t: Lanes) -> Corners:
     """Corners at one time, without the sides (rounding, step 8)."""
     c = Corners()
-    s = spread(one) - t
+    s = one - t
     c.w00 = s * t0.w00 + t * t1.w00
     c.w01 = s * t0.w01 + t * t1.w01
     c.w10 = s * t0.w10 + t * t1.w10

@@ -7,8 +7,9 @@ a pair depends neither on its lane nor on the width. No lane has a branch of its
 `select` chooses by it.
 
 The operations on vectors are functions in Clang's vector extension; between them LLVM keeps vectors in registers. Warp
-resolves the operators +, -, * and / to functions called ``add``, ``sub``, ``mul`` and ``div`` where a function can see
-such names; `func` is `wp.func` with these names in sight.
+resolves the operators +, -, *, /, & and | to functions called ``add``, ``sub``, ``mul``, ``div``, ``bit_and`` and
+``bit_or`` where a function can see such names; `func` is `wp.func` with these names in sight. A plain number beside
+lanes stands for itself in each of them.
 """
 
 import inspect
@@ -121,12 +122,6 @@ else:
         return wp.sqrt(a)
 
 
-if is_vector:
-
-    @wp.func_native(head + "    return of_lanes((Lanes)a * lanes(b));\n")
-    def mul(a: real, b: Lanes) -> Lanes: ...
-
-
 @wp.func_native(head + "    return of_lanes(lanes(a) / lanes(b));\n")
 def div(a: Lanes, b: Lanes) -> Lanes: ...
 
@@ -174,21 +169,93 @@ def is_at_most(a: Lanes, b: Lanes) -> Mask:
 
 
 @wp.func_native(head + "    return of_mask(mask(m) & mask(n));\n")
-def both(m: Mask, n: Mask) -> Mask: ...
+def bit_and(m: Mask, n: Mask) -> Mask: ...
 
 
 @wp.func_native(head + "    return of_mask(mask(m) | mask(n));\n")
-def either(m: Mask, n: Mask) -> Mask: ...
+def bit_or(m: Mask, n: Mask) -> Mask: ...
 
 
 @wp.func_native(head + f"    return of_mask({'~' if is_vector else '!'}mask(m));\n")
-def opposite(m: Mask) -> Mask: ...
+def opposite(m: Mask) -> Mask:
+    """The lanes that are not set; Warp has no name of its own for ~."""
+    ...
 
 
 @wp.func_native(head + "    return of_lanes(mask(m) ? lanes(a) : lanes(b));\n")
 def select(m: Mask, a: Lanes, b: Lanes) -> Lanes:
     """a where the mask is set, b elsewhere."""
     ...
+
+
+# ---- A plain number beside lanes ----
+
+if is_vector:
+
+    @wp.func_native(head + "    return of_lanes(lanes(a) + (Lanes)b);\n")
+    def add(a: Lanes, b: real) -> Lanes: ...
+
+    @wp.func_native(head + "    return of_lanes((Lanes)a - lanes(b));\n")
+    def sub(a: real, b: Lanes) -> Lanes: ...
+
+    @wp.func_native(head + "    return of_lanes((Lanes)a * lanes(b));\n")
+    def mul(a: real, b: Lanes) -> Lanes: ...
+
+    @wp.func_native(head + "    return of_lanes((Lanes)a / lanes(b));\n")
+    def div(a: real, b: Lanes) -> Lanes: ...
+
+    @wp.func
+    def add(a: real, b: Lanes) -> Lanes:
+        return add(b, a)
+
+    @wp.func
+    def mul(a: Lanes, b: real) -> Lanes:
+        return mul(b, a)
+
+    @wp.func
+    def least(a: Lanes, b: real) -> Lanes:
+        """The lesser of two; b where one is NaN."""
+        return least(a, spread(b))
+
+    @wp.func
+    def least(a: real, b: Lanes) -> Lanes:
+        """The lesser of two; b where one is NaN."""
+        return least(spread(a), b)
+
+    @wp.func
+    def greatest(a: Lanes, b: real) -> Lanes:
+        """The greater of two; b where one is NaN."""
+        return greatest(a, spread(b))
+
+    @wp.func
+    def is_less(a: Lanes, b: real) -> Mask:
+        """a < b."""
+        return is_less(a, spread(b))
+
+    @wp.func
+    def is_less(a: real, b: Lanes) -> Mask:
+        """a < b."""
+        return is_less(spread(a), b)
+
+    @wp.func
+    def is_at_most(a: Lanes, b: real) -> Mask:
+        """a <= b."""
+        return is_at_most(a, spread(b))
+
+    @wp.func
+    def is_at_most(a: real, b: Lanes) -> Mask:
+        """a <= b."""
+        return is_at_most(spread(a), b)
+
+    @wp.func
+    def select(m: Mask, a: real, b: Lanes) -> Lanes:
+        """a where the mask is set, b elsewhere."""
+        return select(m, spread(a), b)
+
+    @wp.func
+    def select(m: Mask, a: Lanes, b: real) -> Lanes:
+        """a where the mask is set, b elsewhere."""
+        return select(m, a, spread(b))
 
 
 if is_vector:
@@ -252,6 +319,13 @@ def mul(a: Lanes, b: Vec3) -> Vec3:
     return vec(mul(a, b.x), mul(a, b.y), mul(a, b.z))
 
 
+if is_vector:
+
+    @wp.func
+    def mul(a: real, b: Vec3) -> Vec3:
+        return mul(spread(a), b)
+
+
 @wp.func
 def scaled(a: Vec3, b: Vec3) -> Vec3:
     """The products of the components."""
@@ -307,10 +381,10 @@ def is_within(a: Vec3, size: Vec3) -> Mask:
     """Whether a lies in [-size, size]."""
     x = is_at_most(magnitude(a.x), size.x)
     y = is_at_most(magnitude(a.y), size.y)
-    return both(both(x, y), is_at_most(magnitude(a.z), size.z))
+    return bit_and(bit_and(x, y), is_at_most(magnitude(a.z), size.z))
 
 
-operators = {"add": add, "sub": sub, "mul": mul, "div": div}
+operators = {"add": add, "sub": sub, "mul": mul, "div": div, "bit_and": bit_and, "bit_or": bit_or}
 
 
 def func(f: Callable, inline: bool | None = None) -> Any:

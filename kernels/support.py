@@ -6,7 +6,7 @@ from . import simd
 from .norm import is_ball
 from .parameters import norm, real
 from .rounding import SQUARE_UNDERFLOW
-from .simd import Lanes, Vec3, dot, magnitude, spread, square_root
+from .simd import Lanes, Vec3, dot, magnitude, square_root
 
 square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
 
@@ -14,7 +14,7 @@ square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
 @simd.func
 def length(d: Vec3) -> Lanes:
     """The Euclidean length of d; the slack of the separation covers its roundings (rounding, step 13)."""
-    return square_root(dot(d, d) + spread(square_underflow))
+    return square_root(dot(d, d) + square_underflow)
 
 
 if not is_ball(norm):

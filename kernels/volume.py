@@ -17,22 +17,7 @@ from . import simd
 from .parameters import real
 from .patch import Corners, Volume
 from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
-from .simd import (
-    Lanes,
-    Vec3,
-    both,
-    cross,
-    dot,
-    greatest,
-    is_at_most,
-    is_less,
-    least,
-    magnitude,
-    minus,
-    select,
-    spread,
-    vec,
-)
+from .simd import Lanes, Vec3, cross, dot, greatest, is_at_most, is_less, least, magnitude, minus, select, vec
 from .support import support
 
 unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
@@ -65,21 +50,21 @@ def volume_of(t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) 
     r = Volume()
     n0 = cross(t0.q, t0.r)
     n1 = cross(t1.q, t1.r)
-    nm = spread(half) * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
+    nm = half * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
     m0 = dot(t0.w00, nm)
     m1 = dot(t1.w00, nm)
     r.b0 = dot(t0.w00, n0)
-    r.b1 = spread(third) * (dot(t1.w00, n0) + m0 + m0)
-    r.b2 = spread(third) * (dot(t0.w00, n1) + m1 + m1)
+    r.b1 = third * (dot(t1.w00, n0) + m0 + m0)
+    r.b2 = third * (dot(t0.w00, n1) + m1 + m1)
     r.b3 = dot(t1.w00, n1)
     p = greatest(magnitude(t0.w00), magnitude(t1.w00))
     q = greatest(magnitude(t0.q), magnitude(t1.q))
     s = greatest(magnitude(t0.r), magnitude(t1.r))
     # the sums of the magnitudes of the products of Q×R, and of the determinant
     n = vec(q.y * s.z + q.z * s.y, q.z * s.x + q.x * s.z, q.x * s.y + q.y * s.x)
-    r.bound = spread(unit_bound) * dot(p, n) + spread(tiny)
+    r.bound = unit_bound * dot(p, n) + tiny
     if has_separation:
-        r.bound = r.bound + spread(unit_bound) * dot(separation, n)
+        r.bound = r.bound + unit_bound * dot(separation, n)
         r.normal_t0 = n0
         r.normal_mid = nm
         r.normal_t1 = n1
@@ -91,8 +76,8 @@ def volume_of(t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) 
 @simd.func
 def restrict(f: Volume, t: Lanes, x: Lanes) -> Hull:
     """Bernstein coefficients on [t, x]: the blossom of those on [0, 1]."""
-    ct = spread(one) - t
-    cx = spread(one) - x
+    ct = one - t
+    cx = one - x
     t0 = ct * f.b0 + t * f.b1
     t1 = ct * f.b1 + t * f.b2
     t2 = ct * f.b2 + t * f.b3
@@ -116,8 +101,8 @@ def restrict(f: Volume, t: Lanes, x: Lanes) -> Hull:
 @simd.func
 def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
     """Bernstein coefficients, on [t, x], of a cubic above the support of the separation along n."""
-    ct = spread(one) - t
-    cx = spread(one) - x
+    ct = one - t
+    cx = one - x
     t0 = ct * f.normal_t0 + t * f.normal_mid
     t1 = ct * f.normal_mid + t * f.normal_t1
     x0 = cx * f.normal_t0 + x * f.normal_mid
@@ -126,17 +111,17 @@ def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
     b = support(separation, cx * t0 + x * t1)
     c = support(separation, cx * x0 + x * x1)
     r = Hull()
-    r.c0 = spread(round_up) * a
-    r.c1 = spread(round_up) * (spread(third) * (a + b + b))
-    r.c2 = spread(round_up) * (spread(third) * (b + b + c))
-    r.c3 = spread(round_up) * c
+    r.c0 = round_up * a
+    r.c1 = round_up * (third * (a + b + b))
+    r.c2 = round_up * (third * (b + b + c))
+    r.c3 = round_up * c
     return r
 
 
 @simd.func
 def fall(h: Hull) -> Lanes:
     """Fraction of the interval, c0 > 0 and another not, at which the steepest line from c0 to another is zero."""
-    slope = greatest(spread(three) * (h.c0 - h.c1), greatest(spread(one_and_half) * (h.c0 - h.c2), h.c0 - h.c3))
+    slope = greatest(three * (h.c0 - h.c1), greatest(one_and_half * (h.c0 - h.c2), h.c0 - h.c3))
     return h.c0 / slope
 
 
@@ -147,7 +132,7 @@ def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: 
     The third result says which lanes are free until ``end``. A lane that gains nothing gets ``end`` for its next x.
     """
     h = restrict(f, t, x)
-    is_negative = is_less(h.c0, spread(zero))
+    is_negative = is_less(h.c0, zero)
     h.c0 = select(is_negative, minus(h.c0), h.c0) - f.bound
     h.c1 = select(is_negative, minus(h.c1), h.c1) - f.bound
     h.c2 = select(is_negative, minus(h.c2), h.c2) - f.bound
@@ -158,13 +143,13 @@ def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: 
         h.c1 = h.c1 - offset.c1
         h.c2 = h.c2 - offset.c2
         h.c3 = h.c3 - offset.c3
-    is_proof = is_less(spread(zero), h.c0)
-    is_clear = both(is_proof, is_less(spread(zero), least(h.c1, least(h.c2, h.c3))))
+    is_proof = is_less(zero, h.c0)
+    is_clear = is_proof & is_less(zero, least(h.c1, least(h.c2, h.c3)))
     # the fraction of [t, x] is rounded down, so it never reaches the crossing
-    s = (t + (x - t) * (fall(h) * spread(fraction_down))) * spread(round_down)
+    s = (t + (x - t) * (fall(h) * fraction_down)) * round_down
     s = select(is_clear, x, s)
-    has_gained = both(is_proof, is_less(t, s))
+    has_gained = is_proof & is_less(t, s)
     s = select(has_gained, s, t)
     step = s - t
-    ahead = least(end, s + select(is_clear, spread(four) * step, step + step))
-    return s, select(has_gained, ahead, end), both(is_clear, is_at_most(end, x))
+    ahead = least(end, s + select(is_clear, four * step, step + step))
+    return s, select(has_gained, ahead, end), is_clear & is_at_most(end, x)
