@@ -45,6 +45,7 @@ class Xdmf:
             raise InputError(f"has {len(domains)} Domain in {self.root.tag}; expected one in Xdmf: {CUT}")
         grids = domains[0].findall("Grid")
         collections = [grid for grid in grids if grid.get("GridType") == "Collection"]
+        beside = [grid for grid in grids if grid not in collections]
         self.is_series = bool(collections)
         # Some programs write a collection for each field.
         self._series = [each.findall("Grid") for each in collections] if collections else [grids]
@@ -52,15 +53,15 @@ class Xdmf:
         times = [[time.get("Value") for grid in each for time in grid.findall("Time")] for each in self._series]
         if (
             not self.frames
-            or len(grids) - len(collections) > 1
+            or len(beside) > 1
             or any(grid.get("CollectionType") != "Temporal" for grid in collections)
-            or any(grid.get("GridType", "Uniform") != "Uniform" for each in self._series for grid in each)
+            or any(grid.get("GridType", "Uniform") != "Uniform" for each in (*self._series, beside) for grid in each)
             or any(len(each) != len(self.frames) for each in self._series)
             or any(each != times[0] for each in times)
         ):
             raise InputError("holds other grids than one, or temporal collections of the same times and one beside")
         # A frame without points or cells has those of this grid.
-        self._base = next((grid for grid in grids if grid not in collections), self.frames[0])
+        self._base = beside[0] if beside else self.frames[0]
 
     def has_points(self, k: int) -> bool:
         """Whether frame ``k`` has points of its own."""
