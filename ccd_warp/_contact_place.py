@@ -29,7 +29,7 @@ class ContactPlace:
         mesh: The mesh.
         frames: Positions at both ends of the step, of which nobody else holds the arrays; None if not needed or known.
         points: Points of the contacts, once they are computed.
-        vertices: Their vertices, likewise.
+        vertices: Vertices of the contacts, once they are computed.
 
     Threads that ask at once may compute the same twice.
     """
@@ -72,7 +72,7 @@ def located(
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
 ) -> Contacts:
-    """The same contacts, which now know their mesh and their points in a step between these positions of all vertices.
+    """Contacts that know their mesh and their points in a step between these positions of all vertices.
 
     The positions may be arrays of the caller, who changes them afterwards. Where there are many contacts, the positions
     are therefore copied, and the points computed when they are asked for; otherwise the points are computed at once.

@@ -170,14 +170,14 @@ class Contacts(Placed):
         return world
 
     def sorted_by_toi(self) -> "Contacts":
-        """The same contacts by ascending toi, those with one toi in their present order, in new arrays.
+        """The contacts by ascending toi, those with one toi in their present order, in new arrays.
 
         Indices into contacts, such as ``MeshResult.vertex_contact``, are those of the original order.
         """
         return self[np.argsort(self.toi, kind="stable")]
 
     def _placed(self, place: Any) -> "Contacts":
-        """The same contacts with this place."""
+        """The contacts with this place."""
         same = Contacts(**vars(self))
         object.__setattr__(same, "_place", place)
         return same

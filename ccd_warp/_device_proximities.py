@@ -30,7 +30,7 @@ class DeviceProximities:
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1]. With ``PAIRS_OVERFLOW`` or
             ``CONTACTS_OVERFLOW`` pairs are missing from the list, with ``INVALID_INPUT`` those of a vertex with a
             coordinate that is not finite.
-        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
+        world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
             capacity, int64, shape [5].
     """
@@ -98,7 +98,7 @@ class DeviceDisplacements:
             :func:`ccd_warp.displacement_bounds` gives it. It is 0 for the vertices of a pair beyond the capacity, and
             in a world with a coordinate that is not finite, so the guarantee holds whatever the flags.
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
-        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
+        world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
             capacity, int64, shape [5].
     """

@@ -117,7 +117,7 @@ class DeviceContacts(Placed):
         Args:
             vertices_t0: Start positions, for ``points``, as :func:`ccd_warp.mesh_ccd` takes them. By default what the
                 arrays of the last launch hold now.
-            vertices_t1: End positions, likewise; both are given or neither is.
+            vertices_t1: End positions, of the same shape; both are given or neither is.
 
         Returns:
             The contacts, with their points, vertices, bodies and worlds.
@@ -148,9 +148,9 @@ class HostLaunchResult:
 
     Attributes:
         toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
-        world_toi: The same for each world, float64, shape [W].
-        body_toi: The same for each body, float64, shape [B].
-        vertex_toi: The same for each vertex, float64, shape [V].
+        world_toi: Earliest toi of each world, float64, shape [W].
+        body_toi: Earliest toi of each body, float64, shape [B].
+        vertex_toi: Earliest toi of each vertex, float64, shape [V].
         contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
         flags: Flags of the scene.
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
@@ -178,12 +178,12 @@ class HostLaunchResult:
 
     @lazy_property
     def body_contact(self) -> NDArray[np.int32]:
-        """The same for each body, shape [B]."""
+        """Index of the contact that gives the toi of a body, the first of several, -1 for none, int32, shape [B]."""
         return first_contacts(self.contacts.toi, self.contacts.bodies, self.body_toi)
 
     @lazy_property
     def world_contact(self) -> NDArray[np.int32]:
-        """The same for each world, shape [W]."""
+        """Index of the contact that gives the toi of a world, the first of several, -1 for none, int32, shape [W]."""
         return first_contacts(self.contacts.toi, self.contacts.world[:, None], self.world_toi)
 
     @property
@@ -212,12 +212,12 @@ class LaunchResult:
 
     Attributes:
         toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none; float64, shape [1].
-        world_toi: The same for each world, float64, shape [W]; with a single world the array ``toi`` itself.
-        body_toi: The same for each body, float64, shape [B].
-        vertex_toi: The same for each vertex, float64, shape [V].
+        world_toi: Earliest toi of each world, float64, shape [W]; with a single world the array ``toi`` itself.
+        body_toi: Earliest toi of each body, float64, shape [B].
+        vertex_toi: Earliest toi of each vertex, float64, shape [V].
         contacts: Every pair with a finite toi, up to the capacity.
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
-        world_flags: The same for each world, int32, shape [W]; with a single world the array ``flags`` itself.
+        world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
             capacity, int64, shape [5].
     """
@@ -242,7 +242,7 @@ class LaunchResult:
         Args:
             vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
                 default what the arrays of the last launch hold now; give them if these have changed since.
-            vertices_t1: End positions, likewise; both are given or neither is.
+            vertices_t1: End positions, of the same shape; both are given or neither is.
 
         Returns:
             A copy that later launches do not change.

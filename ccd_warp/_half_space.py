@@ -24,8 +24,8 @@ class HalfSpace:
 
     Attributes:
         point: A point of the plane, in the caller's length unit, shape [3], or [2] in the plane.
-        normal: Normal of the plane, which points out of the solid, of any length above 0, likewise. The solid is where
-            (x − point)·normal < 0.
+        normal: Normal of the plane, which points out of the solid, of any length above 0, shape [3] or [2]. The solid
+            is where (x − point)·normal < 0.
 
     The numbers are checked where the half-space becomes part of a mesh.
 
@@ -42,7 +42,7 @@ class Planes:
 
     Attributes:
         points: A point of each plane, as given, float64, shape [H, 3], or [H, 2] in the plane.
-        normals: Normal of each plane, as given, likewise.
+        normals: Normal of each plane, as given, float64, of the shape of ``points``.
         bodies: Body of each plane, int32, shape [H].
         vertices: The vertex that is the point of a kinematic one, -1 of a static one, int32, shape [H].
     """

@@ -433,7 +433,7 @@ class CollisionMesh:
         return cls.from_arrays([(vertices, cells_by_type(cells)), *further], **options)
 
     def excluding(self, exclude_pairs: Mapping[str, Any]) -> CollisionMesh:
-        """The same mesh without further pairs, as given or as found in an earlier result.
+        """A copy of the mesh that excludes further pairs, as given or as found in an earlier result.
 
         Args:
             exclude_pairs: The pairs by what is paired, each an integer array of shape [k, 2]. ``"bodies"``: indices or
@@ -527,7 +527,7 @@ class CollisionMesh:
 
     @lazy_property
     def _is_free_alone(self) -> bool:
-        """The same, of bodies whose motion is not prescribed."""
+        """Whether at most one body moves freely in each world, and none of them collides with itself."""
         return move_alone(
             self._is_free, self.self_collision, *worlds_of_bodies(self.vertex_body, self.vertex_world, self.num_bodies)
         )

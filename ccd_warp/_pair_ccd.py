@@ -83,7 +83,7 @@ def vertex_face_ccd(
     Args:
         points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4]. Arrays of Warp or with DLPack are read in place and must be float64 and contiguous.
-        points_t1: End positions, likewise.
+        points_t1: End positions, of the same type and shape.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
@@ -113,7 +113,7 @@ def edge_edge_ccd(
     Args:
         points_t0: Start positions of ea0, ea1, eb0, eb1, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4].
-        points_t1: End positions, likewise.
+        points_t1: End positions, of the same type and shape.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
@@ -144,7 +144,7 @@ def point_segment_ccd(
     Args:
         points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
             vec2d or vec3d, shape [n, 3].
-        points_t1: End positions, likewise.
+        points_t1: End positions, of the same type and shape.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
@@ -174,7 +174,7 @@ def point_point_ccd(
     Args:
         points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
             or vec3d, shape [n, 2].
-        points_t1: End positions, likewise.
+        points_t1: End positions, of the same type and shape.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
     Returns:
@@ -271,7 +271,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
 def _solve_few(
     kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
 ) -> list[np.ndarray]:
-    """Like :func:`_solve` on the CPU, for so few pairs that packing the launch would take longer than solving them."""
+    """Solve so few pairs on the CPU that packing the launch would take longer than solving them."""
     packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
     with borrowed_batch(kind, options.real, options.norm, device, points_t0.shape[1], packed) as batch:
         results = batch.solve(points_t0, points_t1, packed)

@@ -118,7 +118,7 @@ class CollisionPipeline:
         self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
         self._is_placing = False  # whether that launch may have moved some of the static bodies
         self._radius: wp.array | None = None
-        self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out likewise
+        self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
         norm_of(self.mesh, options)
 
     @property
@@ -474,7 +474,7 @@ class CollisionPipeline:
         return self._workspace.buffers.num_allocations if self._workspace else 0
 
     def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
-        """Like :func:`ccd_warp.find_candidates`.
+        """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which.
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
@@ -495,7 +495,7 @@ class CollisionPipeline:
         return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation))
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
-        """Like :func:`ccd_warp.find_intersections`.
+        """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`).
 
         Args:
             positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
@@ -514,7 +514,7 @@ class CollisionPipeline:
         return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
 
     def find_proximity(self, positions: ArrayLike, distance: float) -> Proximities:
-        """Like :func:`ccd_warp.find_proximity`.
+        """Find the pairs within a Euclidean distance at one time (:func:`ccd_warp.find_proximity`).
 
         Args:
             positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
@@ -535,7 +535,7 @@ class CollisionPipeline:
         return self._run(ProximityStep, lambda: self._one_frame(positions), lambda step: step.proximities(distance))
 
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
-        """Like :func:`ccd_warp.displacement_bounds`, with the ``minimum_distance`` of the pipeline.
+        """Lengths by which vertices may move, with the ``minimum_distance`` of the pipeline.
 
         Args:
             positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
@@ -562,7 +562,7 @@ class CollisionPipeline:
         return frame, frame
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False) -> MeshResult:
-        """Like :func:`ccd_warp.mesh_ccd`.
+        """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`).
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
@@ -600,7 +600,7 @@ class CollisionPipeline:
     def collision_free_step(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
     ) -> float:
-        """Like :func:`ccd_warp.collision_free_step`.
+        """Largest fraction of a step that is certain to be free of collisions (:func:`ccd_warp.collision_free_step`).
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
@@ -661,7 +661,7 @@ class CollisionPipeline:
     def is_step_collision_free(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
     ) -> bool:
-        """Like :func:`ccd_warp.is_step_collision_free`.
+        """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`).
 
         Args:
             vertices_t0: Start positions, shape [V, 3].
@@ -691,7 +691,7 @@ class CollisionPipeline:
         max_rounds: int = DEFAULT_MAX_ROUNDS,
         check_start: bool = False,
     ) -> LineSearchResult:
-        """Like :func:`ccd_warp.line_search`.
+        """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`).
 
         Args:
             vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].

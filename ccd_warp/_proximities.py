@@ -134,7 +134,7 @@ class Proximities:
         return world
 
     def unique(self) -> "Proximities":
-        """The same proximities with each two closest features once, by the first pair that has them.
+        """Each two closest features once, by the first pair that has them.
 
         They are two vertices, a vertex and an edge, two edges, or a vertex and a face. What a vertex has to do with an
         edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.

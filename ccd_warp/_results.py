@@ -88,13 +88,13 @@ class MeshResult:
     Attributes:
         toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
         vertex_toi: Earliest toi of the contacts that a vertex is part of, inf if none, float64, shape [V].
-        body_toi: The same for each body, float64, shape [B].
+        body_toi: Earliest toi of the contacts that a body is part of, inf if none, float64, shape [B].
         contacts: Every pair with a finite toi.
         counts: Sizes of the scene and of each stage's output.
         timings: Seconds of each stage, and their ``total``.
         vertex_contact: Index of the contact that gives the toi of a vertex, the first where several share it, -1 where
             there is none, int32, shape [V].
-        body_contact: The same for each body, int32, shape [B].
+        body_contact: Index of the contact that gives the toi of a body, -1 where there is none, int32, shape [B].
         world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
         world_contact: Index of the contact that gives the toi of a world, as of a vertex, int32, shape [W].
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.

@@ -53,7 +53,7 @@ class SmallBatch:
 
         Args:
             points_t0: Start positions, shape [n, points, 3], n from 1 to `CAPACITY`.
-            points_t1: End positions, likewise.
+            points_t1: End positions, of the same shape.
             packed: Options as the kernel's struct.
         """
         count = len(points_t0)

@@ -50,7 +50,7 @@ class _StandardOutput:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is buffered, or drop it likewise."""
+        """Write what is buffered, or drop it where nobody reads it."""
         with self._heeding():
             self._stream.flush()
 

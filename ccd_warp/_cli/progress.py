@@ -43,7 +43,7 @@ class ProgressLine:
 
 
 class ItemsLine(ProgressLine):
-    """The same for items of which each takes a while: the line shows how many are done, whatever stage each is in."""
+    """Progress of items of which each takes a while: the line shows how many are done, whatever stage each is in."""
 
     def __init__(self, is_quiet: bool) -> None:
         super().__init__(is_quiet)

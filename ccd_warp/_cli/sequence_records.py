@@ -112,7 +112,7 @@ class StepRecord:
 
     @property
     def pairs_crossing(self) -> Counter[tuple[str, str]]:
-        """Number of edges that pass through faces at the start, likewise."""
+        """Number of edges that pass through faces at the start, by names of bodies."""
         return Counter({(a, b): count for a, b, count in self.crossing})
 
     def plain(self) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def check_glb(data: bytes, fetch: Callable[[str], bytes]) -> None:
 
 
 def check_gltf(data: bytes, fetch: Callable[[str], bytes]) -> None:
-    """The same for a glTF file, whose buffers are separate files or text within it."""
+    """Refuse a glTF file that trimesh would read in part; its buffers are separate files or text within it."""
     _check_tree(_parse(data), b"", fetch)
 
 

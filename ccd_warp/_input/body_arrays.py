@@ -105,7 +105,7 @@ class JoinedBodies(NamedTuple):
     Attributes:
         vertices: Positions, float64, shape [V, 3], or [V, 2] in the plane.
         faces: Indices into these, int32, shape [F, 3].
-        edges: The given edges likewise, int32, shape [E, 2].
+        edges: The given edges, indices into the vertices, int32, shape [E, 2].
         offsets: Body b has the vertices offsets[b] … offsets[b + 1] - 1; a static half-space has none.
         consists_of_points: Bodies in the plane without edges, bool, shape [B].
         dimension: Number of coordinates.

@@ -166,7 +166,7 @@ class Options:
             max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
             radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
-            hold: How near each vertex was to anything at the start, likewise, where pairs are held.
+            hold: How near each vertex was to anything at the start, on the device, where pairs are held.
         """
         separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
         if hold is not None and length_scale is not None:
@@ -264,7 +264,7 @@ def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
 
 @lru_cache(maxsize=64)
 def _packed_once(real: Any, values: tuple[Any, ...]) -> Any:
-    """The same without a flag, cached: packing takes a tenth of a call with one pair."""
+    """Options without a flag as a struct, cached: packing takes a tenth of a call with one pair."""
     return _packed(real, values, None)
 
 

@@ -59,14 +59,14 @@ def handed_in(
     Args:
         dimension: Number of coordinates on all ranks.
         half_spaces: Bodies that are half-spaces.
-        vertices: This and what follows as of :class:`DistributedMesh`.
-        faces: Likewise.
-        vertex_ids: Likewise.
-        edges: Likewise.
-        bodies: Likewise.
-        vertex_world: Likewise.
-        radius: Likewise.
-        owned: Likewise.
+        vertices: Positions on this rank; this and what follows as :class:`DistributedMesh` takes them.
+        faces: Faces on this rank.
+        vertex_ids: Ids of the vertices.
+        edges: Codimensional edges.
+        bodies: Body of each vertex.
+        vertex_world: World of each vertex.
+        radius: Radius of each vertex.
+        owned: Which vertices this rank owns.
 
     Raises:
         ValueError: If an argument is not as described.

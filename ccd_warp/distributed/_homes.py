@@ -1,4 +1,4 @@
-"""Homes: for each number of a range one rank hears what all ranks say of it, and answers each of them."""
+"""Homes: for each number of a range one rank collects what all ranks send about it, and answers each of them."""
 
 from __future__ import annotations
 

@@ -316,7 +316,7 @@ class DistributedMesh:
         return found
 
     def _number_primitives(self, given: HandedIn) -> None:
-        """Number edges and faces of the whole mesh, and choose for each the rank that speaks for it."""
+        """Number edges and faces of the whole mesh, and choose for each the rank that answers for it."""
         edges, self.num_edges = numbered_edges(self._homes, self.numbers, self._order, given.faces, given.edges)
         faces, self.num_faces = numbered_faces(self._homes, self.numbers, given.faces)
         is_used = np.zeros(len(self.numbers))

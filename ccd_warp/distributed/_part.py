@@ -28,7 +28,7 @@ class Part:
         vertex_numbers: Index of each vertex in the whole mesh, ascending, int64, shape [n].
         vertex_ids: Its id, int64, shape [n].
         edge_numbers: Index of each edge in the whole mesh, ascending.
-        face_numbers: Index of each face, likewise.
+        face_numbers: Index of each face in the whole mesh, ascending.
         tested_vertices: The vertices whose own box meets the region; the others are there for edges and faces.
         box_radius: The largest radius of the primitives around each vertex in the whole mesh, float64, shape [n].
         everything: The exchange of all vertices with their owners.
@@ -188,7 +188,7 @@ class PartTopology(Topology):
     def own_pairs_of(
         self, arrays: tuple[str, str], first: NDArray[np.integer], second: NDArray[np.integer]
     ) -> NDArray[np.bool_] | slice:
-        """The same for primitives of these arrays, all of whose boxes meet the region."""
+        """Which pairs of primitives of these arrays belong to this rank, where all boxes meet the region."""
         below = [self._below(name) for name in arrays]
         if not all(flags.any() for flags in below):
             return slice(None)

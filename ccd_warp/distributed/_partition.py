@@ -33,7 +33,7 @@ class Regions:
         axis: Axis of each cut, int64, shape [P - 1].
         cut: Its coordinate, float64, shape [P - 1].
         below: What lies below a cut: the number of another cut, or ~r of region r, int64, shape [P - 1].
-        above: What lies at a cut or above it, likewise.
+        above: What lies at a cut or above it: another cut, or ~r of region r, int64, shape [P - 1].
         lower: Lower corner of each region, which belongs to it, float64, shape [P, 4].
         upper: Upper corner, which does not, float64, shape [P, 4].
     """
@@ -210,7 +210,7 @@ def _descend(
 
 
 def assigned(regions: Regions, work: NDArray[np.float64]) -> Regions:
-    """The same regions in another order, so that each rank gets one of which it holds much already.
+    """The regions in an order such that each rank gets one of which it holds much already.
 
     Args:
         regions: The regions.

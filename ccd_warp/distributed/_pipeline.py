@@ -89,7 +89,7 @@ class DistributedPipeline:
 
         Raises:
             ValueError: On all ranks, if an option of one is out of its range, or differs between ranks.
-            TypeError: Likewise, if there is no such option.
+            TypeError: On all ranks, if there is no such option.
         """
         check_instance("mesh", mesh, DistributedMesh)
         self.mesh = mesh
@@ -126,12 +126,12 @@ class DistributedPipeline:
             )
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> DistributedResult:
-        """Like :func:`ccd_warp.mesh_ccd`, collectively.
+        """Earliest times of impact of a step of the whole mesh; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
                 Rows of ghosts are ignored: the positions of the owners count.
-            vertices_t1: End positions, likewise. Static bodies are where they start.
+            vertices_t1: End positions, of the same shape. Static bodies are where they start.
 
         Returns:
             What concerns this rank, and the toi of the whole mesh.
@@ -161,11 +161,11 @@ class DistributedPipeline:
             return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
 
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
-        """Like :func:`ccd_warp.collision_free_step`, collectively.
+        """Largest fraction of a step of the whole mesh certain to be free of collisions; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, likewise.
+            vertices_t1: End positions, of the same shape.
 
         Returns:
             A fraction of the step in [0, t_max], the same on all ranks.
@@ -179,11 +179,11 @@ class DistributedPipeline:
         return min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
 
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
-        """Like :func:`ccd_warp.is_step_collision_free`, collectively.
+        """Whether a step of the whole mesh is certain to be free of collisions; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, likewise.
+            vertices_t1: End positions, of the same shape.
 
         Returns:
             True on all ranks if no pair touches in [0, t_max].
@@ -221,11 +221,11 @@ class DistributedPipeline:
     def find_candidates(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
     ) -> DistributedCandidates:
-        """Like :func:`ccd_warp.find_candidates`, collectively.
+        """Find the pairs of the whole mesh whose swept boxes overlap; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, likewise.
+            vertices_t1: End positions, of the same shape.
             inflation: Enlargement of every box on every side, a length, the same on all ranks.
 
         Returns:
@@ -252,7 +252,7 @@ class DistributedPipeline:
             return self._collectively(vertices_t0, vertices_t1, inflation, work)
 
     def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedProximities:
-        """Like :func:`ccd_warp.find_proximity`, collectively.
+        """Find the pairs of the whole mesh within a distance at one time; all ranks call it together.
 
         Args:
             positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
@@ -283,7 +283,7 @@ class DistributedPipeline:
             return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
 
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
-        """Like :func:`ccd_warp.displacement_bounds`, collectively.
+        """For each vertex on this rank a length by which it may move; all ranks call it together.
 
         Args:
             positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
@@ -317,7 +317,7 @@ class DistributedPipeline:
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
     def find_intersections(self, positions: ArrayLike) -> DistributedIntersections:
-        """Like :func:`ccd_warp.find_intersections`, collectively.
+        """Find the pairs of the whole mesh that touch or cross at one time; all ranks call it together.
 
         Args:
             positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
@@ -359,11 +359,11 @@ class DistributedPipeline:
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
     ) -> DistributedLineSearch:
-        """Like :func:`ccd_warp.line_search`, collectively.
+        """Shorten a step of the whole mesh until it is free of collisions; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: Desired end positions, likewise.
+            vertices_t1: Desired end positions, of the same shape.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; this and what follows the same on all ranks.
             safety: Fraction of its toi by which a vertex in contact may move.
             max_rounds: Largest number of steps that are checked.

@@ -70,7 +70,7 @@ def make_plan(
     Args:
         whole: The mesh.
         start: Start positions of the vertices on this rank; those of ghosts are overwritten.
-        end: End positions, likewise.
+        end: End positions of these vertices; those of ghosts are overwritten.
         inflation: The least enlargement of the boxes.
         work: Work of an earlier search by the vertices that this rank owns, shape [n]; None if it is not known.
         device: Device of the engine.
@@ -233,7 +233,7 @@ def _part_of(whole: DistributedMesh, received: list[NDArray[np.int64]]) -> Part:
     _, ids, owner, bodies, worlds, radius, box_radius, _ = table[at].T.copy()
     flags = np.zeros(len(numbers), dtype=np.int64)
     is_flagged = table[:, -1] > 0
-    flags[place[is_flagged]] = table[is_flagged, -1]  # only the rank that speaks for a vertex sets any
+    flags[place[is_flagged]] = table[is_flagged, -1]  # only the owner of a vertex sets any
     # quick, as those of a rank come in order
     edge, face = edge[np.argsort(edge[:, 0], kind="stable")], face[np.argsort(face[:, 0], kind="stable")]
     mesh = part_mesh(

@@ -1,4 +1,4 @@
-"""Edges and faces of the whole mesh: their numbers, and which rank speaks for each."""
+"""Edges and faces of the whole mesh: their numbers, and which rank answers for each."""
 
 from __future__ import annotations
 

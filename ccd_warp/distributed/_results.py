@@ -62,7 +62,7 @@ class DistributedContacts(OnRanks):
         toi: Earliest time of impact, float64, shape [m].
         parameters: (u, v) at toi, float64, shape [m, 2].
         normal: Unit normal at toi, float64, shape [m, 3], of a mesh in the plane [m, 2].
-        points: Position at toi, a length, float64, likewise.
+        points: Position at toi, a length, float64, shape [m, 3], of a mesh in the plane [m, 2].
         status: :class:`ccd_warp.CCDStatus`, int32, shape [m].
         gap: Upper bound of the gap at toi, a length, float64, shape [m].
         width: Width of the time interval left open, float64, shape [m].
@@ -163,7 +163,7 @@ class DistributedResult:
         toi: Earliest time of impact of the whole mesh, inf if there is certainly none; the same on all ranks.
         vertex_toi: Earliest toi of each vertex on this rank, ghosts too, shape [n].
         body_toi: Earliest toi of each body, the same on all ranks, shape [B].
-        world_toi: Earliest toi of each world, likewise, shape [W].
+        world_toi: Earliest toi of each world, the same on all ranks, shape [W].
         contacts: The contacts that this rank has found.
         num_contacts: Number of contacts of the whole mesh.
         work: What this rank has done.
