@@ -67,6 +67,22 @@ def test_triangle_at_its_distance_parts_and_slides_and_does_not_approach(norm, s
         assert len(pipeline.line_search(start, end, per="vertex").touching)
 
 
+@pytest.mark.parametrize("norm", NORMS)
+def test_tilted_triangle_that_float32_cannot_tell_from_its_distance_is_lifted(norm):
+    pipeline, start = two_triangles(0.3, precision="float32", **NORMS[norm])
+    sharp, _ = two_triangles(0.3, **NORMS[norm])
+    rng = np.random.default_rng(0)
+    fall = np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -0.6]], 3, axis=0)
+    for tilt in (1e-3, 0.1):
+        above = start + np.repeat([0.0, tilt], 3)[:, None] * rng.normal(size=(6, 1)) * [0.0, 0.0, 1.0]
+        above[3:, :2] += 0.05 * rng.normal(size=2)
+        met = above + sharp.mesh_ccd(above, above + fall).toi * fall
+        for beyond in (3e-9, 3e-8, 3e-7):
+            x = met - beyond / 0.6 * fall
+            for way, reached in ways(pipeline, x, x - fall):
+                np.testing.assert_array_equal(reached, x - fall, err_msg=f"{way}, {beyond} beyond")
+
+
 def test_none_stays_strict_and_a_number_shrinks_the_gap():
     start, end = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.5 * DISTANCE]]), None
     end = start + np.repeat([[0.0, 0.0, 0.0], [0.3, 0.0, 0.01]], 3, axis=0)

@@ -136,6 +136,26 @@ def test_a_line_search_at_a_distance_of_many_edges_takes_one_round(per):
     assert np.array_equal(found.touching.primitives, contacts.primitives)
 
 
+@pytest.mark.filterwarnings("ignore:the distance at which pairs touch")
+@pytest.mark.parametrize("per", ["scene", "vertex"])
+def test_a_holding_line_search_at_a_distance_of_many_edges_finds_the_holds_first(per, monkeypatch):
+    mesh = two_sheets(static=[0])
+    start, falls = mesh.vertices, (mesh.vertex_body == 1)[:, None]
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=5.0)
+    seen = searched(monkeypatch)
+    for end, fraction in ((start + [0, 0, 0.1] * falls, 1.0), (start - [0.1, 0.1, 0.0] * start * falls, 0.0)):
+        seen.clear()
+        early, num_searches = pipeline.line_search(start, end, per=per), len(seen)
+        with monkeypatch.context() as patched:
+            patched.setattr(ccd.CollisionPipeline, "_reaches_neighbours", lambda *_: False)
+            seen.clear()
+            late = pipeline.line_search(start, end, per=per)
+        assert num_searches == len(seen) - 1 and early.num_rounds == late.num_rounds
+        assert early.fraction == late.fraction == fraction
+        np.testing.assert_array_equal(early.vertices, late.vertices)
+        np.testing.assert_array_equal(early.touching.primitives, late.touching.primitives)
+
+
 def test_nothing_is_said_where_neighbours_are_excluded_or_there_are_none(recwarn):
     vertices, faces = scenes.sheet(4)
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)], exclusion_rings=9)

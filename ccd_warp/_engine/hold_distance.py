@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
 # What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
 # the mesh are far above the margin of a pair (`kernels.hold`), unless its motion is far larger than the mesh.
+# A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice that is held there, and with it
+# solved in float64.
 _OF_DISTANCE = 2.0**-20
-_OF_SIZE = 2.0**-40
+_OF_SIZE = {"float64": 2.0**-40, "float32": 2.0**-16}
 
 
 def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
@@ -31,7 +33,7 @@ def _slack(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) ->
     distance = options.separation(length_scale_of(mesh, options))
     thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
     with np.errstate(over="ignore"):
-        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE * mesh.length_scale
+        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE[options.precision] * mesh.length_scale
     return min(slack, float(np.finfo(np.float64).max))
 
 

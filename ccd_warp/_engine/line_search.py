@@ -146,12 +146,17 @@ def search_step(
 ) -> LineSearchResult:
     """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``.
 
-    With ``begins_at_rest`` a first round looks at the start alone, where everything may be in contact already.
+    With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
+    everything may be in contact already, and one that holds looks for the holds before its first round.
     """
     everywhere = everywhere or OneProcess()
     start, end = mesh.frames(vertices_t0, vertices_t1)
     moves = mesh._is_free[mesh.vertex_body]
-    if begins_at_rest and not mesh.kinematic.any():
+    holds: NDArray[np.float64] | None = None
+    if begins_at_rest and solver.worlds_near is not None:
+        found = solver.find_holds(start)
+        holds = found if np.isfinite(found).any() else None
+    elif begins_at_rest and not mesh.kinematic.any():
         contacts = solver.strict(start, start).contacts
         stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
         if everywhere.all(bool(stopped[moves].all())):
@@ -161,16 +166,16 @@ def search_step(
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
     is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
-    holds: NDArray[np.float64] | None = None
     at_start: NDArray[np.uint64] | None = None
     stopping: list[Contacts] = []
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
         result = solver.holding(start, vertices, holds)
-        if num_rounds == 0 and solver.worlds_near is not None and not everywhere.all(not len(result.contacts)):
+        worlds_near = solver.worlds_near if num_rounds == 0 and holds is None else None
+        if worlds_near is not None and not everywhere.all(not len(result.contacts)):
             # what starts within its distance has a contact, whichever way it moves
-            is_near = everywhere.least(np.where(solver.worlds_near(start, result.contacts), 0.0, 1.0)) == 0.0
+            is_near = everywhere.least(np.where(worlds_near(start, result.contacts), 0.0, 1.0)) == 0.0
             if is_near.any():
                 holds = everywhere.least_of_vertices(solver.find_holds(start))
                 holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
@@ -189,13 +194,13 @@ def search_step(
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
-                at_start = _keys(solver.strict(start, start).contacts)
+                at_start = np.sort(_keys(solver.strict(start, start).contacts))
                 num_rounds += 1
             is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
             can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
             if at_start is not None:
-                can_be_shorter &= ~np.isin(_keys(contacts), at_start)
+                can_be_shorter &= ~_is_among(_keys(contacts), at_start)
             can_be_shorter &= ~is_driven
             can_be_shorter &= (_least(toi, corners, mesh, per, everywhere)[corners] == 0).any(axis=1)
             is_one = corners[:, 0] == corners[:, 3]
@@ -263,7 +268,7 @@ class _Driven:
         if self._everywhere.all(not mesh.kinematic[contact_bodies(mesh, contacts)].any()):
             return 0
         stays = mesh._is_free[mesh.vertex_body]
-        self._keys = _keys(self._solve(self._start, np.where(stays[:, None], self._start, self._end)).contacts)
+        self._keys = np.sort(_keys(self._solve(self._start, np.where(stays[:, None], self._start, self._end)).contacts))
         return 1
 
     def is_at_rest(self, contacts: Contacts, corners: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -281,7 +286,7 @@ class _Driven:
         if self._keys is None:
             return np.zeros(len(contacts), dtype=bool)
         is_of_kinematic = self._mesh.kinematic[contact_bodies(self._mesh, contacts)].any(axis=1)
-        found: NDArray[np.bool_] = is_of_kinematic & np.isin(_keys(contacts), self._keys)
+        found: NDArray[np.bool_] = is_of_kinematic & _is_among(_keys(contacts), self._keys)
         return found
 
 
@@ -318,6 +323,14 @@ def _keys(contacts: Contacts) -> NDArray[np.uint64]:
     kind = np.where(is_plane, int(PairKind.POINT_POINT), contacts.kind).astype(np.uint64)
     first |= is_plane.astype(np.uint64) << np.uint64(30)
     return kind << np.uint64(62) | first << np.uint64(31) | second
+
+
+def _is_among(keys: NDArray[np.uint64], ascending: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Which keys are among others, which may be millions: `np.isin` would take seconds."""
+    if len(ascending) == 0:
+        return np.zeros(len(keys), dtype=bool)
+    found: NDArray[np.bool_] = ascending[np.searchsorted(ascending[:-1], keys)] == keys
+    return found
 
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
