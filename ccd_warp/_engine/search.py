@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
-from ccd_warp._runtime.lanes import grid_search_on, pair_search_on
+from ccd_warp._runtime.lanes import search_on
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
@@ -152,11 +152,11 @@ class PairSearch:
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
-        search_on = grid_search_on if tree_pairs[0].query.cells is not None else pair_search_on
+        walk = "search_hashes" if tree_pairs[0].query.cells is not None else "search_trees"
         is_cuda = self.execution.is_cuda
         topology = self._topology
         self._kernel = search_on(
-            topology.device, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
+            topology.device, walk, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
         )
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)

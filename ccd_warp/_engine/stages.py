@@ -9,7 +9,7 @@ import warp as wp
 from ccd_warp._engine.grids import Grid, fill_grids
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, Tree, TreePair, fill_trees, search_range
-from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs_in
+from ccd_warp._runtime.lanes import queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
@@ -227,8 +227,10 @@ class Stages:
 
     def _search_on(self, end: str, *, is_cuda: bool) -> Any:
         """The kernel of a search that ends at a stage."""
-        search_on = grid_search_on if self.grids else pair_search_on
-        return search_on(self.topology.device, end, self.topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
+        walk = "search_hashes" if self.grids else "search_trees"
+        return search_on(
+            self.topology.device, walk, end, self.topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick
+        )
 
     def _searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
