@@ -154,8 +154,8 @@ def search_hashes(
     # in
     part: SearchRange,
     query: BoxTree,
-    target: BoxTree,
     query_grid: HashGrid,
+    target: BoxTree,
     target_grid: HashGrid,
     tree_pair: TreePair,
     options: SearchOptions,

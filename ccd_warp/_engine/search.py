@@ -152,7 +152,7 @@ class PairSearch:
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
-        walk = "search_hashes" if tree_pairs[0].query.cells is not None else "search_trees"
+        walk = tree_pairs[0].query.walk
         is_cuda = self.execution.is_cuda
         topology = self._topology
         self._kernel = search_on(
@@ -190,15 +190,14 @@ class PairSearch:
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
         """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
-        sets = (tree_pair.query, tree_pair.target)
         return wp.launch(
             self._kernel,
             dim=1,
             inputs=[
                 0,
                 SearchRange(),
-                *(each.arrays for each in sets),
-                *(each.cells for each in sets if each.cells is not None),
+                *tree_pair.query.structs,
+                *tree_pair.target.structs,
                 tree_pair.packed,
                 self._options,
                 self._topology.collision_filter,
