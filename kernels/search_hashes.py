@@ -39,6 +39,7 @@ if in_half_warps:
     from . import search_half_warp as queries
 else:
     from . import search_lanes as queries
+    from .collected import num_collected
 
 _NONE = wp.constant(wp.uint32(0))
 
@@ -138,12 +139,12 @@ def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, ite
                 break  # as are all that follow
             if is_stopped(search.options.stop):
                 break
-            queries = in_cells(query_grid.cells, block, pending, first_of_row(own), last_of_row(own))
+            in_row = in_cells(query_grid.cells, block, pending, first_of_row(own), last_of_row(own))
             own_level = level_of_cell(own)
             if own_level < LAST_LEVEL and is_at_an_end(own):
-                queries = queries & (~queries + wp.uint32(1))  # one alone: the box around several may cover any number
-            pending = pending & ~queries
-            item.queries = queries
+                in_row = in_row & (~in_row + wp.uint32(1))  # one alone: the box around several may cover any number
+            pending = pending & ~in_row
+            item.queries = in_row
             num_candidates += search_levels(search, target_grid, item, own_level)
     return num_candidates
 
@@ -178,5 +179,5 @@ def search_hashes(
         if wp.static(in_half_warps):
             search_hash(search, query_grid, target_grid, item)
         else:
-            item = queries.with_collected(item, wp.zeros(shape=queries.num_collected, dtype=wp.int32))
+            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
             queries.finish(search, item, search_hash(search, query_grid, target_grid, item))

@@ -10,7 +10,6 @@ import warp as wp
 from .atomics import claim
 from .box_tree import WIDTH, box_corners
 from .collected import collect, cull_rest
-from .collected import num_collected as num_collected  # of the kernels
 from .exact_boxes import boxes_apart
 from .hash_grid import Extent
 from .hash_lanes import corners_of

@@ -34,6 +34,7 @@ if in_half_warps:
     from . import search_half_warp as queries
 else:
     from . import search_lanes as queries
+    from .collected import num_collected
 
 _LANES = wp.constant(wp.uint64(0xFFFF))
 _NOTHING = wp.constant(wp.uint64(0))
@@ -138,5 +139,5 @@ def search_trees(
         if wp.static(in_half_warps):
             search_tree(search, item)
         else:
-            item = queries.with_collected(item, wp.zeros(shape=queries.num_collected, dtype=wp.int32))
+            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
             queries.finish(search, item, search_tree(search, item))
