@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels import box_tree
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 BLOCK_FLOATS = int(box_tree.BLOCK_FLOATS)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Layout:
     """What sets of boxes are laid out with.
 
@@ -24,13 +25,18 @@ class Layout:
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
         allocate: Returns an array of a name, a length and a type.
         order_of: Returns the order of a set in a tree: indices of the primitives, and vertices of their blocks.
-        cell: Returns the side of a cell of the finest level of spatial hashes in quantized coordinates.
+        choose_cell: Returns the side of a cell of the finest level of spatial hashes in quantized coordinates.
     """
 
     num_aabbs: int
     allocate: Callable[[str, int, Any], wp.array]
     order_of: Callable[["PrimitiveSet"], tuple[wp.array, wp.array]]
-    cell: Callable[[], float]
+    choose_cell: Callable[[], float]
+
+    @lazy_property
+    def cell(self) -> float:
+        """The side of a cell, chosen once for all sets of a step."""
+        return self.choose_cell()
 
 
 class BoxSet:
@@ -42,27 +48,26 @@ class BoxSet:
         is_sorted_when_filled: Whether the boxes are brought into a good order whenever they are computed.
         primitives: The set of primitives.
         levels: Number of blocks of each level of boxes; there are at least two levels.
-        arrays: The boxes and their order, a ``kernels.BoxTree``; None before the first step.
+        name: Name of its arrays.
+        slots: Names of its structs in a recording.
+        structs: The set as kernels take it, after it is laid out.
     """
 
     walk: ClassVar[str]
     parts: ClassVar[tuple[str, ...]]
     is_sorted_when_filled: ClassVar[bool]
 
-    def __init__(self, primitives: "PrimitiveSet", levels: tuple[int, ...]) -> None:
+    def __init__(self, primitives: "PrimitiveSet", levels: tuple[int, ...], name: str) -> None:
         self.primitives = primitives
         self.levels = levels
-        self.arrays: Any = None
+        self.name = name
+        self.slots = tuple(f"{name} {part}" for part in self.parts)
+        self.structs: tuple[Any, ...] = ()
 
     @property
-    def name(self) -> str:
-        """Name of its arrays."""
-        return self.primitives.name
-
-    @property
-    def structs(self) -> tuple[Any, ...]:
-        """The set as kernels take it."""
-        return (self.arrays,)
+    def arrays(self) -> Any:
+        """The boxes and their order, a ``kernels.BoxTree``."""
+        return self.structs[0]
 
     def num_floats(self, num_aabbs: int) -> int:
         """Numbers that the boxes consist of."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -75,7 +74,7 @@ class StepBoxes:
         self.num_boxes = self.num_sorted = 0
         self._num_aabbs = 0
         # the boxes of each set, those of trees in the order of the rest configuration
-        self._rest: dict[str, Any] = {}
+        self._rest: dict[str, tuple[Any, ...]] = {}
         # sets of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
@@ -111,7 +110,7 @@ class StepBoxes:
             num_aabbs,
             self.buffers.get,
             lambda primitives: rest_order(self.topology, primitives, execution),
-            cache(lambda: choose_cell(self.topology, positions, self.quantization)),
+            lambda: choose_cell(self.topology, positions, self.quantization),
         )
         for each in sets:
             self._lay_out(each, layout)
@@ -119,7 +118,7 @@ class StepBoxes:
             self._begin_static(start, inflation, execution)
             for each in sets:
                 if each.primitives.is_static and each.name not in self._filled:
-                    each.arrays = self._rest[each.name]
+                    each.structs = self._rest[each.name]
                     each.fill([each], self.vertex_aabbs, execution)
                     self.keep_in_order(each, execution)
                     self._filled.add(each.name)
@@ -128,12 +127,13 @@ class StepBoxes:
         """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
         if each.name not in self._rest:
             each.lay_out(layout)
-            self._rest[each.name] = each.arrays
+            self._rest[each.name] = each.structs
             self._filled.discard(each.name)
         elif each.adapt(layout):
+            self._rest[each.name] = each.structs
             self._filled.discard(each.name)
         if not each.primitives.is_static:
-            each.arrays = self._rest[each.name]
+            each.structs = self._rest[each.name]
             self.num_boxes += each.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:

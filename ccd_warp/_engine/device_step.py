@@ -3,7 +3,6 @@
 from collections.abc import Collection
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -210,7 +209,7 @@ class DeviceStep:
             _NUM_AABBS,
             lambda _, n, dtype: self._empty(n, dtype),
             self._order,
-            cache(lambda: choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE)),
+            lambda: choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE),
         )
         for tree in trees:
             tree.lay_out(layout)

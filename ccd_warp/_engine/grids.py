@@ -25,7 +25,6 @@ class Grid(BoxSet):
     """A set of primitives and the spatial hash of their boxes, in the order of the buckets.
 
     Attributes:
-        cells: The cells and the buckets, a ``hash_grid.HashGrid``; None before the first step.
         cell: Side of a cell of the finest level in quantized coordinates.
     """
 
@@ -34,19 +33,9 @@ class Grid(BoxSet):
     is_sorted_when_filled = True
 
     def __init__(self, primitives: PrimitiveSet) -> None:
-        super().__init__(primitives, (primitives.num_blocks, -(-primitives.num_blocks // WIDTH)))
-        self.cells: Any = None
+        levels = primitives.num_blocks, -(-primitives.num_blocks // WIDTH)
+        super().__init__(primitives, levels, f"{primitives.name} grid")
         self.cell = 0.0
-
-    @property
-    def name(self) -> str:
-        """Name of its arrays."""
-        return f"{self.primitives.name} grid"
-
-    @property
-    def structs(self) -> tuple[Any, ...]:
-        """The boxes and the cells."""
-        return self.arrays, self.cells
 
     def lay_out(self, layout: Layout) -> None:
         """Give the grid its arrays."""
@@ -66,12 +55,12 @@ class Grid(BoxSet):
         self.unsorted_cells = allocate(f"{self.name} unsorted", count, wp.uint64)
         self.buckets = allocate(f"{self.name} keyed", 2 * count, wp.int32)
         self.order = allocate(f"{self.name} sorted", 2 * count, wp.int32)
-        self.arrays, self.cells = arrays, cells
-        self.set_cell(layout.cell())
+        self.structs = arrays, cells
+        self.set_cell(layout.cell)
 
     def adapt(self, layout: Layout) -> bool:
         """Adapt the size of the cells; returns whether it has changed."""
-        cell = layout.cell()
+        cell = layout.cell
         if cell == self.cell:
             return False
         self.set_cell(cell)
@@ -79,11 +68,17 @@ class Grid(BoxSet):
 
     def set_cell(self, cell: float) -> None:
         """Set the side of a cell before the boxes are sorted again; a recording then has to bind the new cells."""
-        before, self.cells = self.cells, hash_grid.HashGrid()
+        cells = hash_grid.HashGrid()
         for name in hash_grid.HashGrid.vars:
-            setattr(self.cells, name, getattr(before, name))
-        self.cells.cells_per_unit = 1.0 / cell
+            setattr(cells, name, getattr(self.cells, name))
+        cells.cells_per_unit = 1.0 / cell
+        self.structs = self.arrays, cells
         self.cell = cell
+
+    @property
+    def cells(self) -> Any:
+        """The cells and the buckets, a ``hash_grid.HashGrid``."""
+        return self.structs[1]
 
     @staticmethod
     def fill(

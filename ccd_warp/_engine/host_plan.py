@@ -152,7 +152,7 @@ class HostPlan:
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
         names += ["search options", "options", "contacts", "queue", "plane query", "reach", "proximities"]
-        boxes = {tree.name: tuple(Slot(f"{tree.name} {part}") for part in tree.parts) for tree in self.trees}
+        boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
@@ -267,9 +267,10 @@ class HostPlan:
         if not self.trees:
             return  # no pairs but those with half-spaces, which have no boxes
         self._fill_vertex_aabbs(t_end)
-        if not self.execution.is_cuda or self.trees[0].is_sorted_when_filled:
+        is_sorted = self.trees[0].is_sorted_when_filled
+        if is_sorted or not self.execution.is_cuda:
             self._fill_trees()
-        if any([boxes.keep_in_order(tree, self.execution) for tree in self._moving]):
+        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self._moving]):
             self._bind_trees()
 
     def shorten_boxes(self, t_end: float) -> None:
@@ -289,8 +290,8 @@ class HostPlan:
 
     def _bind_trees(self) -> None:
         for tree in self.trees:
-            for part, struct in zip(tree.parts, tree.structs, strict=True):
-                self._recording.bind(f"{tree.name} {part}", struct)
+            for slot, struct in zip(tree.slots, tree.structs, strict=True):
+                self._recording.bind(slot, struct)
 
     def may_meet(self, tree_pair: TreePair) -> bool:
         """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""

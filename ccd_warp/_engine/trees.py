@@ -43,7 +43,7 @@ class Tree(BoxSet):
     is_sorted_when_filled = False
 
     def __init__(self, primitives: PrimitiveSet) -> None:
-        super().__init__(primitives, level_sizes(primitives.count))
+        super().__init__(primitives, level_sizes(primitives.count), primitives.name)
 
     def lay_out(self, layout: Layout) -> None:
         """Give the tree an order, and arrays for boxes that it does not have yet."""
@@ -60,7 +60,7 @@ class Tree(BoxSet):
         arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
         arrays.nodes = nodes
         arrays.primitive, arrays.corners = order
-        self.arrays = arrays
+        self.structs = (arrays,)
 
     def level_boxes(self, level: int) -> NDArray[np.float32]:
         """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
