@@ -116,7 +116,7 @@ class Item:
     """A query box, and the lanes of a thread."""
 
     first: int  # place of the query
-    own: int  # the same among the targets if these are the same boxes; otherwise -1: partners come after it
+    own: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     box: vec12f
     first_lane: int
     end_lane: int

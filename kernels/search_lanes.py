@@ -52,7 +52,7 @@ class Item:
     """Query boxes of one block, and the box around them."""
 
     first: int  # place of the first query
-    own: int  # the same among the targets if these are the same boxes; otherwise -1: partners come after it
+    own: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     queries: wp.uint32  # lanes of their block
     around: int  # place of the box around the block of queries; of a single query its own
     is_block: int  # 1: the boxes of a block; 0: a single box

@@ -10,7 +10,7 @@ from .minima import Minima
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
 LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
-CULL_OF_BOXES = "cull_of_boxes"  # the same, in trees that hold one box and not those of both ends of a step
+CULL_OF_BOXES = "cull_of_boxes"  # it culls pairs of trees that hold one box and not those of both ends of a step
 
 
 @wp.struct
@@ -36,7 +36,7 @@ class SearchOptions:
     is_euclidean: int  # 1: a distance
     stop: wp.array[wp.int32]  # set when the host wants the search to end
     radius: wp.array[wp.float64]  # of each vertex, for the cull; empty without (`thickness`)
-    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; likewise
+    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; empty without
 
 
 @wp.struct
