@@ -56,8 +56,7 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
             continue  # lists candidates with radii as it does without
         name = f"{end} {with_lists}{' thick' if is_thick else ''}"
         parameters = {"end": end, "with_lists": with_lists, "is_thick": is_thick}
-        modules[f"half_warp_search {name}"] = specialised("half_warp_search", **parameters).search_queries.module
-        modules[f"half_warp_grid_search {name}"] = specialised(
-            "half_warp_grid_search", **parameters
-        ).search_cells.module
+        for walk in ("search_trees", "search_hashes"):
+            of_walk = specialised(walk, **parameters, in_half_warps=True)
+            modules[f"{walk} {name}"] = getattr(of_walk, walk).module
     return {name: module for name, module in modules.items() if module.kernels}

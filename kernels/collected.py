@@ -1,24 +1,24 @@
 """The candidates that an item of a search collects until there is one for each lane of the cull.
 
-In lanes, an item has an array of `size` numbers: four rows of vertices, those of the points of a pair, two rows of
-primitives, and the number of candidates collected. With a width of 1 each candidate is culled as it is found, and all
-stays in registers. The pairs that the cull leaves open are the same; their order depends on the width.
+In lanes, an item has an array of `num_collected` numbers: four rows of vertices, those of the points of a pair, two
+rows of primitives, and the number of candidates collected. With a width of 1 each candidate is culled as it is found,
+and all stays in registers. The pairs that the cull leaves open are the same; their order depends on the width.
 """
 
 import warp as wp
 
 from .atomics import claim
-from .box_tree import WIDTH, BoxTree, box_corners
+from .box_tree import WIDTH, box_corners
 from .candidate_cull import has_volume, write_pair
 from .cull import free_lanes
 from .lane_points import points_at
 from .lanes import lowest_bit, number_of_bits
-from .minima import FOUND, Minima
+from .minima import FOUND
 from .pair_kind import EDGE_EDGE
 from .pair_lanes import collect_pairs
 from .parameters import is_thick, width
 from .points import corners as corners_of_lanes
-from .search_types import SearchOptions, SearchRange, TreePair, is_turned
+from .search_types import Search, SearchOptions, is_turned
 from .simd import Lanes
 from .template import specialised
 from .thickness import distance_of
@@ -56,27 +56,17 @@ if width > 1:
         return r
 
     @wp.func
-    def cull(
-        kind: int,
-        options: SearchOptions,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        collected: wp.array[wp.int32],
-        begin: int,
-        count: int,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-    ):
+    def cull(search: Search, collected: wp.array[wp.int32], begin: int, count: int):
         """Cull ``count`` candidates from ``begin`` on, at most one a lane, and write those that stay open.
 
         Lanes without a candidate hold one from before, or vertex 0; their results are ignored.
         """
+        kind = search.tree_pair.kind
+        options = search.options
         left = (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
         if has_volume(kind):
-            c0 = corners_of_lanes(kind, points_at(vertices_t0, collected, begin, capacity))
-            c1 = corners_of_lanes(kind, points_at(vertices_t1, collected, begin, capacity))
+            c0 = corners_of_lanes(kind, points_at(search.vertices_t0, collected, begin, capacity))
+            c1 = corners_of_lanes(kind, points_at(search.vertices_t1, collected, begin, capacity))
             if wp.static(is_thick):
                 own = distances(kind, options, collected, begin)
                 left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
@@ -84,134 +74,68 @@ if width > 1:
                 separation = options.separation
                 left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)
         if left != _NONE:
-            n = claim(counts, part.row, FOUND, number_of_bits(left))
+            n = claim(search.counts, search.part.row, FOUND, number_of_bits(left))
             while left != _NONE:
                 k = begin + lowest_bit(left)
                 left = left & (left - wp.uint32(1))
                 a, b = corners_of(kind, collected, k)
-                write_pair(collected[k + 4 * capacity], collected[k + 5 * capacity], a, b, n, part, keys, minima)
+                first, second = collected[k + 4 * capacity], collected[k + 5 * capacity]
+                write_pair(first, second, a, b, n, search.part, search.keys, search.minima)
                 n += wp.int64(1)
 
     @wp.func
-    def collect(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        q: int,
-        block: int,
-        mask: wp.uint32,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ):
+    def collect(search: Search, q: int, block: int, mask: wp.uint32, collected: wp.array[wp.int32]):
         """Collect the candidates of a query and the boxes of a block in a mask; cull while they fill the lanes."""
-        order = wp.where(tree_pair.symmetric != 0, 2, tree_pair.swapped)
         count = collect_pairs(
-            query.primitive,
-            query.corners,
+            search.query.primitive,
+            search.query.corners,
             q,
-            target.primitive,
-            target.corners,
+            search.target.primitive,
+            search.target.corners,
             block,
             mask,
-            order,
-            wp.where(tree_pair.kind == EDGE_EDGE, 2, 1),
+            wp.where(search.tree_pair.symmetric != 0, 2, search.tree_pair.swapped),
+            wp.where(search.tree_pair.kind == EDGE_EDGE, 2, 1),
             collected[number_at],
             capacity,
             collected,
         )
         while count >= lanes:
             count -= lanes
-            cull(
-                tree_pair.kind,
-                options,
-                vertices_t0,
-                vertices_t1,
-                collected,
-                count,
-                lanes,
-                part,
-                counts,
-                keys,
-                minima,
-            )
+            cull(search, collected, count, lanes)
         collected[number_at] = count
 
     @wp.func
-    def cull_rest(
-        tree_pair: TreePair,
-        options: SearchOptions,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ):
+    def cull_rest(search: Search, collected: wp.array[wp.int32]):
         """Cull what is left of the candidates at the end of an item."""
         count = collected[number_at]
         if count > 0:
-            cull(tree_pair.kind, options, vertices_t0, vertices_t1, collected, 0, count, part, counts, keys, minima)
+            cull(search, collected, 0, count)
 
 else:
     is_discarded = specialised("candidate_cull", is_thick=is_thick).is_discarded
 
     @wp.func
-    def collect(
-        query: BoxTree,
-        target: BoxTree,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        q: int,
-        block: int,
-        mask: wp.uint32,
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ):
+    def collect(search: Search, q: int, block: int, mask: wp.uint32, collected: wp.array[wp.int32]):
         """Cull the candidates of a query and the boxes of a block in a mask, and write those that stay open."""
         left = wp.uint32(mask)
         while left != _NONE:
             place = block * WIDTH + lowest_bit(left)
             left = left & (left - wp.uint32(1))
-            a = box_corners(query, q)
-            b = box_corners(target, place)
-            i = query.primitive[q]
-            j = target.primitive[place]
-            if is_turned(tree_pair, i, j):
-                c = a
-                a = b
-                b = c
-                k = i
-                i = j
-                j = k
-            if not is_discarded(tree_pair.kind, a, b, vertices_t0, vertices_t1, options):
-                write_pair(i, j, a, b, claim(counts, part.row, FOUND, 1), part, keys, minima)
+            a = box_corners(search.query, q)
+            b = box_corners(search.target, place)
+            i = search.query.primitive[q]
+            j = search.target.primitive[place]
+            if is_turned(search.tree_pair, i, j):
+                a, b = b, a
+                i, j = j, i
+            if not is_discarded(search.tree_pair.kind, a, b, search.vertices_t0, search.vertices_t1, search.options):
+                n = claim(search.counts, search.part.row, FOUND, 1)
+                write_pair(i, j, a, b, n, search.part, search.keys, search.minima)
 
     @wp.func
-    def cull_rest(
-        tree_pair: TreePair,
-        options: SearchOptions,
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        part: SearchRange,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        minima: Minima,
-        collected: wp.array[wp.int32],
-    ):
+    def cull_rest(search: Search, collected: wp.array[wp.int32]):
         """Nothing is left, since each candidate is culled as it is found."""
 
 
-size = 6 * (width - 1 + WIDTH) + 1 if width > 1 else 1
-size = wp.constant(size)
+num_collected = wp.constant(6 * (width - 1 + WIDTH) + 1 if width > 1 else 1)

@@ -6,11 +6,12 @@ The boxes are exactly those of which `fill_vertex_aabbs` quantizes the parts for
 
 import warp as wp
 
-from .box_tree import WIDTH, BoxTree, box_corners
+from .box_tree import WIDTH, box_corners
 from .boxes import Box, inflated, point_box, united
 from .lanes import lowest_bit
 from .pair_lanes import separated_mask
-from .search_types import SearchOptions, TreePair
+from .parameters import is_thick
+from .search_types import Search, SearchOptions
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
@@ -41,56 +42,37 @@ def are_apart(a: Box, b: Box) -> bool:
     return x or y or a.lower[2] > b.upper[2] or b.lower[2] > a.upper[2]
 
 
-@wp.func
-def boxes_apart(
-    query: BoxTree,
-    target: BoxTree,
-    tree_pair: TreePair,
-    options: SearchOptions,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    query_block: int,
-    query_lane: int,
-    block: int,
-    tied: wp.uint32,
-) -> wp.uint32:
-    """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
-    return separated_mask(
-        vertices_t0,
-        vertices_t1,
-        options.inflation,
-        target.corners,
-        block,
-        tree_pair.num_target_corners,
-        query.corners,
-        query_block,
-        query_lane,
-        tree_pair.num_query_corners,
-        tied,
-    )
+if is_thick:
 
+    @wp.func
+    def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
+        """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
+        box = thick_box(box_corners(search.query, q), search.vertices_t0, search.vertices_t1, search.options)
+        mask = wp.uint32(0)
+        left = wp.uint32(tied)
+        while left != _NONE:
+            lane = lowest_bit(left)
+            left = left & (left - _ONE)
+            corners = box_corners(search.target, block * WIDTH + lane)
+            if are_apart(box, thick_box(corners, search.vertices_t0, search.vertices_t1, search.options)):
+                mask = mask | (_ONE << wp.uint32(lane))
+        return mask
 
-@wp.func
-def thick_boxes_apart(
-    query: BoxTree,
-    target: BoxTree,
-    tree_pair: TreePair,
-    options: SearchOptions,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    query_block: int,
-    query_lane: int,
-    block: int,
-    tied: wp.uint32,
-) -> wp.uint32:
-    """The same for boxes that grow by radii."""
-    box = thick_box(box_corners(query, query_block * WIDTH + query_lane), vertices_t0, vertices_t1, options)
-    mask = wp.uint32(0)
-    left = wp.uint32(tied)
-    while left != _NONE:
-        lane = lowest_bit(left)
-        left = left & (left - _ONE)
-        other = thick_box(box_corners(target, block * WIDTH + lane), vertices_t0, vertices_t1, options)
-        if are_apart(box, other):
-            mask = mask | (_ONE << wp.uint32(lane))
-    return mask
+else:
+
+    @wp.func
+    def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
+        """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
+        return separated_mask(
+            search.vertices_t0,
+            search.vertices_t1,
+            search.options.inflation,
+            search.target.corners,
+            block,
+            search.tree_pair.num_target_corners,
+            search.query.corners,
+            q / WIDTH,
+            q % WIDTH,
+            search.tree_pair.num_query_corners,
+            tied,
+        )

@@ -353,3 +353,29 @@ def write_leaves(
 def write_union(nodes: wp.array[wp.float32], block: int, at: int):
     """Write the union of the sixteen boxes of a block to a place of another block."""
     ...
+
+
+_EVERY = wp.constant(wp.uint32(0xFFFF))
+
+
+@wp.func
+def lanes_after(lane: int) -> wp.uint32:
+    """Mask of the lanes after a lane."""
+    return (_EVERY << wp.uint32(lane + 1)) & _EVERY
+
+
+@wp.func
+def lanes_before(count: int) -> wp.uint32:
+    """Mask of the first ``count`` lanes, at most all."""
+    if count >= 16:
+        return _EVERY
+    return (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
+
+
+@wp.func
+def lanes_between(mask: wp.uint32, first: int, last: int, block: int) -> wp.uint32:
+    """Those lanes of a block in a mask whose places are from ``first`` on and before ``last``."""
+    result = mask & lanes_before(last - block * 16)
+    if first > block * 16:
+        result = result & ~lanes_before(first - block * 16)
+    return result

@@ -1,12 +1,16 @@
-"""Arguments of a search for pairs in two trees: the pair of trees, the options of the step, and a range of items."""
+"""What a search for pairs of boxes is given: the boxes, the options of the step, a range of items, and its outputs."""
 
 import warp as wp
+
+from .box_tree import BoxTree
+from .collision_filter import CollisionFilter
+from .minima import Minima
 
 # The stage at which a search ends.
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
 LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
-CULL_OF_BOXES = "cull_of_boxes"  # the same, in trees that hold one box and not those of both ends of a step
+CULL_OF_BOXES = "cull_of_boxes"  # it culls pairs of trees that hold one box and not those of both ends of a step
 
 
 @wp.struct
@@ -32,7 +36,7 @@ class SearchOptions:
     is_euclidean: int  # 1: a distance
     stop: wp.array[wp.int32]  # set when the host wants the search to end
     radius: wp.array[wp.float64]  # of each vertex, for the cull; empty without (`thickness`)
-    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; likewise
+    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; empty without
 
 
 @wp.struct
@@ -46,6 +50,23 @@ class SearchRange:
     first_key: int  # of a search without the cull, which writes to a part of the keys
     capacity: int  # of that part, in keys; or of the list of candidates
     marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
+
+
+@wp.struct
+class Search:
+    """The arguments of a search, which its kernel gathers once for all functions below it."""
+
+    part: SearchRange
+    query: BoxTree
+    target: BoxTree
+    tree_pair: TreePair
+    options: SearchOptions
+    collision_filter: CollisionFilter
+    vertices_t0: wp.array[wp.vec3d]
+    vertices_t1: wp.array[wp.vec3d]
+    counts: wp.array2d[wp.int64]
+    keys: wp.array[wp.int64]  # of pairs; or of candidates, of a search that lists them
+    minima: Minima
 
 
 @wp.func

@@ -19,12 +19,10 @@ import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.kernels.search_types import BOXES, CULL, LIST
 
-from ccd_warp._runtime.lanes import grid_search_on, pair_search_on
+from ccd_warp._runtime.lanes import search_on
 
-# Files whose kernels have other versions for CUDA.
-CPU_ONLY = ["pair_search", "grid_search"]
 # Modules whose loads are looked at.
-LOADING = ["half_warp_search list False", "half_warp_search boxes False", "half_warp_tree"]
+LOADING = ["search_trees list False", "search_trees boxes False", "half_warp_tree"]
 
 
 def test_every_file_with_kernels_is_covered():
@@ -32,15 +30,14 @@ def test_every_file_with_kernels_is_covered():
     for info in pkgutil.iter_modules(ccd_warp.kernels.__path__):
         module = importlib.import_module(f"ccd_warp.kernels.{info.name}")
         source = open(module.__file__, encoding="utf-8").read()
-        if "@wp.kernel" in source:
-            assert (info.name in covered) != (info.name in CPU_ONLY)
+        assert "@wp.kernel" not in source or info.name in covered
 
 
-@pytest.mark.parametrize("search_on", [pair_search_on, grid_search_on])
-def test_every_search_that_a_scene_may_ask_for_is_listed(search_on):
+@pytest.mark.parametrize("walk", ["search_trees", "search_hashes"])
+def test_every_search_that_a_scene_may_ask_for_is_listed(walk):
     modules = cuda_modules(with_distances=True).values()
     for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, True)):
-        kernel = search_on(None, end, with_lists, is_cuda=True, is_thick=is_thick)
+        kernel = search_on(None, walk, end, with_lists, is_cuda=True, is_thick=is_thick)
         assert kernel.module in modules, (end, with_lists, is_thick)
 
 
@@ -60,7 +57,7 @@ def compiled(tmp_path_factory, request):
 
 # Of the kernels for radii, which all run emulated, those that take the distances of pairs each in another way.
 _OF_RADII = ["queued_pairs solve_pairs later float64 thick", "candidate_cull thick"]
-_OF_RADII += ["half_warp_search boxes False thick"]
+_OF_RADII += ["search_trees boxes False thick"]
 NAMES = [name for name in cuda_modules(with_distances=True) if not name.endswith("thick") or name in _OF_RADII]
 
 
@@ -84,7 +81,7 @@ def test_compiles_to_ptx(name, compiled):
 @pytest.mark.parametrize(("end", "number"), [("list", 12), ("boxes", 6)])
 def test_a_search_loads_a_box_without_a_branch_and_keeps_its_way_in_registers(end, number, compiled):
     """All numbers of a box are on their way before the first is needed: at the top, at inner blocks, at leaves."""
-    ptx = _ptx(f"half_warp_search {end} False", compiled)
+    ptx = _ptx(f"search_trees {end} False", compiled)
     stretches = re.split(r"\bbra\b|^\$L", ptx, flags=re.MULTILINE)
     assert sum(len(re.findall(r"\bld\.global\S*32\b", stretch)) >= number for stretch in stretches) >= 3
     assert ".local" not in ptx

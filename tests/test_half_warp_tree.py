@@ -10,7 +10,7 @@ from scenes import sheet, sheet_over_floor, single, soup
 import ccd_warp as ccd
 from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.topology import Topology, choose_quantization
-from ccd_warp._engine.trees import Tree, fill_trees
+from ccd_warp._engine.trees import Tree
 from ccd_warp._runtime.launch import Execution
 
 DEVICE = wp.get_device("cpu")
@@ -64,8 +64,8 @@ def test_half_warps_fill_the_same_boxes(count, num_aabbs):
         nodes = []
         for execution in executions():
             tree = Tree(primitives)
-            tree.lay_out(num_aabbs, order, lambda n: wp.full(n, value=np.nan, dtype=wp.float32))
-            fill_trees([tree], aabbs, execution)
+            tree.set_order(num_aabbs, order, wp.full(tree.num_floats(num_aabbs), value=np.nan, dtype=wp.float32))
+            tree.fill([tree], aabbs, execution)
             nodes.append(tree.arrays.nodes.numpy())
         assert not np.isnan(nodes[0]).any()
         np.testing.assert_array_equal(*nodes)
@@ -76,12 +76,12 @@ def test_boxes_stay_where_the_flag_is_not_set():
     aabbs = vertex_aabbs_of(topology, 2)
     tree = Tree(topology.primitives("edge", "moving"))
     order = rest_order(topology, tree.primitives, Execution(DEVICE, 1))
-    tree.lay_out(2, order, lambda n: wp.full(n, value=7.0, dtype=wp.float32))
+    tree.set_order(2, order, wp.full(tree.num_floats(2), value=7.0, dtype=wp.float32))
     flag = wp.zeros(1, dtype=wp.int32)
-    fill_trees([tree], aabbs, AsOnCuda(DEVICE, 1), only_if=flag)
+    tree.fill([tree], aabbs, AsOnCuda(DEVICE, 1), only_if=flag)
     assert (tree.arrays.nodes.numpy() == 7.0).all()
     flag.fill_(1)
-    fill_trees([tree], aabbs, AsOnCuda(DEVICE, 1), only_if=flag)
+    tree.fill([tree], aabbs, AsOnCuda(DEVICE, 1), only_if=flag)
     assert not (tree.arrays.nodes.numpy() == 7.0).any()
 
 

@@ -140,7 +140,7 @@ def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
 
     modules = [
         specialised("narrow_phase").points_toi.module.name,
-        specialised("pair_search", end=search_types.CULL).search_pairs.module.name,
+        specialised("search_trees", end=search_types.CULL).search_trees.module.name,
     ]
     assert all(simd.fingerprint() in name for name in modules)
     before = simd.fingerprint()

@@ -11,14 +11,14 @@ from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.kernels.norm import MAXIMUM_NORM
 from ccd_warp.kernels.search_types import BOXES, CULL
 
-from ccd_warp._runtime.lanes import grid_search_on, narrow_phase_on, pair_search_on
+from ccd_warp._runtime.lanes import narrow_phase_on, search_on
 
 # Threads a block that the check tries for the pair functions.
 BLOCK_DIMS = (32, 64, 128, 256)
 # In the names of modules whose kernels are launched with each of them.
 _BY_BLOCK_DIM = "points_toi"
 # Modules in whose place the CPU has others, with its lanes.
-_ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp", "candidate_cull")
+_ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp", "search", "candidate_cull")
 _NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
 
 
@@ -38,8 +38,8 @@ def cpu_modules() -> list[Any]:
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     for real in (wp.float64, wp.float32):
         modules |= {getattr(narrow_phase_on(cpu, real, MAXIMUM_NORM), kernel).module for kernel in _NARROW_PHASE}
-    for search_on, end, with_lists in product((pair_search_on, grid_search_on), (BOXES, CULL), (False, True)):
-        modules.add(search_on(cpu, end, with_lists, is_cuda=False).module)
+    for walk, end, with_lists in product(("search_trees", "search_hashes"), (BOXES, CULL), (False, True)):
+        modules.add(search_on(cpu, walk, end, with_lists, is_cuda=False).module)
     return list(modules)
 
 

@@ -1,4 +1,4 @@
-"""The trees of the boxes of one step, kept in persistent arrays."""
+"""The boxes of one step, in trees or spatial hashes that are kept in persistent arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.box_sets import BoxSet, Layout
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.grids import Grid, choose_cell, fill_grids
+from ccd_warp._engine.grids import Grid, choose_cell
 from ccd_warp._engine.rest_order import apply_order, rest_order
 from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
@@ -23,7 +24,7 @@ from ccd_warp._engine.topology import (
     typical_static_extent,
     uneven_samples,
 )
-from ccd_warp._engine.trees import Tree, fill_trees
+from ccd_warp._engine.trees import Tree
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels import box_tree as kernels
 
@@ -31,6 +32,9 @@ from ccd_warp.kernels import box_tree as kernels
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
 _NO_END = 1.0
+
+# What finds the boxes that overlap, by the name of the option.
+BROAD_PHASES: dict[str, type[Tree] | type[Grid]] = {"tree": Tree, "hash": Grid}
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,8 @@ class StepBoxes:
     """Boxes of a mesh, kept between steps and recomputed by each.
 
     Attributes:
-        trees: The trees that calls have asked for so far, by name of the set; see ``trees.tree_pairs_of``.
-        grids: The spatial hashes, likewise.
+        sets: The trees, and the spatial hashes, that calls have asked for so far, by name of the set of primitives; see
+            ``trees.tree_pairs_of``.
         vertex_aabbs: AABBs of the vertices of this step.
         quantization: The map to quantized coordinates of this step.
         num_boxes: Boxes computed in this step; those of static bodies count only in the step that computes them.
@@ -66,13 +70,12 @@ class StepBoxes:
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
         self.topology = topology
         self.buffers = buffers
-        self.trees: dict[str, Tree] = {}
-        self.grids: dict[str, Grid] = {}
+        self.sets: dict[Any, dict[str, BoxSet]] = {kind: {} for kind in BROAD_PHASES.values()}
         self.num_boxes = self.num_sorted = 0
         self._num_aabbs = 0
-        # the arrays of each tree in the order of the rest configuration, and those of spatial hashes
-        self._rest: dict[str, Any] = {}
-        # trees and spatial hashes of static bodies whose boxes are those of `_static_key`
+        # the boxes of each set, those of trees in the order of the rest configuration
+        self._rest: dict[str, tuple[Any, ...]] = {}
+        # sets of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
         self._static_extent = np.float32(0.0)
@@ -82,8 +85,7 @@ class StepBoxes:
         positions: Positions,
         inflation: float,
         num_aabbs: int,
-        trees: Sequence[Tree],
-        grids: Sequence[Grid],
+        sets: Sequence[BoxSet],
         execution: Execution,
     ) -> None:
         """Start a step: choose its quantization, and build what static bodies need where it is not up to date.
@@ -92,8 +94,7 @@ class StepBoxes:
             positions: Start and end positions.
             inflation: Enlargement of every box, a length.
             num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
-            trees: The trees that the step needs.
-            grids: The spatial hashes that it needs.
+            sets: The trees or spatial hashes that the step needs.
             execution: Where to build them.
         """
         start = positions[0]
@@ -105,49 +106,35 @@ class StepBoxes:
             self._rest.clear()
             size = mesh.num_vertices * num_aabbs * VERTEX_AABB_FLOATS
             self.vertex_aabbs = self.buffers.get("vertex_aabbs", size, wp.float32)
-        for tree in trees:
-            self._lay_out(tree, execution)
-        cell = choose_cell(self.topology, positions, self.quantization) if grids else 0.0
-        for grid in grids:
-            self._lay_out_grid(grid, cell)
+        layout = Layout(
+            num_aabbs,
+            self.buffers.get,
+            lambda primitives: rest_order(self.topology, primitives, execution),
+            lambda: choose_cell(self.topology, positions, self.quantization),
+        )
+        for each in sets:
+            self._lay_out(each, layout)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
-            for tree in trees:
-                name = tree.primitives.name
-                if tree.primitives.is_static and name not in self._filled:
-                    tree.arrays = self._rest[name]
-                    fill_trees([tree], self.vertex_aabbs, execution)
-                    self.keep_in_order(tree, execution)
-                    self._filled.add(name)
-            for grid in grids:
-                if grid.primitives.is_static and grid.name not in self._filled:
-                    fill_grids([grid], self.vertex_aabbs, execution)
-                    self.num_boxes += grid.primitives.count
-                    self._filled.add(grid.name)
+            for each in sets:
+                if each.primitives.is_static and each.name not in self._filled:
+                    each.structs = self._rest[each.name]
+                    each.fill([each], self.vertex_aabbs, execution)
+                    self.keep_in_order(each, execution)
+                    self._filled.add(each.name)
 
-    def _lay_out(self, tree: Tree, execution: Execution) -> None:
-        """Give a tree its arrays; that of moving bodies begins every step in the order of the rest configuration."""
-        name = tree.primitives.name
-        if name not in self._rest:
-            order = rest_order(self.topology, tree.primitives, execution)
-            tree.lay_out(self._num_aabbs, order, lambda n: self.buffers.get(f"{name} boxes", n, wp.float32))
-            self._rest[name] = tree.arrays
-            self._filled.discard(name)
-        if not tree.primitives.is_static:
-            tree.arrays = self._rest[name]
-            self.num_boxes += tree.primitives.count
-
-    def _lay_out_grid(self, grid: Grid, cell: float) -> None:
-        """Give a spatial hash its arrays and cells of a size; one of moving bodies is filled in every step."""
-        if grid.name not in self._rest:
-            grid.lay_out(self._num_aabbs, cell, self.buffers.get)
-            self._rest[grid.name] = grid.arrays
-            self._filled.discard(grid.name)
-        elif grid.cell != cell:
-            self._filled.discard(grid.name)
-            grid.set_cell(cell)
-        if not grid.primitives.is_static:
-            self.num_boxes += grid.primitives.count
+    def _lay_out(self, each: BoxSet, layout: Layout) -> None:
+        """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
+        if each.name not in self._rest:
+            each.lay_out(layout)
+            self._rest[each.name] = each.structs
+            self._filled.discard(each.name)
+        elif each.adapt(layout):
+            self._rest[each.name] = each.structs
+            self._filled.discard(each.name)
+        if not each.primitives.is_static:
+            each.structs = self._rest[each.name]
+            self.num_boxes += each.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
@@ -180,26 +167,29 @@ class StepBoxes:
         )
         self._static_key = replace(key, positions=[positions.copy() for positions in static_positions])
 
-    def may_meet(self, a: Tree | Grid, b: Tree | Grid) -> bool:
-        """Whether the boxes around two trees overlap; on CUDA, and of spatial hashes, the search has to find out."""
-        if a is b or self.topology.device.is_cuda or isinstance(a, Grid) or isinstance(b, Grid):
+    def may_meet(self, a: BoxSet, b: BoxSet) -> bool:
+        """Whether the boxes around two sets overlap; on CUDA, and of spatial hashes, the search has to find out."""
+        if a is b or self.topology.device.is_cuda:
             return True
-        low_a, high_a = a.bounds()
-        low_b, high_b = b.bounds()
-        return bool((low_a <= high_b).all() and (low_b <= high_a).all())
+        of_a, of_b = a.bounds(), b.bounds()
+        if of_a is None or of_b is None:
+            return True
+        return bool((of_a[0] <= of_b[1]).all() and (of_b[0] <= of_a[1]).all())
 
-    def keep_in_order(self, tree: Tree, execution: Execution) -> None:
+    def keep_in_order(self, each: BoxSet, execution: Execution) -> bool:
         """Sort the primitives of a tree by their current positions unless most blocks consist of neighbours.
 
-        On CUDA sorting is cheap, and whether it is needed would have to be read back.
+        On CUDA sorting is cheap, and whether it is needed would have to be read back. Returns whether it was sorted.
         """
-        if execution.is_cuda or not self._is_in_order(tree):
-            self._sort(tree, execution)
-            fill_trees([tree], self.vertex_aabbs, execution)
-        if tree.primitives.is_static:
-            self.num_boxes += tree.primitives.count
+        if each.primitives.is_static:
+            self.num_boxes += each.primitives.count
+        if each.is_sorted_when_filled or (not execution.is_cuda and self._is_in_order(each)):
+            return False
+        self._sort(each, execution)
+        each.fill([each], self.vertex_aabbs, execution)
+        return True
 
-    def _sort(self, tree: Tree, execution: Execution) -> None:
+    def _sort(self, tree: Any, execution: Execution) -> None:
         """Order the primitives by their current positions."""
         self.num_sorted += 1
         primitives, num_aabbs = tree.primitives, self._num_aabbs
@@ -211,8 +201,7 @@ class StepBoxes:
             self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32),
         )
         apply_order(keys, (1 << primitives.index_bits) - 1, primitives, list(order), execution)
-        nodes = tree.arrays.nodes
-        tree.lay_out(num_aabbs, order, lambda _: nodes)
+        tree.set_order(num_aabbs, order, tree.arrays.nodes)
 
     def _typical_extent_of(self, primitives: PrimitiveSet) -> np.float32:
         """The typical extent by which the order of a set is checked and made.
@@ -222,7 +211,7 @@ class StepBoxes:
         """
         return self._static_extent if primitives.is_static else self.quantization.typical_extent
 
-    def _is_in_order(self, tree: Tree) -> bool:
+    def _is_in_order(self, tree: Any) -> bool:
         """Whether most of the blocks are small enough to consist of neighbours."""
         count = tree.levels[0]
         # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours

@@ -10,9 +10,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
+from ccd_warp._engine.box_sets import Layout
+from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
-from ccd_warp._engine.grids import Grid, choose_cell
+from ccd_warp._engine.grids import choose_cell
 from ccd_warp._engine.host_plan import MOST_COPIED
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
@@ -21,7 +23,7 @@ from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
-from ccd_warp._engine.trees import Tree, fill_trees, search_options, tree_pairs_of, trees_of, with_reverses
+from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, vector_of, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -197,20 +199,20 @@ class DeviceStep:
         if self._has_static:
             self._place_static(static_positions)
         quantization = choose_quantization(topology, (vertices, vertices), _NUM_AABBS)
-        self._has_grids = options.broad_phase == "hash"
-        make = Grid if self._has_grids else Tree
-        tree_pairs = tree_pairs_of(topology, possible_kinds(mesh, options), mesh._is_free_alone, {}, make)
-        if self._has_grids:
-            tree_pairs = with_reverses(tree_pairs)
+        broad_phase = BROAD_PHASES[options.broad_phase]
+        sought = topology, possible_kinds(mesh, options), mesh._is_free_alone
+        tree_pairs = broad_phase.searches(tree_pairs_of(*sought, {}, broad_phase))
         trees = trees_of(tree_pairs)
         self._static_trees = [tree for tree in trees if tree.primitives.is_static]
         self._moving_trees = [tree for tree in trees if not tree.primitives.is_static]
-        cell = choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE) if self._has_grids else 0.0
+        layout = Layout(
+            _NUM_AABBS,
+            lambda _, n, dtype: self._empty(n, dtype),
+            self._order,
+            lambda: choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE),
+        )
         for tree in trees:
-            if self._has_grids:
-                tree.lay_out(_NUM_AABBS, cell, lambda _, n, dtype: self._empty(n, dtype))
-            else:
-                tree.lay_out(_NUM_AABBS, self._order(tree.primitives), lambda n: self._empty(n, wp.float32))
+            tree.lay_out(layout)
         self._recordings: dict[_Form, Recording] = {}  # in the order in which they were made
         keeps_distance = separation > 0.0 or radius is not None
         self._may_hold = options.holds and keeps_distance and self._has_narrow_phase
@@ -240,8 +242,7 @@ class DeviceStep:
             vertices_t0=self._start,
             vertices_t1=self._end,
             vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
-            trees={tree.primitives.name: tree.arrays for tree in trees},
-            grids={tree.primitives.name: tree.cells for tree in trees if self._has_grids},
+            boxes={tree.name: tree.structs for tree in trees},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
             candidates={kind: self._empty(max_candidates, wp.int64) for kind in kinds},
             quantization=quantization.packed,
@@ -260,7 +261,7 @@ class DeviceStep:
         )
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
-            self._fill(self._stages, execution, self._static_trees)
+            self._stages.fill_boxes(execution, self._static_trees)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -568,7 +569,7 @@ class DeviceStep:
         """Record the boxes of the bodies that are active, and the search."""
         if self._moving_trees:
             stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, active)
-        self._fill(stages, recording, self._moving_trees)
+        stages.fill_boxes(recording, self._moving_trees)
         with recording.at_once():
             for tree_pair in stages.tree_pairs:
                 stages.search(recording, tree_pair, marks_overflow=True)
@@ -650,16 +651,9 @@ class DeviceStep:
                     outputs=[self._box_radius, is_changed, minima],
                 )
 
-    def _fill(self, stages: Stages, launcher: Execution | Recording, trees: list[Any]) -> None:
-        """Compute the boxes of trees, or of spatial hashes."""
-        if self._has_grids:
-            stages.fill_grids(launcher, trees)
-        else:
-            stages.fill_trees(launcher, trees)
-
     def _record_refresh(self, recording: Recording) -> None:
         """Record the launches that recompute the boxes of static bodies, which run only if these have moved."""
-        topology, stages, trees = self.topology, self._stages, self._static_trees
+        topology, stages = self.topology, self._stages
         recording.launch(
             device_step.refresh_vertex_aabbs,
             -(-len(topology.static_vertices) // self._chunk),
@@ -677,22 +671,7 @@ class DeviceStep:
             outputs=[stages.vertex_aabbs],
             grain=64,
         )
-        if self._has_grids:
-            stages.fill_grids(recording, trees, self._is_moved)
-        elif recording.is_cuda:
-            fill_trees(trees, stages.vertex_aabbs, recording, only_if=self._is_moved)
-        for tree in () if self._has_grids or recording.is_cuda else trees:
-            recording.launch(
-                device_step.refresh_blocks,
-                -(-tree.levels[0] // _CHUNK),
-                inputs=[self._is_moved, stages.vertex_aabbs, tree.primitives.num_corners],
-                outputs=[tree.arrays],
-                grain=64,
-            )
-            if len(tree.levels) > 2:
-                recording.launch(
-                    device_step.refresh_levels, 1, inputs=[self._is_moved, tree.levels[1]], outputs=[tree.arrays]
-                )
+        stages.fill_boxes(recording, self._static_trees, self._is_moved)
         recording.launch(device_step.settle, 1, inputs=[], outputs=[self._is_moved])
 
     def _is_copied(self, form: _Form) -> bool:

@@ -10,20 +10,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.grids import Grid
+from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
 from ccd_warp._engine.topology import WIDTH, Positions
-from ccd_warp._engine.trees import (
-    Tree,
-    TreePair,
-    sampled_pairs_of,
-    search_options,
-    tree_pairs_of,
-    trees_of,
-    with_reverses,
-)
+from ccd_warp._engine.trees import TreePair, sampled_pairs_of, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
@@ -124,13 +116,12 @@ class HostPlan:
         self.execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
         sought = topology, self.kinds, mesh._is_free_alone
-        self._has_grids = options.broad_phase == "hash" and goal != "intersections"
-        kept: tuple[dict[str, Any], Any] = (self._boxes.grids, Grid) if self._has_grids else (self._boxes.trees, Tree)
-        self.tree_pairs = tree_pairs_of(*sought, *kept)
+        broad_phase = BROAD_PHASES["tree" if goal == "intersections" else options.broad_phase]
+        kept = self._boxes.sets[broad_phase], broad_phase
+        tree_pairs = tree_pairs_of(*sought, *kept)
         has_sample = goal == "bound" and topology.samples_queries
-        self._sampled_pairs = sampled_pairs_of(self.tree_pairs, topology, *kept) if has_sample else []
-        if self._has_grids:
-            self.tree_pairs, self._sampled_pairs = with_reverses(self.tree_pairs), with_reverses(self._sampled_pairs)
+        sampled = sampled_pairs_of(tree_pairs, topology, *kept) if has_sample else []
+        self.tree_pairs, self._sampled_pairs = broad_phase.searches(tree_pairs), broad_phase.searches(sampled)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         self.trees = trees_of(self.tree_pairs + self._sampled_pairs)
         self._moving = [tree for tree in self.trees if not tree.primitives.is_static]
@@ -161,12 +152,11 @@ class HostPlan:
 
         names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
         names += ["search options", "options", "contacts", "queue", "plane query", "reach", "proximities"]
-        trees = {tree.primitives.name: Slot(tree.primitives.name) for tree in self.trees}
-        grids = {name: Slot(f"{name} cells") for name in trees if self._has_grids}
+        boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
-        slots = [*trees.values(), *grids.values(), *keys.values(), *candidates.values(), *open_toi.values()]
+        slots = [*itertools.chain(*boxes.values()), *keys.values(), *candidates.values(), *open_toi.values()]
         self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
         self._stages = Stages(
             topology,
@@ -177,8 +167,7 @@ class HostPlan:
             **{name.replace(" ", "_"): Slot(name) for name in names},
             box_radius=topology.box_radius,
             is_thick=topology.is_thick,
-            trees=trees,
-            grids=grids,
+            boxes=boxes,
             keys=keys,
             candidates=candidates,
             minima=workspace.contacts.minima if goal in ("contacts", *_AT_ONE_TIME) else Minima(),
@@ -269,8 +258,7 @@ class HostPlan:
     def fill_boxes(self, positions: Positions, t_end: float, inflation: float, active: wp.array) -> None:
         """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
         boxes, recording = self._boxes, self._recording
-        trees, grids = ([], self.trees) if self._has_grids else (self.trees, [])
-        boxes.begin(positions, inflation, self._num_aabbs, trees, grids, self.execution)
+        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution)
         recording.bind("quantization", boxes.quantization.packed)
         recording.bind("vertex_aabbs", boxes.vertex_aabbs)
         recording.bind("inflation", inflation)
@@ -279,14 +267,11 @@ class HostPlan:
         if not self.trees:
             return  # no pairs but those with half-spaces, which have no boxes
         self._fill_vertex_aabbs(t_end)
-        if self._has_grids:
+        is_sorted = self.trees[0].is_sorted_when_filled
+        if is_sorted or not self.execution.is_cuda:
             self._fill_trees()
-            return
-        if not self.execution.is_cuda:
-            self._fill_trees()
-        for tree in self._moving:
-            boxes.keep_in_order(tree, self.execution)
-        self._bind_trees()
+        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self._moving]):
+            self._bind_trees()
 
     def shorten_boxes(self, t_end: float) -> None:
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
@@ -301,16 +286,12 @@ class HostPlan:
         self.play("vertex AABBs", lambda stages, recording: stages.fill_vertex_aabbs(recording, moving, self._active))
 
     def _fill_trees(self) -> None:
-        if self._has_grids:
-            self.play("boxes", lambda stages, recording: stages.fill_grids(recording, self._moving))
-        else:
-            self.play("boxes", lambda stages, recording: stages.fill_trees(recording, self._moving))
+        self.play("boxes", lambda stages, recording: stages.fill_boxes(recording, self._moving))
 
     def _bind_trees(self) -> None:
         for tree in self.trees:
-            self._recording.bind(tree.primitives.name, tree.arrays)
-            if self._has_grids:
-                self._recording.bind(f"{tree.primitives.name} cells", tree.cells)
+            for slot, struct in zip(tree.slots, tree.structs, strict=True):
+                self._recording.bind(slot, struct)
 
     def may_meet(self, tree_pair: TreePair) -> bool:
         """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""

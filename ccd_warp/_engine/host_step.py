@@ -360,9 +360,8 @@ class Step:
         """How many pairs of each kind are open in all processes that share the step; asked once for each round."""
         return num_open
 
-    def share_work(self, plan: HostPlan) -> bool:
+    def share_work(self, plan: HostPlan) -> None:
         """Let the open pairs of a batch share the work with those of other processes; here there are none."""
-        return True
 
     def contacts(self) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result."""
@@ -388,7 +387,8 @@ class Step:
                 plan.set_contacts(store.begin_batch(sum(batch.found.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
-                    has_shared = self.share_work(plan)
+                    self.share_work(plan)
+                    has_shared = True
                     plan.solve(is_second=True)
                 else:
                     for kind in plan.num_open():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
-from ccd_warp._runtime.lanes import grid_search_on, pair_search_on
+from ccd_warp._runtime.lanes import search_on
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
@@ -152,11 +152,11 @@ class PairSearch:
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
-        search_on = grid_search_on if tree_pairs[0].query.cells is not None else pair_search_on
+        walk = tree_pairs[0].query.walk
         is_cuda = self.execution.is_cuda
         topology = self._topology
         self._kernel = search_on(
-            topology.device, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
+            topology.device, walk, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
         )
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
@@ -190,15 +190,14 @@ class PairSearch:
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
         """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
-        sets = (tree_pair.query, tree_pair.target)
         return wp.launch(
             self._kernel,
             dim=1,
             inputs=[
                 0,
                 SearchRange(),
-                *(each.arrays for each in sets),
-                *(each.cells for each in sets if each.cells is not None),
+                *tree_pair.query.structs,
+                *tree_pair.target.structs,
                 tree_pair.packed,
                 self._options,
                 self._topology.collision_filter,

@@ -1,15 +1,15 @@
 """The stages of a step, each written once: a driver gives them an `Execution`, or a `Recording` to record them in."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import warp as wp
 
-from ccd_warp._engine.grids import Grid, fill_grids
+from ccd_warp._engine.box_sets import BoxSet
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, Tree, TreePair, fill_trees, search_range
-from ccd_warp._runtime.lanes import grid_search_on, pair_search_on, queued_pairs_in
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
+from ccd_warp._runtime.lanes import queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
@@ -52,8 +52,7 @@ class Stages:
         vertices_t0: Start positions, wp.vec3d, shape [V].
         vertices_t1: End positions.
         vertex_aabbs: AABBs of the vertices.
-        trees: The boxes of each tree or spatial hash, by name of its set.
-        grids: The cells of each spatial hash, likewise; empty where trees are searched.
+        boxes: The structs of each tree or spatial hash, by its name.
         keys: Keys of the pairs that the search finds, by kind.
         candidates: On CUDA, keys of the candidates that the search lists for the cull, by kind.
         quantization: The map to quantized coordinates.
@@ -81,8 +80,7 @@ class Stages:
     vertices_t0: Any
     vertices_t1: Any
     vertex_aabbs: Any
-    trees: dict[str, Any]
-    grids: dict[str, Any]
+    boxes: dict[str, tuple[Any, ...]]
     keys: dict[PairKind, Any]
     candidates: dict[PairKind, Any]
     quantization: Any
@@ -112,6 +110,8 @@ class Stages:
         def value(of: Any) -> Any:
             if isinstance(of, dict):
                 return {name: value(each) for name, each in of.items()}
+            if isinstance(of, tuple):
+                return tuple(map(value, of))
             return values[of.name] if isinstance(of, Slot) else of
 
         return replace(self, **{field.name: value(getattr(self, field.name)) for field in fields(self)})
@@ -135,20 +135,10 @@ class Stages:
             outputs=[self.vertex_aabbs],
         )
 
-    def fill_trees(self, launcher: Launcher, trees: Iterable[Tree]) -> None:
-        """Compute the boxes of trees from the AABBs of the vertices."""
-        fill_trees(trees, self.vertex_aabbs, launcher, lambda tree: self.trees[tree.primitives.name])
-
-    def fill_grids(self, launcher: Launcher, grids: Iterable[Grid], is_changed: wp.array | None = None) -> None:
-        """Compute and sort the boxes of spatial hashes likewise, those with a flag only where it is set."""
-        fill_grids(
-            grids,
-            self.vertex_aabbs,
-            launcher,
-            lambda grid: self.trees[grid.primitives.name],
-            lambda grid: self.grids[grid.primitives.name],
-            is_changed,
-        )
+    def fill_boxes(self, launcher: Launcher, sets: list[BoxSet], only_if: wp.array | None = None) -> None:
+        """Compute the boxes of sets from the AABBs of the vertices; with a flag on the device only where it is set."""
+        if sets:
+            sets[0].fill(sets, self.vertex_aabbs, launcher, lambda each: self.boxes[each.name], only_if)
 
     def reset(
         self,
@@ -212,7 +202,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            self._search_on(end, is_cuda=False),
+            self._search_on(tree_pair, end, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
@@ -225,17 +215,16 @@ class Stages:
             is_long=lambda: is_long,
         )
 
-    def _search_on(self, end: str, *, is_cuda: bool) -> Any:
+    def _search_on(self, tree_pair: TreePair, end: str, *, is_cuda: bool) -> Any:
         """The kernel of a search that ends at a stage."""
-        search_on = grid_search_on if self.grids else pair_search_on
-        return search_on(self.topology.device, end, self.topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
+        topology, walk = self.topology, tree_pair.query.walk
+        return search_on(topology.device, walk, end, topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
 
     def _searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
-        names = [tree_pair.query.primitives.name, tree_pair.target.primitives.name]
         return [
-            *(self.trees[name] for name in names),
-            *(self.grids[name] for name in names if self.grids),
+            *self.boxes[tree_pair.query.name],
+            *self.boxes[tree_pair.target.name],
             tree_pair.packed,
             self.search_options,
             self.topology.collision_filter,
@@ -248,7 +237,7 @@ class Stages:
     ) -> None:
         """Search a tree pair on CUDA, with sixteen threads for each query."""
         launcher.launch(
-            self._search_on(end, is_cuda=True),
+            self._search_on(tree_pair, end, is_cuda=True),
             num_queries * WIDTH,
             inputs=[part, *self._searched(tree_pair)],
             outputs=[self.counts, keys, self.minima],

@@ -8,16 +8,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.box_sets import BLOCK_FLOATS, BoxSet, Layout
 from ccd_warp._engine.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels import half_warp_tree, search_types
+from ccd_warp.kernels import device_step, half_warp_tree, search_types
 from ccd_warp.kernels.norm import is_ball
 
-BLOCK_FLOATS = int(kernels.BLOCK_FLOATS)
+_CHUNK = int(device_step.CHUNK)
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
 # The roles of bodies whose primitives are paired: one of the two is free.
@@ -34,43 +35,32 @@ LONG_SEARCH = 1 << 22
 MOST_QUERIES = 1 << 26
 
 
-class Tree:
-    """A set of primitives and the tree of their boxes.
+class Tree(BoxSet):
+    """A set of primitives and the tree of their boxes."""
 
-    Attributes:
-        primitives: The set.
-        levels: Number of blocks of each level; there are at least two levels.
-        arrays: The boxes and their order, a ``kernels.BoxTree``; None before the first step.
-        cells: Always None, which tells a tree from a spatial hash.
-    """
-
-    cells = None
+    walk = "search_trees"
+    parts = ("boxes",)
+    is_sorted_when_filled = False
 
     def __init__(self, primitives: PrimitiveSet) -> None:
-        self.primitives = primitives
-        self.levels = level_sizes(primitives.count)
-        self.arrays: Any = None
+        super().__init__(primitives, level_sizes(primitives.count), primitives.name)
 
-    def lay_out(self, num_aabbs: int, order: tuple[wp.array, wp.array], allocate: Callable[[int], wp.array]) -> None:
-        """Give the tree an order, and arrays for boxes that it does not have yet.
+    def lay_out(self, layout: Layout) -> None:
+        """Give the tree an order, and arrays for boxes that it does not have yet."""
+        nodes = layout.allocate(f"{self.name} boxes", self.num_floats(layout.num_aabbs), wp.float32)
+        self.set_order(layout.num_aabbs, layout.order_of(self.primitives), nodes)
 
-        Args:
-            num_aabbs: AABBs of a box.
-            order: Indices of the primitives, and vertices of their blocks.
-            allocate: Returns an array of the given length.
-        """
+    def set_order(self, num_aabbs: int, order: tuple[wp.array, wp.array], nodes: wp.array) -> None:
+        """Give the tree an order (`Layout.order_of`) and an array for its boxes."""
         first = np.concatenate([[0], np.cumsum(self.levels)])
-        size = int(first[-1]) * BLOCK_FLOATS * num_aabbs
-        if size >= 2**31:
-            raise ValueError(f"the mesh has {self.primitives.count} boxes of one kind; expected at most 150 million")
         arrays = kernels.BoxTree()
         arrays.num_boxes = self.primitives.count
         arrays.num_levels = len(self.levels)
         arrays.num_aabbs = num_aabbs
         arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
-        arrays.nodes = allocate(size)
+        arrays.nodes = nodes
         arrays.primitive, arrays.corners = order
-        self.arrays = arrays
+        self.structs = (arrays,)
 
     def level_boxes(self, level: int) -> NDArray[np.float32]:
         """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
@@ -84,6 +74,23 @@ class Tree:
         block = self.level_boxes(len(self.levels) - 1)[0]
         return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
 
+    @staticmethod
+    def fill(
+        sets: Iterable["Tree"],
+        vertex_aabbs: Any,
+        launcher: Execution | Recording,
+        structs_of: Callable[["Tree"], tuple[Any, ...]] = lambda tree: tree.structs,
+        only_if: wp.array | None = None,
+    ) -> None:
+        """Compute the boxes of every level of trees from the vertex AABBs."""
+        trees = list(dict.fromkeys(sets))
+        if launcher.is_cuda:
+            _fill_in_half_warps(trees, vertex_aabbs, launcher, structs_of, only_if)
+        elif only_if is None:
+            _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
+        else:
+            _refresh(trees, vertex_aabbs, launcher, structs_of, only_if)
+
 
 def level_sizes(count: int) -> tuple[int, ...]:
     """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
@@ -93,25 +100,18 @@ def level_sizes(count: int) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-def fill_trees(
-    trees: Iterable[Tree],
-    vertex_aabbs: Any,
-    launcher: Execution | Recording,
-    arrays_of: Callable[[Tree], Any] = lambda tree: tree.arrays,
-    only_if: wp.array | None = None,
-) -> None:
-    """Compute the boxes of every level of trees from the vertex AABBs; a recording may take slots for both.
+_StructsOf = Callable[[Tree], tuple[Any, ...]]
 
-    On CUDA the kernels do nothing if ``only_if`` is given and its number is 0.
-    """
-    if launcher.is_cuda:
-        _fill_in_half_warps(trees, vertex_aabbs, launcher, arrays_of, only_if)
-        return
+
+def _fill_in_blocks(
+    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf
+) -> None:
+    """Compute the boxes on the CPU: a launch fills the lowest two levels, and one each of the large ones above."""
     next_level = dict.fromkeys(trees, 2)
     with launcher.at_once():
         for tree in next_level:
             inputs = [vertex_aabbs, tree.primitives.num_corners]
-            launcher.launch(kernels.fill_blocks, tree.levels[0], inputs, [arrays_of(tree)], grain=2048)
+            launcher.launch(kernels.fill_blocks, tree.levels[0], inputs, list(structs_of(tree)), grain=2048)
     while True:
         large = [
             tree
@@ -124,30 +124,45 @@ def fill_trees(
             for tree in large:
                 level = next_level[tree]
                 count = tree.levels[level - 1]
-                launcher.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=[arrays_of(tree)])
+                launcher.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=list(structs_of(tree)))
                 next_level[tree] += 1
     with launcher.at_once():
         for tree, level in next_level.items():
             if level < len(tree.levels):
                 inputs = [level, tree.levels[level - 1]]
-                launcher.launch(kernels.unite_levels, 1, inputs, [arrays_of(tree)], grain=2)
+                launcher.launch(kernels.unite_levels, 1, inputs, list(structs_of(tree)), grain=2)
+
+
+def _refresh(
+    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+) -> None:
+    """Compute the boxes on the CPU where a flag on the device is set."""
+    for tree in trees:
+        inputs = [only_if, vertex_aabbs, tree.primitives.num_corners]
+        count = -(-tree.levels[0] // _CHUNK)
+        launcher.launch(device_step.refresh_blocks, count, inputs, list(structs_of(tree)), grain=64)
+        if len(tree.levels) > 2:
+            launcher.launch(device_step.refresh_levels, 1, [only_if, tree.levels[1]], list(structs_of(tree)))
 
 
 def _fill_in_half_warps(
-    trees: Iterable[Tree],
+    trees: list[Tree],
     vertex_aabbs: Any,
     launcher: Execution | Recording,
-    arrays_of: Callable[[Tree], Any],
+    structs_of: _StructsOf,
     only_if: wp.array | None,
 ) -> None:
-    """`fill_trees` on CUDA: a launch fills the lowest two levels, and one each of those above."""
-    for tree in dict.fromkeys(trees):
+    """Compute the boxes on CUDA: a launch fills the lowest two levels, and one each of those above."""
+    for tree in trees:
         num_aabbs, corners = tree.arrays.num_aabbs, tree.primitives.num_corners
         if only_if is None:
             only_if = wp.empty(0, dtype=wp.int32, device=tree.primitives.ids.device)
         inputs = [only_if, vertex_aabbs, corners]
         launcher.launch(
-            half_warp_tree.fill_leaves, tree.levels[0] * num_aabbs * WIDTH, inputs=inputs, outputs=[arrays_of(tree)]
+            half_warp_tree.fill_leaves,
+            tree.levels[0] * num_aabbs * WIDTH,
+            inputs=inputs,
+            outputs=list(structs_of(tree)),
         )
         for level in range(2, len(tree.levels)):
             below, begin = sum(tree.levels[: level - 1]), sum(tree.levels[:level])
@@ -155,7 +170,7 @@ def _fill_in_half_warps(
                 half_warp_tree.unite_rows,
                 tree.levels[level] * num_aabbs * BLOCK_FLOATS,
                 inputs=[only_if, below, begin, tree.levels[level - 1]],
-                outputs=[arrays_of(tree)],
+                outputs=list(structs_of(tree)),
             )
 
 
@@ -164,8 +179,8 @@ class TreePair:
     """Two trees, or two spatial hashes, whose boxes may overlap; the same one twice for pairs within a set."""
 
     kind: PairKind
-    query: Any
-    target: Any
+    query: BoxSet
+    target: BoxSet
     swapped: bool = False
     rise: int = 0  # of spatial hashes: the least number of levels by which the targets are above the query
 
@@ -181,7 +196,7 @@ class TreePair:
 
     @lazy_property
     def packed(self) -> Any:
-        """The struct of the search_types."""
+        """The pair as the struct of the kernels."""
         packed = search_types.TreePair()
         packed.kind = int(self.kind)
         packed.within = int(self.within)
@@ -196,7 +211,7 @@ class TreePair:
 def search_options(
     t_end: float, inflation: float, separation: float, norm: str, flag: StopFlag, radii: tuple[wp.array, wp.array]
 ) -> Any:
-    """What a step asks of the search, as the struct of the search_types; ``radii`` of vertices and of their boxes."""
+    """What a step asks of the search, as the struct of the kernels; ``radii`` of vertices and of their boxes."""
     packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
     packed.is_euclidean = int(is_ball(norm))
@@ -225,15 +240,15 @@ def tree_pairs_of(
     topology: Topology,
     kinds: tuple[PairKind, ...],
     skip_free: bool,
-    trees: dict[str, Any],
-    make: Callable[[PrimitiveSet], Any] = Tree,
+    trees: dict[str, BoxSet],
+    make: Callable[[PrimitiveSet], BoxSet],
 ) -> list[TreePair]:
     """The tree pairs to search: always with a tree of free bodies, and two of these unless ``skip_free`` is set.
 
     Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
     """
 
-    def tree(kind: str, role: Role) -> Any:
+    def tree(kind: str, role: Role) -> BoxSet:
         primitives = topology.primitives(kind, role)
         if primitives.name not in trees:
             trees[primitives.name] = make(primitives)
@@ -262,8 +277,8 @@ def tree_pairs_of(
 def sampled_pairs_of(
     tree_pairs: list[TreePair],
     topology: Topology,
-    trees: dict[str, Any],
-    make: Callable[[PrimitiveSet], Any] = Tree,
+    trees: dict[str, BoxSet],
+    make: Callable[[PrimitiveSet], BoxSet],
 ) -> list[TreePair]:
     """The tree pairs in which a sample of the queries takes the place of all of them.
 
@@ -281,19 +296,6 @@ def sampled_pairs_of(
     return found
 
 
-def with_reverses(tree_pairs: list[TreePair]) -> list[TreePair]:
-    """The searches of grids for these pairs of sets: a box looks up only boxes that are no smaller.
-
-    So two different sets are searched in both directions, the second time for pairs of different levels alone.
-    """
-    searches = []
-    for pair in tree_pairs:
-        searches.append(pair)
-        if not pair.within:
-            searches.append(TreePair(pair.kind, pair.target, pair.query, swapped=not pair.swapped, rise=1))
-    return searches
-
-
-def trees_of(tree_pairs: list[TreePair]) -> list[Any]:
+def trees_of(tree_pairs: list[TreePair]) -> list[BoxSet]:
     """The trees of the pairs, each once."""
     return list(dict.fromkeys(tree for pair in tree_pairs for tree in (pair.query, pair.target)))

@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+from ccd_warp.kernels.search_types import BOXES, LIST
 from ccd_warp.kernels.template import specialised
 
 _CPU_INFO = Path("/proc/cpuinfo")
@@ -50,26 +50,23 @@ def queued_pairs_in(real: Any, norm: str) -> ModuleType:
     return specialised("queued_pairs", real=real, norm=norm)
 
 
-def pair_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
+def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
     """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one.
 
-    On CUDA, where ``is_cuda`` is set, half a warp takes a query. With ``is_thick`` pairs have distances of their own; a
-    search that lists candidates is the same without.
+    Args:
+        device: Warp device.
+        walk: What is searched: ``"search_trees"`` or ``"search_hashes"``, the name of the kernel and of its file.
+        end: The stage.
+        with_lists: Whether there are lists of excluded pairs.
+        is_cuda: Whether half a warp takes a query, as on CUDA.
+        is_thick: Whether pairs have distances of their own; a search that lists candidates is the same without.
     """
+    parameters = {"end": end, "with_lists": with_lists, "is_thick": is_thick and end != LIST}
     if is_cuda:
-        is_thick = is_thick and end != LIST
-        return specialised("half_warp_search", end=end, with_lists=with_lists, is_thick=is_thick).search_queries
-    width = 1 if end == BOXES else lanes_of(device)
-    return specialised("pair_search", end=end, with_lists=with_lists, width=width, is_thick=is_thick).search_pairs
-
-
-def grid_search_on(device: Any, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
-    """The kernel of a search of spatial hashes; the arguments are those of :func:`pair_search_on`."""
-    if is_cuda:
-        is_thick = is_thick and end != LIST
-        return specialised("half_warp_grid_search", end=end, with_lists=with_lists, is_thick=is_thick).search_cells
-    width = lanes_of(device) if end == CULL else 1
-    return specialised("grid_search", end=end, with_lists=with_lists, width=width, is_thick=is_thick).search_grid
+        parameters["in_half_warps"] = True
+    elif end != BOXES:
+        parameters["width"] = lanes_of(device)
+    return getattr(specialised(walk, **parameters), walk)
 
 
 @cache

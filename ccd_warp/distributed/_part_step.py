@@ -117,12 +117,11 @@ class PartStep(StepTogether):
         with self.timed("reductions"):
             return dict(zip(PairKind, self.ranks.total(mine).tolist(), strict=True))
 
-    def share_work(self, plan: HostPlan) -> bool:
+    def share_work(self, plan: HostPlan) -> None:
         """Let the open pairs of a batch share the work with those of the other ranks."""
         own = plan.num_open()
         of_all = self.open_in_all(own)
         plan.set_number_open({kind: of_all[kind] for kind in own})
-        return True
 
 
 class AcrossRanks(OneProcess):

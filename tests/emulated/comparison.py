@@ -102,10 +102,10 @@ RUN_ELSEWHERE = {
     },
     "own_box": "boxes are those of the maximum norm, and a separation of each pair is that of radii",
     "holds box": "that of a ball, but for the distance of a pair",
-    "half_warp_search boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
-    "half_warp_search cull True thick": "likewise",
-    "half_warp_grid_search boxes False thick": "likewise, the other way round",
-    "half_warp_grid_search cull False thick": "likewise",
+    "search_trees boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
+    "search_trees cull True thick": "likewise",
+    "search_hashes boxes False thick": "likewise, the other way round",
+    "search_hashes cull False thick": "likewise",
 }
 
 

@@ -54,7 +54,8 @@ FINDERS = {
     "replays": [_step("replays", "worlds", "float32")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/half_warp.py", "kernels/whole_warp.py"
-_SEARCH, _GRIDS, _QUEUE = "kernels/half_warp_search.py", "kernels/hash_grid.py", "kernels/queued_pairs.py"
+_SEARCH, _WALK = "kernels/search_half_warp.py", "kernels/search_trees.py"
+_GRIDS, _QUEUE = "kernels/hash_grid.py", "kernels/queued_pairs.py"
 _CULL, _TREE, _STEP = "kernels/candidate_cull.py", "kernels/half_warp_tree.py", "kernels/device_step.py"
 _STAGES, _DRIVER, _CONTACTS = "ccd_warp/_engine/stages.py", "ccd_warp/_engine/device_step.py", "kernels/contacts.py"
 _ONE_PLACE = ("functions",)
@@ -236,32 +237,32 @@ PLANTED = [
     Fault(
         "second search without the last queries",
         _SEARCH,
-        "query.num_boxes, part.stride):",
-        "query.num_boxes - WIDTH, part.stride):",
+        "search.query.num_boxes, search.part.stride)",
+        "search.query.num_boxes - WIDTH, search.part.stride)",
         ("short lists",),
     ),
     Fault(
         "a block too many",
-        _SEARCH,
+        _WALK,
         "((tree.num_boxes - 1) >> (4 * level + 4)) + 1",
         "(tree.num_boxes >> (4 * level + 4)) + 1",
         ("counts",),
     ),
     Fault(
         "a block too few",
-        _SEARCH,
+        _WALK,
         "((tree.num_boxes - 1) >> (4 * level + 4)) + 1",
         "wp.max((tree.num_boxes - 2) >> (4 * level + 4), 0) + 1",
         ("counts",),
     ),
     Fault(
         "partners of the own block lost",
-        _SEARCH,
+        _WALK,
         "lanes & lanes_after(behind - 1)",
         "lanes & lanes_after(behind)",
         ("counts",),
     ),
-    Fault("the next partner lost", _SEARCH, "and p > after:", "and p > after + 1:", ("counts",)),
+    Fault("the next partner lost", _SEARCH, "and p > item.own:", "and p > item.own + 1:", ("counts",)),
     Fault("last box of a block below lost", _TREE, "    if n < count:\n", "    if n < count - 1:\n", ("trees",)),
     Fault(
         "a quarter of a row lost",
@@ -321,8 +322,8 @@ PLANTED = [
     Fault(
         "second search culls nothing",
         _SEARCH,
-        "elif counts[part.row, CANDIDATES] > wp.int64(part.capacity):",
-        "elif counts[part.row, CANDIDATES] < wp.int64(0):",
+        "if search.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
+        "if search.counts[search.part.row, CANDIDATES] < wp.int64(0):",
         ("short lists",),
     ),
     Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~key\n", "pairs[k] = key\n", ("needles",)),
@@ -351,8 +352,8 @@ PLANTED = [
     Fault(
         "one candidate beyond the list",
         _SEARCH,
-        "if n < wp.int64(keys.shape[0]):\n                keys[n]",
-        "if n <= wp.int64(keys.shape[0]):\n                keys[n]",
+        "if n < wp.int64(search.keys.shape[0]):\n            search.keys[n]",
+        "if n <= wp.int64(search.keys.shape[0]):\n            search.keys[n]",
         ("short lists",),
     ),
     Fault(
@@ -372,15 +373,15 @@ PLANTED = [
     Fault(
         "the place of a candidate of 32 bits",
         _SEARCH,
-        "if n < wp.int64(keys.shape[0]):\n                keys[n]",
-        "if wp.int32(n) < keys.shape[0]:\n                keys[wp.int32(n)]",
+        "if n < wp.int64(search.keys.shape[0]):\n            search.keys[n]",
+        "if wp.int32(n) < search.keys.shape[0]:\n            search.keys[wp.int32(n)]",
         ("beyond",),
     ),
     Fault(
         "the second search compares 32 bits",
         _SEARCH,
-        "elif counts[part.row, CANDIDATES] > wp.int64(part.capacity):",
-        "elif wp.int32(counts[part.row, CANDIDATES]) > part.capacity:",
+        "if search.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
+        "if wp.int32(search.counts[search.part.row, CANDIDATES]) > search.part.capacity:",
         ("beyond",),
     ),
     Fault(
