@@ -157,14 +157,8 @@ def judged(path: Path) -> np.ndarray:
     offsets, corners = vtk_to_numpy(cells.GetOffsetsArray()), vtk_to_numpy(cells.GetConnectivityArray())
     points = vtk_to_numpy(surface.GetPoints().GetData())
     polygons = [corners[a:b] for a, b in itertools.pairwise(offsets.tolist())]
-    return points[np.array([triangle for polygon in polygons for triangle in _fan(polygon.tolist())])]
-
-
-def _fan(polygon: list[int]) -> list[list[int]]:
-    """The triangles of a polygon; one that repeats a corner only if no other has its corners."""
-    fan = [[polygon[0], *polygon[k : k + 2]] for k in range(1, len(polygon) - 1)]
-    inside = [[other for other in fan if {*triangle} < {*other}] for triangle in fan]
-    return [triangle for triangle, around in zip(fan, inside, strict=True) if not around]
+    fans = [polygon[[0, k, k + 1]] for polygon in polygons for k in range(1, len(polygon) - 1)]
+    return points[np.array(fans)]
 
 
 def _judged_3mf(path: Path) -> np.ndarray:
