@@ -29,7 +29,7 @@ _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
 # In the source of the modules that solve pairs.
-_SOLVERS = re.compile("make_(points_toi|solve_pairs|pairs_bound)__locals__")
+_SOLVERS = re.compile("make_solve_pairs__locals__")
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132
 

@@ -188,7 +188,7 @@ PLANTED = [
     Fault(
         "a warp does not agree before it works together",
         _QUEUE,
-        "                if turns.are_shared:\n                    is_done = agreed(is_done)\n",
+        "                    if turns.are_shared:\n                        is_done = agreed(is_done)\n",
         "",
         _ONE_PLACE,
     ),
