@@ -209,8 +209,10 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 is_needed = only_moving == 0 or not is_stationary(a, b)
             outcome = Outcome()
             if wp.static(is_last):
-                if is_needed:
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                if wp.static(not is_listed):
+                    outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+                elif is_needed:
                     outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
             else:
                 least = unbounded
@@ -252,12 +254,9 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 table.width[k] = outcome.width
                 table.iterations[k] = outcome.iterations
             elif outcome.status != STATUS_NO_COLLISION:
-                key = pairs[k]
-                if is_second != 0:
-                    key = ~key
                 if wp.static(is_last):
                     if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                        pairs[k] = ~key
+                        pairs[k] = ~pairs[k]
                         if wp.static(is_bound):
                             open_toi[k] = outcome.toi
                         claim(counts, kind, OPEN, 1)
@@ -266,6 +265,9 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if wp.static(is_bound):
                     atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
                 else:
+                    key = pairs[k]
+                    if is_second != 0:
+                        key = ~key
                     pair = pair_of(key)
                     first = first_corners[pair[0]]
                     second = second_corners[pair[1]]

@@ -326,7 +326,7 @@ PLANTED = [
         "elif counts[part.row, CANDIDATES] < wp.int64(0):",
         ("short lists",),
     ),
-    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~key\n", "pairs[k] = key\n", ("needles",)),
+    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~pairs[k]\n", "pairs[k] = pairs[k]\n", ("needles",)),
     Fault(
         "the time reached not kept",
         _QUEUE,
