@@ -209,11 +209,14 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 is_needed = only_moving == 0 or not is_stationary(a, b)
             outcome = Outcome()
             if wp.static(is_last):
-                own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                if wp.static(not is_listed):
-                    outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
-                elif is_needed:
-                    outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+                if wp.static(is_table):
+                    outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
+                else:
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    if wp.static(is_bound):
+                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+                    elif is_needed:
+                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
             else:
                 least = unbounded
                 if wp.static(is_bound):
@@ -221,6 +224,8 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 answer = lane_solver.LaneAnswer()
                 if wp.static(is_initial):
                     answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
+                elif wp.static(is_table):
+                    answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
                 else:
                     own = options_of_rows(options, pairs, k, first_corners, second_corners)
                     answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
