@@ -19,10 +19,11 @@ from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._small_batch import CAPACITY, borrowed_batch
+from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp.kernels.contacts import lift
 from ccd_warp.kernels.minima import NUM_COUNTS
+from ccd_warp.kernels.sinks import TABLE, Table
 
 
 @dataclass(frozen=True)
@@ -208,6 +209,14 @@ class PairArrays:
         dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
         return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
 
+    def with_points(self, points_t0: wp.array, points_t1: wp.array) -> Any:
+        """The table of the pairs that have these points, as the kernel's struct."""
+        table = Table()
+        table.points_t0, table.points_t1 = points_t0, points_t1
+        for name, array in vars(self).items():
+            setattr(table, name, array)
+        return table
+
     def as_list(self) -> list[wp.array]:
         return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
@@ -333,18 +342,19 @@ def _launch(
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
     execution = Execution(device, options.threads, stop)
+    outputs = table_outputs(out.with_points(points_t0, points_t1))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
-        inputs = [count, int(kind), points_t0, points_t1, packed, counts, new_queue(count, device)]
-        launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, out.as_list())
+        inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]
+        launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)
-    kernel, chunk = narrow_phase.points_toi, narrow_phase.chunk
+    kernel, chunk = narrow_phase.solve_pairs, narrow_phase.chunk_of_table
     execution.launch(
         kernel,
         -(-count // chunk),
-        inputs=[chunk, count, int(kind), points_t0, points_t1, packed],
-        outputs=out.as_list(),
+        inputs=[MANY_SOLVERS, chunk, int(kind), TABLE, *table_inputs(packed, count)],
+        outputs=outputs,
         grain=max(1, _WORTH_A_THREAD // chunk) if is_first else 1,
         is_long=lambda: is_long,
     )

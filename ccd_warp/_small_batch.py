@@ -15,15 +15,39 @@ from numpy.typing import NDArray
 
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import load
+from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._status import PairKind
+from ccd_warp.kernels.contacts import ContactList
+from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.sinks import TABLE, Table
 
 CAPACITY = 256  # pairs, some 240 bytes each; beyond it solving takes longer than launching
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
-_OUTPUTS = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
-_COUNT = 2
-_OPTIONS = 6  # position of the options among the kernel's parameters
+_OUTPUTS = {
+    "toi": wp.float64,
+    "status": wp.int32,
+    "parameters": wp.vec2d,
+    "gap": wp.float64,
+    "width": wp.float64,
+    "iterations": wp.int32,
+}
+# Positions among the kernel's parameters.
+_OPTIONS, _COUNT = 11, 15
+# So many that each takes one chunk of the pairs.
+MANY_SOLVERS = 1 << 30
 
 _idle: dict[tuple[PairKind, Any, str], list["SmallBatch"]] = {}
+
+
+def table_inputs(packed: Any, count: int, counts: wp.array | None = None) -> list[Any]:
+    """The inputs of the narrow phase from the counts on, where pairs are given by their points."""
+    of_mesh = [None] * 5  # keys, corners and vertices
+    return [counts, *of_mesh, packed, 0, 0, 0.0, count]
+
+
+def table_outputs(table: Any) -> list[Any]:
+    """Its outputs."""
+    return [table, Minima(), ContactList(), None, None]
 
 
 class SmallBatch:
@@ -31,20 +55,25 @@ class SmallBatch:
 
     def __init__(self, kind: PairKind, real: Any, norm: str, device: Any, num_points: int, packed: Any) -> None:
         narrow_phase = narrow_phase_on(device, real, norm)
-        kernel, self._chunk = narrow_phase.points_toi, narrow_phase.chunk
+        kernel = narrow_phase.solve_pairs
         load(kernel, device)
         inputs: list[wp.array] = [wp.zeros((CAPACITY, num_points), dtype=wp.vec3d, device=device) for _ in range(2)]
-        outputs: list[wp.array] = [wp.zeros(CAPACITY, dtype=dtype, device=device) for dtype in _OUTPUTS]
-        self._command = wp.launch(
+        outputs = {name: wp.zeros(CAPACITY, dtype=dtype, device=device) for name, dtype in _OUTPUTS.items()}
+        table = Table()
+        table.points_t0, table.points_t1 = inputs
+        for name, array in outputs.items():
+            setattr(table, name, array)
+        command: Any = wp.launch(
             kernel,
-            dim=1,
-            inputs=[0, self._chunk, 1, int(kind), *inputs, packed],
-            outputs=outputs,
+            dim=1,  # one solver takes all pairs
+            inputs=[0, 1, narrow_phase.chunk_of_table, int(kind), TABLE, *table_inputs(packed, 1)],
+            outputs=table_outputs(table),
             device=device,
             record_cmd=True,
         )
+        self._command = PackedLaunch(command, [(0, 1)])
         self._points_t0, self._points_t1 = (array.numpy() for array in inputs)
-        self._outputs = [array.numpy() for array in outputs]
+        self._outputs = [array.numpy() for array in outputs.values()]
         self._packed = packed
         self._count = 1
 
@@ -58,15 +87,14 @@ class SmallBatch:
         """
         count = len(points_t0)
         if packed is not self._packed:
-            self._command.set_param_at_index(_OPTIONS, packed)
+            self._command.bind(_OPTIONS, packed)
             self._packed = packed
         if count != self._count:
-            self._command.set_param_at_index(_COUNT, count)
-            self._command.set_dim(-(-count // self._chunk))
+            self._command.bind(_COUNT, count)
             self._count = count
         self._points_t0[:count] = points_t0
         self._points_t1[:count] = points_t1
-        self._command.launch()
+        self._command.parts()[0]()
         return [array[:count].copy() for array in self._outputs]
 
 

@@ -8,6 +8,7 @@ from .minima import CONTACTS_OVERFLOW, FOUND, ROUNDING_LIMIT, STRUCK, Minima, fl
 from .pair_key import pair_key
 from .pair_kind import VERTEX_PLANE
 from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
+from .sinks import BOUND
 from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -38,6 +39,7 @@ def is_pair_excluded(v: int, k: int, excluded: wp.array[wp.int64]) -> bool:
 def meet_planes(
     begin: int,
     # in
+    sink: int,
     vertices: wp.array[wp.int32],
     planes: Planes,
     query: PlaneQuery,
@@ -52,8 +54,12 @@ def meet_planes(
     counts: wp.array2d[wp.int64],
     minima: Minima,
     contacts: ContactList,
+    least_bits: wp.array[wp.int64],
 ):
-    """Meet every plane with a vertex that is free; lower the minima, list the contacts."""
+    """Meet every plane with a vertex that is free; lower the minima and list the contacts, or lower the least toi.
+
+    For the least toi `BOUND` is the sink, and of the minima only the worlds are read.
+    """
     v = vertices[begin + wp.tid()]
     body = vertex_body[v]
     if active.shape[0] > 0:
@@ -76,7 +82,11 @@ def meet_planes(
             meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
+                    claim(counts, VERTEX_PLANE, FOUND, 1)
                     toi = meeting.toi
+                    if sink == BOUND:
+                        atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
+                        continue
                     if gaps_moved > _ZERO and toi < _LOST_TOI:
                         motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
                         if gaps_moved * meeting.gap < motion:
@@ -89,7 +99,6 @@ def meet_planes(
                         atomic_min_int64(minima.body, planes.body[k], bits)
                         atomic_min_int64(minima.world, world, bits)
                         atomic_min_int64(minima.scene, 0, bits)
-                    claim(counts, VERTEX_PLANE, FOUND, 1)
                     status = STATUS_COLLISION
                     if meeting.toi == _ZERO:
                         status = STATUS_INITIAL_CONTACT
@@ -108,43 +117,6 @@ def meet_planes(
                         contacts.normal[n] = planes.unit[k]
                     else:
                         flag_world(minima, v, CONTACTS_OVERFLOW)
-
-
-@wp.kernel
-def bound_by_planes(
-    begin: int,
-    # in
-    vertices: wp.array[wp.int32],
-    planes: Planes,
-    query: PlaneQuery,
-    vertex_body: wp.array[wp.int32],
-    vertex_world: wp.array[wp.int32],  # empty where there is one world
-    box_radius: wp.array[wp.float64],
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-    # out
-    counts: wp.array2d[wp.int64],
-    least_bits: wp.array[wp.int64],
-):
-    """Like ``meet_planes``, for the least toi alone."""
-    v = vertices[begin + wp.tid()]
-    body = vertex_body[v]
-    radius = _ZERO
-    if box_radius.shape[0] > 0:
-        radius = box_radius[v]
-    world = int(0)
-    if vertex_world.shape[0] > 0:
-        world = vertex_world[v]
-    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
-        k = nth_plane(planes, i)
-        if planes.meets[k, body] != wp.uint8(0):
-            p0 = point_of(planes, k, vertices_t0)
-            p1 = point_of(planes, k, vertices_t1)
-            meeting = meeting_of(vertices_t0[v], vertices_t1[v], p0, p1, radius, planes, k, query)
-            if meeting.toi <= query.t_max:
-                if not is_pair_excluded(v, k, planes.excluded):
-                    claim(counts, VERTEX_PLANE, FOUND, 1)
-                    atomic_min_int64(least_bits, 0, wp.cast(meeting.toi, wp.int64))
 
 
 @wp.kernel

@@ -1,7 +1,8 @@
-"""Narrow phase: the kernels that find the earliest time of impact of many pairs.
+"""Narrow phase: the kernel that finds the earliest time of impact of many pairs.
 
 Pairs are taken up ``width`` at a time, one in each lane (`lane_solver`), a thread one after another; the few that the
-lanes leave open go on to the solver for single pairs (`solver`) at the time that they have reached.
+lanes leave open go on to the solver for single pairs (`solver`) at the time that they have reached. Where the
+pairs come from and where the outcomes go (`sinks`) is an argument, so that the solver is compiled once for all calls.
 """
 
 import warp as wp
@@ -28,13 +29,15 @@ from .pair_outcome import (
     skips_first_rounds,
 )
 from .parameters import norm, real, width
+from .points import Points
 from .query import Options
 from .simd import fingerprint
 from .single_points import is_stationary, points_of, row_points
+from .sinks import BOUND, TABLE, Table
 from .status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from .template import specialised
 
-# Pairs of an item of `points_toi` where there are several lanes.
+# Pairs of a table that are taken as one, where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
@@ -50,6 +53,7 @@ none = wp.constant(wp.float64(int(STATUS_NO_COLLISION)))
 within = wp.constant(wp.float64(int(STATUS_COLLISION)))
 at_start = wp.constant(wp.float64(int(STATUS_INITIAL_CONTACT)))
 lanes = wp.constant(width)
+chunk_of_table = PAIRS_OF_AN_ITEM if width > 1 else 1
 
 
 @wp.struct
@@ -69,111 +73,29 @@ def first_lanes(count: int) -> wp.uint32:
 
 
 @simd64.func
-def write(
-    rows: Index,
-    count: int,
-    answer: LaneAnswer,
-    t_max: wp.float64,
-    # out
-    toi: wp.array[wp.float64],
-    status: wp.array[wp.int32],
-    parameters: wp.array[wp.vec2d],
-    gap: wp.array[wp.float64],
-    width_of: wp.array[wp.float64],
-    iterations: wp.array[wp.int32],
-):
+def write(rows: Index, count: int, answer: LaneAnswer, t_max: wp.float64, table: Table):
     """Write `outcome_of` of the first lanes, all at once."""
     nothing = simd64.spread(wp.float64(0.0))
     hit = simd64.bit_and(simd64.mask_of(answer.contact), simd64.is_at_most(answer.t, simd64.spread(t_max)))
     how = simd64.select(simd64.is_at_most(answer.t, nothing), simd64.spread(at_start), simd64.spread(within))
-    put(toi, rows, simd64.select(hit, answer.t, simd64.spread(unbounded)), count)
-    put(status, rows, simd64.select(hit, how, simd64.spread(none)), count)
-    put_vec2(parameters, rows, simd64.select(hit, answer.u, nothing), simd64.select(hit, answer.v, nothing), count)
-    put(gap, rows, simd64.select(hit, answer.gap, nothing), count)
-    put(width_of, rows, nothing, count)
-    put(iterations, rows, answer.iterations, count)
+    put(table.toi, rows, simd64.select(hit, answer.t, simd64.spread(unbounded)), count)
+    put(table.status, rows, simd64.select(hit, how, simd64.spread(none)), count)
+    u = simd64.select(hit, answer.u, nothing)
+    put_vec2(table.parameters, rows, u, simd64.select(hit, answer.v, nothing), count)
+    put(table.gap, rows, simd64.select(hit, answer.gap, nothing), count)
+    put(table.width, rows, nothing, count)
+    put(table.iterations, rows, answer.iterations, count)
 
 
-def own_module(name: str):
-    """A Warp module for each kernel, so that a scene compiles only those that it launches."""
-    of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-    module = wp.get_module(f"ccd_warp.{name}.{real.__name__}.{width}{of_norm}.{fingerprint()}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
-    return module
-
-
-@wp.kernel(module=own_module("points_toi"))
-def points_toi(
-    begin: int,
-    # in
-    chunk: int,
-    count: int,
-    kind: int,
-    points_t0: wp.array2d[vec3d],
-    points_t1: wp.array2d[vec3d],
-    options: Options,
-    # out
-    toi: wp.array[wp.float64],
-    status: wp.array[wp.int32],
-    parameters: wp.array[wp.vec2d],
-    gap: wp.array[wp.float64],
-    width_of: wp.array[wp.float64],
-    iterations: wp.array[wp.int32],
-):
-    """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]; an item is ``chunk`` of them."""
-    following = (begin + wp.tid()) * chunk
-    end = wp.min(following + chunk, count)
-    cap = options.max_iterations
-    skips_first = skips_first_rounds(options)
-    pending = Pending()
-    while following < end or pending.count > 0:
-        if is_stopped(options.stop):
-            return
-        is_packed = pending.count >= lanes or following >= end
-        block = wp.min(lanes, end - following)
-        rows = rows_from(following, block)
-        if is_packed:
-            block = wp.min(lanes, pending.count)
-            pending.count -= block
-            rows = rows_of(pending.rows, pending.count, block)
-        else:
-            following += block
-        points_a = points_of_rows(points_t0, rows)
-        points_b = points_of_rows(points_t1, rows)
-        answer = LaneAnswer()
-        is_later = is_packed or skips_first
-        if is_later:
-            t = simd64.spread(wp.float64(0.0))
-            used = t
-            if is_packed:
-                t = numbers_of(pending.t, pending.count, block)
-                used = numbers_of(pending.used, pending.count, block)
-            open = first_lanes(block)
-            answer = later_rounds(kind, points_a, points_b, options, open, t, used, cap, unbounded)
-        else:
-            answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
-        write(rows, block, answer, options.t_max, toi, status, parameters, gap, width_of, iterations)
-        # what is written of these is overwritten
-        left = first_lanes(block) & ~finished_lanes(answer, options)
-        while left != _NONE:
-            lane = lowest_bit(left)
-            left = left & (left - _ONE)
-            i = row_of(rows, lane)
-            if not is_later and not is_set(answer.contact, lane):
-                pending.rows[pending.count] = i
-                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
-                pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
-                pending.count += 1
-                continue
-            a = row_points(points_t0, i)
-            b = row_points(points_t1, i)
-            outcome = rest_of(outcome_of(answer, lane, options), answer, lane, kind, a, b, options, cap)
-            toi[i] = outcome.toi
-            status[i] = outcome.status
-            parameters[i] = outcome.parameters
-            gap[i] = outcome.gap
-            width_of[i] = outcome.width
-            iterations[i] = outcome.iterations
+@wp.func
+def write_row(i: int, outcome: Outcome, table: Table):
+    """Write the result of a pair."""
+    table.toi[i] = outcome.toi
+    table.status[i] = outcome.status
+    table.parameters[i] = outcome.parameters
+    table.gap[i] = outcome.gap
+    table.width[i] = outcome.width
+    table.iterations[i] = outcome.iterations
 
 
 @wp.func
@@ -188,13 +110,20 @@ def next_block(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
     return following
 
 
-@wp.kernel(module=own_module("solve_pairs"))
+# a Warp module for each precision, number of lanes and norm
+of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
+module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{of_norm}.{fingerprint()}")
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+
+
+@wp.kernel(module=module)
 def solve_pairs(
     begin: int,
     # in
     num_solvers: int,
     chunk: int,
     kind: int,
+    sink: int,
     counts: wp.array2d[wp.int64],
     pairs: wp.array[wp.int64],
     first_corners: wp.array[wp.vec3i],
@@ -205,18 +134,31 @@ def solve_pairs(
     is_second: int,  # 1: the second round, of the pairs that the first has marked as open
     only_moving: int,  # 1: a stationary pair is not solved, so it may touch
     gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
+    num_rows: int,  # of the table
     # out
+    table: Table,
     minima: Minima,
     contacts: ContactList,
+    least_bits: wp.array[wp.int64],
+    open_toi: wp.array[wp.float64],
 ):
-    """Solve the pairs of a solver, which are every ``num_solvers``-th chunk; lower the minima, list the contacts.
+    """Solve the pairs of a solver, which are every ``num_solvers``-th chunk.
 
-    The first round marks each pair that it leaves open by the complement of its key.
+    With the sink `TABLE` these are the rows of the table, and the result of each is written there. With `CONTACTS` they
+    are keys; the minima are lowered, the contacts listed. The first round marks each pair that it leaves open by the
+    complement of its key.
+
+    With `BOUND` the least toi alone is lowered; that of a pair left open is written beside its key. A pair is left out
+    as soon as it is free up to the least toi found so far, which it then cannot lower; so the least toi does not depend
+    on the order of the pairs. As integers, the bits of two non-negative numbers compare as the numbers do.
     """
-    count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-    cap = cap_of_round(options, is_second, counts[kind, OPEN])
-    if cap == 0:
-        return
+    count = wp.int64(num_rows)
+    cap = options.max_iterations
+    if sink != TABLE:
+        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        cap = cap_of_round(options, is_second, counts[kind, OPEN])
+        if cap == 0:
+            return
     following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
     skips_first = skips_first_rounds(options)
     pending = Pending()
@@ -233,9 +175,23 @@ def solve_pairs(
         else:
             k = wp.int32(following)
             following = next_block(following, chunk, num_solvers)
-            if is_second != 0 and pairs[k] >= wp.int64(0):
-                continue  # in the second round a block is one pair, and this one is not open
-        points_a, points_b = points_of_pairs(kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1)
+            if is_second != 0:
+                if pairs[k] >= wp.int64(0):
+                    continue  # in the second round a block is one pair, and this one is not open
+        least = unbounded
+        if sink == BOUND:
+            if least_bits[0] == wp.int64(0):
+                return  # no toi is less
+            least = wp.cast(least_bits[0], wp.float64)
+        points_a = Points()
+        points_b = Points()
+        if sink == TABLE:
+            points_a = points_of_rows(table.points_t0, rows)
+            points_b = points_of_rows(table.points_t1, rows)
+        else:
+            points_a, points_b = points_of_pairs(
+                kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
+            )
         answer = LaneAnswer()
         is_later = is_packed or skips_first
         if is_later:
@@ -246,18 +202,36 @@ def solve_pairs(
                 used = numbers_of(pending.used, pending.count, block)
             open = first_lanes(block)
             own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, unbounded)
+            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
         elif wp.static(not has_own):
-            answer = first_rounds(kind, points_a, points_b, options, cap, unbounded)
-        for lane in range(block):
-            if is_set(answer.free, lane):
-                continue
+            answer = first_rounds(kind, points_a, points_b, options, cap, least)
+        settled = answer.free
+        if sink == TABLE:
+            # what is written of the lanes that are left is overwritten
+            write(rows, block, answer, options.t_max, table)
+            settled = finished_lanes(answer, options)
+        left = first_lanes(block) & ~settled
+        while left != _NONE:
+            lane = lowest_bit(left)
+            left = left & (left - _ONE)
+            t_reached = simd64.lane_of(answer.t, lane)
+            if sink == BOUND:
+                # a pair that is free up to the least toi cannot lower it
+                if wp.cast(t_reached, wp.int64) >= least_bits[0]:
+                    continue
             k = row_of(rows, lane)
-            if not is_later and not is_set(answer.contact, lane):
+            is_contact = is_set(answer.contact, lane)
+            if not is_later and not is_contact:
                 pending.rows[pending.count] = k
-                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
+                pending.t[pending.count] = t_reached
                 pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
                 pending.count += 1
+                continue
+            outcome = outcome_of(answer, lane, options)
+            if sink == TABLE:
+                a = row_points(table.points_t0, k)
+                b = row_points(table.points_t1, k)
+                write_row(k, rest_of(outcome, answer, lane, kind, a, b, options, cap), table)
                 continue
             key = pairs[k]
             if is_second != 0:
@@ -265,25 +239,24 @@ def solve_pairs(
             pair = pair_of(key)
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
-            a = points_of(kind, first, second, vertices_t0)
-            b = points_of(kind, first, second, vertices_t1)
-            outcome = Outcome()
-            outcome.status = STATUS_NO_COLLISION
-            is_needed = bool(True)
-            if only_moving != 0:
-                is_needed = not is_stationary(a, b)
-            if is_needed:
-                if is_set(answer.contact, lane):
-                    outcome = outcome_of(answer, lane, options)
-                else:
+            if not is_contact or only_moving != 0:
+                a = points_of(kind, first, second, vertices_t0)
+                b = points_of(kind, first, second, vertices_t1)
+                if only_moving != 0:
+                    if is_stationary(a, b):
+                        continue
+                if not is_contact:
                     so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
-                    t_reached = simd64.lane_of(answer.t, lane)
                     own_options = options_of_pair(options, first, second)
                     outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key
                 claim(counts, kind, OPEN, 1)
                 claim(counts, 0, ANY_OPEN, 1)
+                if sink == BOUND:
+                    open_toi[k] = outcome.toi
+            elif sink == BOUND:
+                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
             elif outcome.status != STATUS_NO_COLLISION:
                 record_contact(
                     kind,
@@ -299,105 +272,3 @@ def solve_pairs(
                     minima,
                     contacts,
                 )
-
-
-@wp.kernel(module=own_module("pairs_bound"))
-def pairs_bound(
-    begin: int,
-    # in
-    num_solvers: int,
-    chunk: int,
-    kind: int,
-    counts: wp.array2d[wp.int64],
-    pairs: wp.array[wp.int64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    vertices_t0: wp.array[vec3d],
-    vertices_t1: wp.array[vec3d],
-    options: Options,
-    is_second: int,
-    # out
-    least_bits: wp.array[wp.int64],
-    open_toi: wp.array[wp.float64],
-):
-    """Like ``solve_pairs``, for the least toi alone; that of a pair left open is written beside its key.
-
-    A pair is left out as soon as it is free up to the least toi found so far, which it then cannot lower; so the
-    least toi does not depend on the order of the pairs. As integers, the bits of two non-negative numbers compare
-    as the numbers do.
-    """
-    count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-    cap = cap_of_round(options, is_second, counts[kind, OPEN])
-    if cap == 0:
-        return
-    following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
-    skips_first = skips_first_rounds(options)
-    pending = Pending()
-    while following < count or pending.count > 0:
-        if is_stopped(options.stop):
-            return
-        is_packed = pending.count >= lanes or following >= count
-        block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
-        rows = rows_from(wp.int32(following), block)
-        if is_packed:
-            block = wp.min(lanes, pending.count)
-            pending.count -= block
-            rows = rows_of(pending.rows, pending.count, block)
-        else:
-            k = wp.int32(following)
-            following = next_block(following, chunk, num_solvers)
-            if is_second != 0 and pairs[k] >= wp.int64(0):
-                continue  # in the second round a block is one pair, and this one is not open
-        if least_bits[0] == wp.int64(0):
-            return  # no toi is less
-        points_a, points_b = points_of_pairs(kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1)
-        least = wp.cast(least_bits[0], wp.float64)
-        answer = LaneAnswer()
-        is_later = is_packed or skips_first
-        if is_later:
-            t = simd64.spread(wp.float64(0.0))
-            used = t
-            if is_packed:
-                t = numbers_of(pending.t, pending.count, block)
-                used = numbers_of(pending.used, pending.count, block)
-            open = first_lanes(block)
-            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
-        elif wp.static(not has_own):
-            answer = first_rounds(kind, points_a, points_b, options, cap, least)
-        for lane in range(block):
-            t_reached = simd64.lane_of(answer.t, lane)
-            # a pair that is free up to the least toi cannot lower it
-            if is_set(answer.free, lane) or wp.cast(t_reached, wp.int64) >= least_bits[0]:
-                continue
-            k = row_of(rows, lane)
-            if not is_later and not is_set(answer.contact, lane):
-                pending.rows[pending.count] = k
-                pending.t[pending.count] = simd64.lane_of(answer.t, lane)
-                pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
-                pending.count += 1
-                continue
-            key = pairs[k]
-            if is_second != 0:
-                key = ~key
-            outcome = outcome_of(answer, lane, options)
-            if not is_set(answer.contact, lane):
-                pair = pair_of(key)
-                first = first_corners[pair[0]]
-                second = second_corners[pair[1]]
-                a = points_of(kind, first, second, vertices_t0)
-                b = points_of(kind, first, second, vertices_t1)
-                so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
-                own_options = options_of_pair(options, first, second)
-                outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-            if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                pairs[k] = ~key
-                open_toi[k] = outcome.toi
-                claim(counts, kind, OPEN, 1)
-                claim(counts, 0, ANY_OPEN, 1)
-            else:
-                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
-
-
-chunk = PAIRS_OF_AN_ITEM if width > 1 else 1
-points_toi = None if has_own else points_toi

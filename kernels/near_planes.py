@@ -15,6 +15,7 @@ from .pair_kind import VERTEX_PLANE
 from .planes import Planes, end_of_planes, first_plane, is_finite, nth_plane, point_of, scale_of, value_of
 from .proximity import ProximityList, Reach, record_proximity
 from .rounding import RELATIVE, UNIT_ROUNDOFF
+from .sinks import NEAR
 from .thickness import radius_of, sum_up
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -51,9 +52,10 @@ def distance_with(distance: wp.float64, v: int, box_radius: wp.array[wp.float64]
 
 
 @wp.kernel
-def list_near_planes(
+def measure_planes(
     begin: int,
     # in
+    sink: int,
     vertices: wp.array[wp.int32],
     vertex_body: wp.array[wp.int32],
     planes: Planes,
@@ -65,7 +67,11 @@ def list_near_planes(
     minima: Minima,
     proximities: ProximityList,
 ):
-    """List the planes within the distance of a vertex that moves; none of one whose position is not finite."""
+    """Take the planes within the distance of a vertex that moves; none of one whose position is not finite.
+
+    With the sink `NEAR` list them; with `DISPLACEMENT` lower the bound of the vertex to what is between them and it,
+    less what is to be kept.
+    """
     v = vertices[begin + wp.tid()]
     if not is_finite(x[v]):
         return
@@ -78,37 +84,10 @@ def list_near_planes(
             if found.least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
-                    record_proximity(VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
-
-
-@wp.kernel
-def bound_by_half_spaces(
-    begin: int,
-    # in
-    vertices: wp.array[wp.int32],
-    vertex_body: wp.array[wp.int32],
-    planes: Planes,
-    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
-    x: wp.array[wp.vec3d],
-    reach: Reach,
-    # out
-    counts: wp.array2d[wp.int64],
-    minima: Minima,
-):
-    """Lower the bound of a vertex that moves to what is between it and the planes, less what is to be kept."""
-    v = vertices[begin + wp.tid()]
-    if not is_finite(x[v]):
-        return
-    world = world_of(minima, v)
-    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
-        k = nth_plane(planes, i)
-        p = point_of(planes, k, x)
-        if planes.meets[k, vertex_body[v]] != wp.uint8(0) and is_finite(p):
-            least = plane_distance(x[v], p, planes, k).least
-            if least <= distance_with(reach.distance, v, box_radius):
-                if not is_pair_excluded(v, k, planes.excluded):
-                    claim(counts, VERTEX_PLANE, FOUND, 1)
-                    gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
+                    if sink == NEAR:
+                        record_proximity(VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
+                        continue
+                    gap = (found.least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
                     if not gap > _ZERO:
                         gap = _ZERO
                     if planes.vertex.shape[0] > 0:

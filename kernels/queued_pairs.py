@@ -25,6 +25,7 @@ from .parameters import norm, real
 from .query import CLIPPING, Options
 from .simd import fingerprint
 from .single_points import is_stationary, row_points
+from .sinks import BOUND, CONTACTS, TABLE, Table
 from .status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from .template import specialised
 from .whole_warp import WARP, agreed, is_first, item_of_warp
@@ -120,104 +121,11 @@ def own_module(name: str, stage: str):
     return module
 
 
-def make_points_toi(stage: str):
+def make_solve_pairs(name: str, sink: int, stage: str):
     is_initial, is_last = stage == "first", stage == "last"
+    is_table, is_listed, is_bound = sink == TABLE, sink == CONTACTS, sink == BOUND
 
-    @wp.kernel(module=own_module("points_toi", stage), cuda_max_registers=MAX_REGISTERS[stage])
-    def points_toi(
-        begin: int,
-        # in
-        num_solvers: int,
-        count: int,
-        kind: int,
-        points_t0: wp.array2d[vec3d],
-        points_t1: wp.array2d[vec3d],
-        options: Options,
-        # in and out
-        counts: wp.array2d[wp.int64],
-        queue: Queue,
-        # out
-        toi: wp.array[wp.float64],
-        status: wp.array[wp.int32],
-        parameters: wp.array[wp.vec2d],
-        gap: wp.array[wp.float64],
-        width_of: wp.array[wp.float64],
-        iterations: wp.array[wp.int32],
-    ):
-        """Solve pairs given by their points, shape [n, 4], [n, 3] or [n, 2]."""
-        cap = options.max_iterations
-        skips_first = pair_outcome.skips_first_rounds(options)
-        last = count
-        if wp.static(not is_initial):
-            last = wp.int32(counts[0, QUEUED])
-        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-        following = turns.first
-        while following < last:
-            n = following
-            following += turns.stride
-            i = n
-            t = wp.float64(0.0)
-            used = int(0)
-            if wp.static(is_initial):
-                if skips_first:
-                    enqueue(queue, counts, 0, QUEUED, i, t, used)
-                    continue
-            else:
-                i = queue.rows[n]
-                t = queue.t[n]
-                used = wp.int32(queue.used[n])
-                if i == _SETTLED:
-                    continue
-                if wp.static(is_last):
-                    if i < 0:
-                        i = _SETTLED - 1 - i
-                        a = row_points(points_t0, i)
-                        b = row_points(points_t1, i)
-                        if turns.writes:
-                            parameters[i] = pair_outcome.parameters_at(kind, toi[i], a, b, options)
-                        continue
-            a = row_points(points_t0, i)
-            b = row_points(points_t1, i)
-            outcome = Outcome()
-            if wp.static(is_last):
-                outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
-            else:
-                answer = lane_solver.LaneAnswer()
-                if wp.static(is_initial):
-                    answer = lane_solver.first_rounds(kind, a, b, options, cap, unbounded)
-                else:
-                    answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, unbounded)
-                if answer.free | answer.contact == _NONE:
-                    used = wp.int32(answer.iterations)
-                    if wp.static(is_initial):
-                        enqueue(queue, counts, 0, QUEUED, i, answer.t, used)
-                    else:
-                        queue.t[n] = answer.t
-                        queue.used[n] = wp.int8(used)
-                    continue
-                outcome = pair_outcome.outcome_of(answer, 0, options)
-                if wp.static(not is_initial):
-                    queue.rows[n] = _SETTLED
-                    if outcome.status != STATUS_NO_COLLISION and skips_first:
-                        queue.rows[n] = _SETTLED - 1 - i
-            if not turns.writes:
-                continue
-            toi[i] = outcome.toi
-            status[i] = outcome.status
-            if outcome.status == STATUS_INITIAL_CONTACT:
-                status[i] = pair_outcome.status_at_start(kind, outcome.gap, a, options)
-            parameters[i] = outcome.parameters
-            gap[i] = outcome.gap
-            width_of[i] = outcome.width
-            iterations[i] = outcome.iterations
-
-    return points_toi
-
-
-def make_solve_pairs(stage: str):
-    is_initial, is_last = stage == "first", stage == "last"
-
-    @wp.kernel(module=own_module("solve_pairs", stage), cuda_max_registers=MAX_REGISTERS[stage])
+    @wp.kernel(module=own_module(name, stage), cuda_max_registers=MAX_REGISTERS[stage])
     def solve_pairs(
         begin: int,
         # in
@@ -231,21 +139,31 @@ def make_solve_pairs(stage: str):
         vertices_t1: wp.array[vec3d],
         options: Options,
         is_second: int,
-        queue: Queue,
         only_moving: int,
         gaps_moved: wp.float64,
+        num_rows: int,
+        queue: Queue,
         # out
+        table: Table,
         minima: Minima,
         contacts: ContactList,
+        least_bits: wp.array[wp.int64],
+        open_toi: wp.array[wp.float64],
     ):
-        """Like ``solve_pairs`` of `narrow_phase`."""
-        cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
-        if cap == 0:
-            return
+        """A stage of ``solve_pairs`` of `narrow_phase` for a sink; the queue of a table is counted in the first row."""
+        cap = options.max_iterations
+        last = num_rows
+        row = kind
+        if wp.static(is_table):
+            row = 0
+        else:
+            cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
+            if cap == 0:
+                return
+            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
         skips_first = pair_outcome.skips_first_rounds(options)
-        last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
         if wp.static(not is_initial):
-            last = wp.int32(counts[kind, QUEUED + is_second])
+            last = wp.int32(counts[row, QUEUED + is_second])
         turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
         following = turns.first
         while following < last:
@@ -255,169 +173,128 @@ def make_solve_pairs(stage: str):
             t = wp.float64(0.0)
             used = int(0)
             if wp.static(is_initial):
-                if is_second != 0 and pairs[k] >= wp.int64(0):
-                    continue  # the second round is of the pairs that the first has left open
+                if wp.static(not is_table):
+                    if is_second != 0 and pairs[k] >= wp.int64(0):
+                        continue  # the second round is of the pairs that the first has left open
                 if skips_first:
-                    enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
+                    enqueue(queue, counts, row, QUEUED + is_second, k, t, used)
                     continue
             else:
                 k = queue.rows[n]
                 t = queue.t[n]
                 used = wp.int32(queue.used[n])
-                if k == _SETTLED:
+                is_done = k == _SETTLED
+                if wp.static(is_bound):
+                    # a pair that is free up to the least toi cannot lower it
+                    is_done = is_done or wp.cast(t, wp.int64) >= least_bits[0]
+                    if turns.are_shared:
+                        is_done = agreed(is_done)
+                if is_done:
                     continue
-            a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
-            is_needed = only_moving == 0 or not is_stationary(a, b)
+                if wp.static(is_table and is_last):
+                    if k < 0:
+                        k = _SETTLED - 1 - k
+                        a = row_points(table.points_t0, k)
+                        b = row_points(table.points_t1, k)
+                        if turns.writes:
+                            table.parameters[k] = pair_outcome.parameters_at(kind, table.toi[k], a, b, options)
+                        continue
+            if wp.static(is_table):
+                a = row_points(table.points_t0, k)
+                b = row_points(table.points_t1, k)
+            else:
+                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+            is_needed = bool(True)
+            if wp.static(is_listed):
+                is_needed = only_moving == 0 or not is_stationary(a, b)
             outcome = Outcome()
             if wp.static(is_last):
-                if is_needed:
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
-            else:
-                answer = lane_solver.LaneAnswer()
-                if wp.static(is_initial):
-                    answer = lane_solver.first_rounds(kind, a, b, options, cap, unbounded)
+                if wp.static(is_table):
+                    outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
                 else:
                     own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, unbounded)
-                if is_needed and answer.free | answer.contact == _NONE:
+                    if wp.static(is_bound):
+                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+                    elif is_needed:
+                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+            else:
+                least = unbounded
+                if wp.static(is_bound):
+                    least = wp.cast(least_bits[0], wp.float64)
+                answer = lane_solver.LaneAnswer()
+                if wp.static(is_initial):
+                    answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
+                elif wp.static(is_table):
+                    answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
+                else:
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
+                is_open = is_needed and answer.free | answer.contact == _NONE
+                if wp.static(is_bound):
+                    is_open = is_open and answer.t < least
+                if is_open:
                     used = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
+                        enqueue(queue, counts, row, QUEUED + is_second, k, answer.t, used)
                     else:
                         queue.t[n] = answer.t
                         queue.used[n] = wp.int8(used)
                     continue
-                if is_needed and answer.contact != _NONE:
+                if wp.static(not is_listed) or (is_needed and answer.contact != _NONE):
                     outcome = pair_outcome.outcome_of(answer, 0, options)
                 if wp.static(not is_initial):
                     queue.rows[n] = _SETTLED
-            if outcome.status == STATUS_NO_COLLISION or not turns.writes:
+                    if wp.static(is_table):
+                        if outcome.status != STATUS_NO_COLLISION and skips_first:
+                            queue.rows[n] = _SETTLED - 1 - k
+            if not turns.writes:
                 continue
-            key = pairs[k]
-            if is_second != 0:
-                key = ~key
-            if wp.static(is_last):
-                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                    pairs[k] = ~key
-                    claim(counts, kind, OPEN, 1)
-                    claim(counts, 0, ANY_OPEN, 1)
-                    continue
-            pair = pair_of(key)
-            first = first_corners[pair[0]]
-            second = second_corners[pair[1]]
-            pair_outcome.record_contact(
-                kind,
-                pair,
-                first,
-                second,
-                outcome,
-                vertices_t0,
-                vertices_t1,
-                options,
-                only_moving,
-                gaps_moved,
-                minima,
-                contacts,
-            )
+            if wp.static(is_table):
+                table.toi[k] = outcome.toi
+                table.status[k] = outcome.status
+                if outcome.status == STATUS_INITIAL_CONTACT:
+                    table.status[k] = pair_outcome.status_at_start(kind, outcome.gap, a, options)
+                table.parameters[k] = outcome.parameters
+                table.gap[k] = outcome.gap
+                table.width[k] = outcome.width
+                table.iterations[k] = outcome.iterations
+            elif outcome.status != STATUS_NO_COLLISION:
+                if wp.static(is_last):
+                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
+                        pairs[k] = ~pairs[k]
+                        if wp.static(is_bound):
+                            open_toi[k] = outcome.toi
+                        claim(counts, kind, OPEN, 1)
+                        claim(counts, 0, ANY_OPEN, 1)
+                        continue
+                if wp.static(is_bound):
+                    atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
+                else:
+                    key = pairs[k]
+                    if is_second != 0:
+                        key = ~key
+                    pair = pair_of(key)
+                    first = first_corners[pair[0]]
+                    second = second_corners[pair[1]]
+                    pair_outcome.record_contact(
+                        kind,
+                        pair,
+                        first,
+                        second,
+                        outcome,
+                        vertices_t0,
+                        vertices_t1,
+                        options,
+                        only_moving,
+                        gaps_moved,
+                        minima,
+                        contacts,
+                    )
 
     return solve_pairs
 
 
-def make_pairs_bound(stage: str):
-    is_initial, is_last = stage == "first", stage == "last"
-
-    @wp.kernel(module=own_module("pairs_bound", stage), cuda_max_registers=MAX_REGISTERS[stage])
-    def pairs_bound(
-        begin: int,
-        # in
-        num_solvers: int,
-        kind: int,
-        counts: wp.array2d[wp.int64],
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3d],
-        vertices_t1: wp.array[vec3d],
-        options: Options,
-        is_second: int,
-        queue: Queue,
-        # out
-        least_bits: wp.array[wp.int64],
-        open_toi: wp.array[wp.float64],
-    ):
-        """Like ``pairs_bound`` of `narrow_phase`."""
-        cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
-        if cap == 0:
-            return
-        skips_first = pair_outcome.skips_first_rounds(options)
-        last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-        if wp.static(not is_initial):
-            last = wp.int32(counts[kind, QUEUED + is_second])
-        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-        following = turns.first
-        while following < last:
-            n = following
-            following += turns.stride
-            k = n
-            t = wp.float64(0.0)
-            used = int(0)
-            if wp.static(is_initial):
-                if is_second != 0 and pairs[k] >= wp.int64(0):
-                    continue  # the second round is of the pairs that the first has left open
-                if skips_first:
-                    enqueue(queue, counts, kind, QUEUED + is_second, k, t, used)
-                    continue
-            else:
-                k = queue.rows[n]
-                t = queue.t[n]
-                used = wp.int32(queue.used[n])
-                # a pair that is free up to the least toi cannot lower it
-                is_done = k == _SETTLED or wp.cast(t, wp.int64) >= least_bits[0]
-                if turns.are_shared:
-                    is_done = agreed(is_done)
-                if is_done:
-                    continue
-            a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
-            toi = unbounded
-            if wp.static(is_last):
-                own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
-                if not turns.writes:
-                    continue
-                toi = outcome.toi
-                if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                    pairs[k] = ~pairs[k]
-                    open_toi[k] = toi
-                    claim(counts, kind, OPEN, 1)
-                    claim(counts, 0, ANY_OPEN, 1)
-                    continue
-            else:
-                least = wp.cast(least_bits[0], wp.float64)
-                answer = lane_solver.LaneAnswer()
-                if wp.static(is_initial):
-                    answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
-                else:
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
-                if answer.free | answer.contact == _NONE and answer.t < least:
-                    used = wp.int32(answer.iterations)
-                    if wp.static(is_initial):
-                        enqueue(queue, counts, kind, QUEUED + is_second, k, answer.t, used)
-                    else:
-                        queue.t[n] = answer.t
-                        queue.used[n] = wp.int8(used)
-                    continue
-                if wp.static(not is_initial):
-                    queue.rows[n] = _SETTLED
-                if answer.contact != _NONE and answer.t <= options.t_max:
-                    toi = answer.t
-            if toi < unbounded:
-                atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
-
-    return pairs_bound
-
-
-points_toi = [] if has_own else [make_points_toi(stage) for stage in STAGES]
-solve_pairs = [make_solve_pairs(stage) for stage in STAGES]
-pairs_bound = [make_pairs_bound(stage) for stage in STAGES]
+points_toi = [] if has_own else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
+pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
+by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

@@ -12,12 +12,12 @@ import importlib
 import re
 import sys
 from functools import cache
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
 from . import parameters
+from .kept_code import KeptCode
 from .once import building, once
 
 _FOLDER = Path(__file__).parent
@@ -28,9 +28,9 @@ _NAME = re.compile(r"(\w+)(?: as \w+)?")
 
 @cache
 def _read(name: str) -> tuple[str, CodeType, str]:
-    """The path, the code and the source of a file: one code for all, as Warp parses the source of each code once."""
+    """The path, the code and the source of a file."""
     full_name, path = f"{__package__}.{name}", str(_FOLDER / f"{name}.py")
-    loader = SourceFileLoader(full_name, path)
+    loader = KeptCode(full_name, path)
     code = loader.get_code(full_name)
     assert code is not None
     return path, code, loader.get_source(full_name)

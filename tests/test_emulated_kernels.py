@@ -5,11 +5,13 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
+from ccd_warp.kernels.contacts import ContactList
 from ccd_warp.kernels.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
 from ccd_warp.kernels.lanes import vec8f
 from ccd_warp.kernels.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
 from ccd_warp.kernels.search_types import SearchOptions
+from ccd_warp.kernels.sinks import Table
 from ccd_warp.kernels.template import specialised
 from ccd_warp.kernels.whole_warp import agreed, is_first, item_of_warp, latest
 from emulated.build import compiler
@@ -265,6 +267,7 @@ def test_warps_agree_while_others_lower_the_least_toi():
         queue = queue_of(array(np.arange(64), wp.int32), times, array(np.full(64, 3), wp.int8))
         least, open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
         inputs = [0, num_solvers, int(EDGE_EDGE), array(counts, wp.int64), *pairs]
-        inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, queue]
-        launch(specialised("queued_pairs").pairs_bound[2], num_solvers, inputs, [least, open_toi], block_dim=32)
+        inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, 0, 0.0, 0, queue]
+        outputs = [Table(), Minima(), ContactList(), least, open_toi]
+        launch(specialised("queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
         assert 0.3 - 1e-6 <= least.numpy().view(np.float64)[0] <= 0.3

@@ -1,5 +1,6 @@
 """Damaged files in Warp's kernel cache: the folder is named, and the module compiled again."""
 
+import io
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import warnings
 import pytest
 import warp as wp
 
+from ccd_warp._runtime import kernel_cache
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.launch import start_warp
 
@@ -70,6 +72,22 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
         _load_anew()
+
+
+@pytest.mark.parametrize(
+    "is_terminal, log_level, num_lines", [(True, wp.LOG_INFO, 1), (True, wp.LOG_ERROR, 0), (False, wp.LOG_INFO, 0)]
+)
+def test_a_terminal_is_told_once_that_kernels_are_compiled(is_terminal, log_level, num_lines, tmp_path, monkeypatch):
+    stderr = io.StringIO()
+    stderr.isatty = lambda: is_terminal
+    monkeypatch.setattr(sys, "stderr", stderr)
+    monkeypatch.setattr(wp.config, "log_level", log_level)
+    monkeypatch.setattr(kernel_cache, "_is_said", False)
+    for name in ("one", "other"):
+        monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / name))
+        _load_anew()
+        _load_anew()
+    assert stderr.getvalue().count("ccd_warp: compiling kernels") == num_lines
 
 
 def test_the_command_says_so_in_one_line(tmp_path):

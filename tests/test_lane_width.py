@@ -139,7 +139,7 @@ def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
     from ccd_warp.kernels.template import specialised
 
     modules = [
-        specialised("narrow_phase").points_toi.module.name,
+        specialised("narrow_phase").solve_pairs.module.name,
         specialised("search_trees", end=search_types.CULL).search_trees.module.name,
     ]
     assert all(simd.fingerprint() in name for name in modules)

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
+from ccd_warp.kernels.template import specialised
 from published import all_queries, requires_data
 
 import ccd_warp as ccd
@@ -588,3 +589,9 @@ def test_bad_warp_input():
         ccd.vertex_face_ccd(good, GOOD)
     with pytest.raises(ValueError, match=r"points_t1 has shape \(3, 4\); expected \(2, 4\)"):
         ccd.vertex_face_ccd(good, wp.zeros((3, 4), dtype=wp.vec3d, device="cpu"))
+
+
+def test_one_kernel_of_the_cpu_solves_the_pairs_of_all_calls():
+    """So the solver is compiled once for each precision, number of lanes and norm."""
+    kernels = [each for each in vars(specialised("narrow_phase")).values() if isinstance(each, wp.Kernel)]
+    assert [kernel.func.__name__ for kernel in kernels] == ["solve_pairs"]

@@ -34,6 +34,14 @@ def test_every_template_has_its_own_parameters_and_no_other():
     assert outcome.solver is specialised("solver") and outcome.simd is specialised("simd", width=8)
 
 
+def test_a_plain_import_shares_its_code_with_specialisations():
+    """Warp parses the source of a function once for each code object."""
+    for function in (patch.corners_at, atomics.claim):
+        name = function.func.__module__.rpartition(".")[2]
+        code = specialised(name, real=wp.float32, width=8).__dict__[function.key.rpartition(".")[2]].func.__code__
+        assert code is function.func.__code__
+
+
 def test_a_parameter_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match="patch is asked for with breadth; expected parameters"):
         specialised("patch", breadth=8)

@@ -1,10 +1,11 @@
 """The tasks of a job are all done wherever the job runs: on the calling thread, on the pool, within a task."""
 
+import threading
 import time
 
 import pytest
 
-from ccd_warp._runtime.threads import run
+from ccd_warp._runtime.threads import run, run_aside, run_beside
 
 
 @pytest.mark.parametrize("num_tasks", [0, 1, 3])
@@ -25,3 +26,27 @@ def test_job_within_a_job(num_tasks):
 
     run([outer, outer], 2, is_long=True)
     assert done.count("task") == 2 * num_tasks
+
+
+def test_what_is_done_aside_is_done_on_a_thread_that_stays():
+    """Warp's compiler keeps its precompiled header for each thread."""
+    threads = []
+    for _ in range(3):
+        run_aside(lambda: threads.append(threading.get_ident()))
+    assert len(set(threads)) == 1 and threading.get_ident() not in threads
+
+
+@pytest.mark.parametrize("failing", range(3))
+def test_tasks_beside_each_other_have_all_ended_when_one_has_raised(failing):
+    running = []
+
+    def task(k):
+        running.append(k)
+        time.sleep(0.01)
+        running.remove(k)
+        if k == failing:
+            raise ValueError(str(k))
+
+    with pytest.raises(ValueError, match=str(failing)):
+        run_aside(lambda: run_beside([lambda k=k: task(k) for k in range(3)]))
+    assert running == []

@@ -19,7 +19,6 @@ BLOCK_DIMS = (32, 64, 128, 256)
 _BY_BLOCK_DIM = "points_toi"
 # Modules in whose place the CPU has others, with its lanes.
 _ONLY_CUDA = ("narrow_phase", "queued_pairs", "half_warp", "search", "candidate_cull")
-_NARROW_PHASE = ("points_toi", "solve_pairs", "pairs_bound")
 
 
 def variants() -> list[tuple[str, Any, int]]:
@@ -36,8 +35,7 @@ def cpu_modules() -> list[Any]:
     """The modules of the CPU, whose answers are compared; those of the lanes are others than on CUDA."""
     cpu = wp.get_device("cpu")
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
-    for real in (wp.float64, wp.float32):
-        modules |= {getattr(narrow_phase_on(cpu, real, MAXIMUM_NORM), kernel).module for kernel in _NARROW_PHASE}
+    modules |= {narrow_phase_on(cpu, real, MAXIMUM_NORM).solve_pairs.module for real in (wp.float64, wp.float32)}
     for walk, end, with_lists in product(("search_trees", "search_hashes"), (BOXES, CULL), (False, True)):
         modules.add(search_on(cpu, walk, end, with_lists, is_cuda=False).module)
     return list(modules)

@@ -36,6 +36,7 @@ from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp.kernels import device_step, thickness
 from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 from ccd_warp.kernels.norm import is_ball
+from ccd_warp.kernels.sinks import CONTACTS
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -259,6 +260,8 @@ class DeviceStep:
             else None,
             plane_query=self._plane_query() if has_planes else None,
         )
+        if tree_pairs and self._has_narrow_phase:
+            self._stages.load(execution, CONTACTS)
         if self._static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
             self._stages.fill_boxes(execution, self._static_trees)

@@ -22,6 +22,7 @@ from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
 from ccd_warp.kernels.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.sinks import BOUND, CONTACTS
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
@@ -174,6 +175,8 @@ class HostPlan:
             least_bits=self._least_bits,
             open_toi=open_toi,
         )
+        if has_narrow_phase and self.tree_pairs:
+            self._stages.load(self.execution, CONTACTS if goal == "contacts" else BOUND)
 
     @property
     def key_bytes(self) -> int:

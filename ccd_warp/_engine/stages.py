@@ -10,13 +10,14 @@ from ccd_warp._engine.box_sets import BoxSet
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
 from ccd_warp._runtime.lanes import queued_pairs_in, search_on
-from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.launch import Execution, Recording, Slot, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, device_step
-from ccd_warp.kernels.minima import FOUND, OPEN
+from ccd_warp.kernels import box_tree, contacts, device_step, rest_order
+from ccd_warp.kernels.minima import FOUND, OPEN, Minima
 from ccd_warp.kernels.norm import shape_of
 from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
+from ccd_warp.kernels.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
@@ -115,6 +116,20 @@ class Stages:
             return values[of.name] if isinstance(of, Slot) else of
 
         return replace(self, **{field.name: value(getattr(self, field.name)) for field in fields(self)})
+
+    def load(self, launcher: Launcher, sink: int) -> None:
+        """Load what a step with a narrow phase launches, side by side where it has to be compiled."""
+        narrow_phase, query = self.narrow_phase, self.tree_pairs[0].query
+        if launcher.is_cuda:
+            solvers = queued_pairs_in(narrow_phase.real, narrow_phase.norm).by_sink[sink]
+            others = [specialised("candidate_cull", is_thick=self.is_thick).cull_candidates]
+        else:
+            solvers = [narrow_phase.solve_pairs]
+            others = [box_tree.fill_vertex_aabbs, device_step.reset]
+            others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
+            others += [contacts.first_contacts] if sink == CONTACTS else []
+        search = self._search_on(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
+        load_all([*solvers[::-1], search, *others], launcher.device)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
         """Compute the AABBs of the given vertices, empty ones for those of bodies that are not active."""
@@ -294,27 +309,23 @@ class Stages:
             only_moving: As for :meth:`solve`.
             gaps_moved: Likewise.
         """
-        from ccd_warp.kernels import meet_planes  # not before a scene needs it
-
-        every: wp.array = wp.empty(0, dtype=wp.int32, device=self.topology.device)
-        inputs = [*self._met_by_planes(), every if active is None else active]
-        inputs += [self.vertices_t0, self.vertices_t1, int(only_moving), float(gaps_moved)]
-        outputs = [self.counts, self.minima, self.contacts]
-        launcher.launch(meet_planes.meet_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
+        inputs = [active, self.vertices_t0, self.vertices_t1]
+        inputs += [int(only_moving), float(gaps_moved)]
+        self._meet_planes(launcher, CONTACTS, inputs, [self.minima, self.contacts, None])
 
     def bound_by_planes(self, launcher: Launcher) -> None:
-        """The same, for the least toi alone."""
-        from ccd_warp.kernels import meet_planes  # not before a scene needs it
+        """Let vertices meet planes, and lower the least toi alone."""
+        worlds = Minima()
+        worlds.vertex_world = self.topology.vertex_world
+        inputs = [None, self.vertices_t0, self.vertices_t1, 0, 0.0]
+        self._meet_planes(launcher, BOUND, inputs, [worlds, contacts.ContactList(), self.least_bits])
 
-        vertices, planes, query, vertex_body, box_radius = self._met_by_planes()
-        inputs = [vertices, planes, query, vertex_body, self.topology.vertex_world, box_radius]
-        inputs += [self.vertices_t0, self.vertices_t1]
-        outputs = [self.counts, self.least_bits]
-        launcher.launch(meet_planes.bound_by_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
+    def _meet_planes(self, launcher: Launcher, sink: int, inputs: list[Any], outputs: list[Any]) -> None:
+        from ccd_warp.kernels.meet_planes import meet_planes  # not before a scene needs it
 
-    def _met_by_planes(self) -> list[Any]:
         topology = self.topology
-        return [topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
+        met = [sink, topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
+        launcher.launch(meet_planes, len(topology.plane_vertices), [*met, *inputs], [self.counts, *outputs])
 
     def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
         """A round of the narrow phase: lower the minima, and list the contacts.
@@ -325,13 +336,15 @@ class Stages:
             only_moving: Whether stationary pairs are ignored.
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
-        inputs = [int(only_moving), float(gaps_moved)]
-        self._narrow_phase(launcher, "solve_pairs", is_second, inputs, lambda kind: [self.minima, self.contacts])
+        goes_to = [self.minima, self.contacts, None, None]
+        self._narrow_phase(launcher, CONTACTS, is_second, lambda kind: goes_to, int(only_moving), float(gaps_moved))
 
     def bound(self, launcher: Launcher, *, is_second: bool) -> None:
         """A round of the narrow phase that lowers the least toi alone."""
-        outputs_of = lambda kind: [self.least_bits, self.open_toi[kind]]  # type: ignore[index]  # noqa: E731
-        self._narrow_phase(launcher, "pairs_bound", is_second, [], outputs_of)
+        assert self.open_toi is not None
+        open_toi = self.open_toi
+        none = [Minima(), contacts.ContactList()]
+        self._narrow_phase(launcher, BOUND, is_second, lambda kind: [*none, self.least_bits, open_toi[kind]])
 
     def list_proximities(self, launcher: Launcher) -> None:
         """In place of the narrow phase: list the pairs that are near at the start."""
@@ -352,22 +365,22 @@ class Stages:
 
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""
-        from ccd_warp.kernels.near_planes import list_near_planes
-
-        inputs = [*self._near_planes(), self.vertices_t0, self.reach]
-        outputs = [self.counts, self.minima, self.proximities]
-        launcher.launch(list_near_planes, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
+        self._measure_planes(launcher, NEAR, self.proximities)
 
     def bound_by_half_spaces(self, launcher: Launcher) -> None:
         """Lower the bounds of vertices beside planes."""
-        from ccd_warp.kernels.near_planes import bound_by_half_spaces
+        from ccd_warp.kernels.proximity import ProximityList
 
-        inputs = [*self._near_planes(), self.vertices_t0, self.reach]
-        outputs = [self.counts, self.minima]
-        launcher.launch(bound_by_half_spaces, len(self.topology.plane_vertices), inputs=inputs, outputs=outputs)
+        self._measure_planes(launcher, DISPLACEMENT, ProximityList())
 
-    def _near_planes(self) -> list[Any]:
-        return [self.topology.plane_vertices, self.topology.vertex_body, self.topology.planes, self.box_radius]
+    def _measure_planes(self, launcher: Launcher, sink: int, proximities: Any) -> None:
+        from ccd_warp.kernels.near_planes import measure_planes
+
+        topology = self.topology
+        inputs = [sink, topology.plane_vertices, topology.vertex_body, topology.planes, self.box_radius]
+        inputs += [self.vertices_t0, self.reach]
+        outputs = [self.counts, self.minima, proximities]
+        launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel for the pairs of each kind that the search has found."""
@@ -383,23 +396,28 @@ class Stages:
     def _narrow_phase(
         self,
         launcher: Launcher,
-        name: str,
+        sink: int,
         is_second: bool,
-        inputs: list[Any],
         outputs_of: Callable[[PairKind], list[Any]],
+        only_moving: int = 0,
+        gaps_moved: float = 0.0,
     ) -> None:
         """Launch kernels for the pairs of each kind that the search has found."""
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
+        table = Table()
         with launcher.at_once():
             for kind, keys in self.keys.items():
-                pairs = [*self._pairs(kind), self.vertices_t0, self.vertices_t1, self.options, int(is_second)]
+                inputs = [*self._pairs(kind), self.vertices_t0, self.vertices_t1, self.options]
+                inputs += [int(is_second), only_moving, gaps_moved, 0]
+                outputs = [table, *outputs_of(kind)]
                 if launcher.is_cuda:
-                    kernels = getattr(queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm), name)
+                    kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
-                    launch_queued(launcher, kernels, most_pairs, [*pairs, self.queue, *inputs], outputs_of(kind))
+                    launch_queued(launcher, kernels, most_pairs, [*inputs, self.queue], outputs)
                     continue
-                kernel, pairs = getattr(self.narrow_phase, name), [*pairs, *inputs]
-                self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs_of(kind), only_open=is_second)
+                inputs.insert(1, sink)
+                kernel = self.narrow_phase.solve_pairs
+                self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
     def _pairs(self, kind: PairKind) -> list[Any]:
         """The pairs of a kind as kernels take them."""

@@ -2,12 +2,14 @@
 
 import os
 import shutil
+import sys
 import warnings
 from typing import Any
 
 import warp as wp
 
 _ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
+_is_said = False
 
 
 def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
@@ -18,13 +20,15 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     """
     if device.is_cpu:
         block_dim = 1  # as Warp takes it there; the cache tells modules apart by it
+    # There is a folder of the module only if it was compiled before.
+    folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
+    if not os.path.isdir(folder):
+        _say_once()
     try:
         _load(kernel, device, block_dim)
         return
     except Exception as error:  # Warp raises whatever a damaged file leads to
         failure = error
-    # There is a folder of the module only if it was compiled before.
-    folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if os.path.isdir(folder):
         reason = " ".join(str(failure).split())
         warnings.warn(
@@ -39,6 +43,15 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     if isinstance(failure, OSError) or os.path.isdir(folder):
         raise OSError(unwritable_cache(folder, failure)) from failure
     raise failure
+
+
+def _say_once() -> None:
+    """Say on a terminal, once in a process, why a first call takes seconds; not where Warp is to be silent."""
+    global _is_said
+    if _is_said or wp.config.log_level > wp.LOG_INFO or sys.stderr is None or not sys.stderr.isatty():
+        return
+    _is_said = True
+    print(f"ccd_warp: compiling kernels, which are kept in {wp.config.kernel_cache_dir}", file=sys.stderr, flush=True)
 
 
 def _load(kernel: Any, device: Any, block_dim: int | None) -> None:

@@ -5,7 +5,7 @@ Every kernel launched here takes ``begin: int`` as its first parameter and works
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,7 +15,7 @@ import warp as wp
 from ccd_warp._runtime.kernel_cache import load_or_repair, unwritable_cache
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.threads import StopFlag, run, run_aside
+from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
 from ccd_warp.kernels.once import building
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
@@ -43,20 +43,33 @@ def block_dim_of(kernel: Any, device: Any) -> int | None:
 
 
 def load(kernel: Any, device: Any) -> None:
-    """Compile and load a kernel once, on its own thread, so that an interrupt is handled meanwhile."""
-    key = (kernel.module, str(device))
-    if key in _loaded:
+    """Compile and load a kernel once, on another thread, so that an interrupt is handled meanwhile."""
+    load_all([kernel], device)
+
+
+def load_all(kernels: Iterable[Any], device: Any) -> None:
+    """Compile and load kernels once, their modules side by side; what takes longest comes first."""
+    wanted = {(kernel.module, str(device)): kernel for kernel in kernels}
+    missing = {key: kernel for key, kernel in wanted.items() if key not in _loaded}
+    if not missing:
         return
 
-    def compile_module() -> None:
+    def load_module(kernel: Any) -> None:
+        load_or_repair(kernel, device, block_dim_of(kernel, device))
+
+    def load_modules() -> None:
         with building:
-            load_or_repair(kernel, device, block_dim_of(kernel, device))
+            if device.is_capturing:
+                for kernel in missing.values():
+                    load_module(kernel)
+            else:
+                run_beside([lambda k=kernel: load_module(k) for kernel in missing.values()])  # type: ignore[misc]
 
     if device.is_capturing:  # Warp allows it only on the thread of the capture
-        compile_module()
+        load_modules()
     else:
-        run_aside(compile_module)
-    _loaded.add(key)
+        run_aside(load_modules)
+    _loaded.update(missing)
 
 
 @dataclass(frozen=True)

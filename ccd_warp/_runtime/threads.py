@@ -10,7 +10,7 @@ threads communicate only through queues and lists, each operation of which is at
 import _thread
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -157,13 +157,14 @@ class _Pool:
 
 _this_thread = threading.local()
 _pool = _Pool()
+_compilers: list[SimpleQueue[Callable[[], None]]] = []
 _aside: list[Any] = []
 
 
 def _renew() -> None:
     """Start anew in a forked child, which has none of the threads, while their locks stay locked."""
-    global _pool, _this_thread, _aside
-    _pool, _aside = _Pool(), []
+    global _pool, _this_thread, _compilers, _aside
+    _pool, _compilers, _aside = _Pool(), [], []
     _this_thread = threading.local()
 
 
@@ -225,21 +226,54 @@ def is_any_aside() -> bool:
 
 
 def run_aside(task: Callable[[], Any]) -> None:
-    """Call a task on its own thread and wait for it; an interrupt ends the wait but not the task."""
+    """Call a task on a thread that stays, and wait for it; an interrupt ends the wait but not the task."""
+    error = _begin_aside([task], 0).get()
+    if error is not None:
+        raise error
+
+
+def run_beside(tasks: Sequence[Callable[[], Any]]) -> None:
+    """Call tasks at once on this thread, which is that of :func:`run_aside`, and on others that stay."""
+    pending = iter(tasks)
+    others = [_begin_aside(pending, k) for k in range(1, min(len(tasks), default_num_threads()))]
+    try:
+        for task in pending:
+            task()
+    finally:
+        errors = [other.get() for other in others]
+    for error in errors:
+        if error is not None:
+            raise error
+
+
+def _begin_aside(tasks: Iterable[Callable[[], Any]], number: int) -> "SimpleQueue[BaseException | None]":
+    """Let a thread call tasks; what it finds in the end is the first error, or None.
+
+    Warp's compiler makes its precompiled header once for each thread, which takes as long as two small modules. So
+    these threads stay, and the first of them takes whatever is compiled alone.
+    """
     outcome: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def call() -> None:
         error: BaseException | None = None
         _aside.append(outcome)
         try:
-            task()
+            for task in tasks:
+                task()
         except BaseException as raised:
             error = raised
         finally:
             _aside.remove(outcome)
             outcome.put(error)
 
-    _thread.start_new_thread(call, ())
-    error = outcome.get()
-    if error is not None:
-        raise error
+    while len(_compilers) <= number:  # two concurrent callers may start one thread too many
+        queue: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        _thread.start_new_thread(_serve_aside, (queue,))
+        _compilers.append(queue)
+    _compilers[number].put(call)
+    return outcome
+
+
+def _serve_aside(queue: "SimpleQueue[Callable[[], None]]") -> None:
+    while True:
+        queue.get()()

@@ -30,7 +30,7 @@ _DEFAULT_BLOCK_DIM = 256
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
 # Kernels of the modules in which nearly all time goes: searches, culls and solvers.
 _SLOW = re.compile(
-    r"(search_queries|search_cells|cull_candidates|points_toi|solve_pairs|pairs_bound)\w*_cuda_kernel_forward"
+    r"(search_trees|search_hashes|cull_candidates|solve_pairs)\w*_cuda_kernel_forward"
 )
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132

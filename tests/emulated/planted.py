@@ -188,7 +188,7 @@ PLANTED = [
     Fault(
         "a warp does not agree before it works together",
         _QUEUE,
-        "                if turns.are_shared:\n                    is_done = agreed(is_done)\n",
+        "                    if turns.are_shared:\n                        is_done = agreed(is_done)\n",
         "",
         _ONE_PLACE,
     ),
@@ -326,7 +326,7 @@ PLANTED = [
         "if search.counts[search.part.row, CANDIDATES] < wp.int64(0):",
         ("short lists",),
     ),
-    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~key\n", "pairs[k] = key\n", ("needles",)),
+    Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~pairs[k]\n", "pairs[k] = pairs[k]\n", ("needles",)),
     Fault(
         "the time reached not kept",
         _QUEUE,
