@@ -3,6 +3,7 @@
 Interpreters that are absent are skipped, and nox says so. What follows `--` goes to pytest: `nox -- -k bullet`.
 """
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,8 +13,8 @@ nox.needs_version = ">=2024.10"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
-# What the Pythons of a run have compiled of the kernels.
-OBJECTS = TemporaryDirectory()
+# What the Pythons have compiled of the kernels, by its source, for each other and for later runs.
+OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp", "ccd_warp_objects")
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
@@ -38,9 +39,15 @@ def users(session: nox.Session) -> None:
     variables = {"PYTHONHASHSEED": "0"}
     with TemporaryDirectory() as kernels, TemporaryDirectory() as empty, session.chdir(empty):
         variables["WARP_CACHE_PATH"] = kernels
-        session.run("python", "-P", str(TESTS / "as_users.py"), OBJECTS.name, env=variables)
+        session.run("python", "-P", str(TESTS / "as_users.py"), str(OBJECTS), env=variables)
     session.install("pytest", "hypothesis")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))
+
+
+@nox.session(venv_backend="none")
+def long(session: nox.Session) -> None:
+    """The tests that take minutes, in this environment: `-- -k fork` some of them."""
+    session.run("python", "-m", "pytest", "-m", "long", *session.posargs, external=True)
 
 
 @nox.session(venv_backend="none")

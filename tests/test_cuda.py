@@ -51,7 +51,8 @@ def place_of(name):
     """The folder for the PTX of a module, which stays from one run to the next, named by all that it is made of."""
     wp.init()  # which says where kernels are kept
     module = cuda_modules(with_distances=True)[name]
-    made_of = f"{module.get_module_hash(module.options['block_dim']).hex()} {ARCH} {optimization_level(name)}"
+    module_hash = module.get_module_hash(module.options["block_dim"])
+    made_of = f"{module.name} {module_hash.hex()} {ARCH} {optimization_level(name)}"
     return Path(wp.config.kernel_cache_dir, "ccd_warp_ptx", hashlib.sha256(made_of.encode()).hexdigest()[:16])
 
 
