@@ -25,12 +25,14 @@ FEW = ["options", "mesh", "files", "read_frames", "datasets"]
 def tests(session: nox.Session) -> None:
     """Install the package with what its tests need, as a user would, and run them."""
     session.install(".[test]")
-    session.run("python", "-m", "pytest", *session.posargs)
+    session.run("python", "-m", "pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session(python=PYTHONS, reuse_venv=False)
+@nox.session(python=[PYTHONS[0], PYTHONS[-1]], reuse_venv=False)
 def users(session: nox.Session) -> None:
-    """Install a wheel and nothing else, act as three users in an empty folder, and run a few tests: `-- WHEEL`."""
+    """Under the oldest and the newest Python: install a wheel and nothing else, act as three users in an empty folder,
+    and run a few tests: `-- WHEEL`.
+    """
     if len(session.posargs) != 1:
         session.error("expected the path of one wheel: nox --session users -- dist/NAME.whl")
     session.install(str(Path(session.posargs[0]).resolve()))
@@ -46,8 +48,10 @@ def users(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none")
 def long(session: nox.Session) -> None:
-    """The tests that take minutes, in this environment: `-- -k fork` some of them."""
+    """The tests that take minutes, in this environment, then `faults`; `-- -k first`: some of these tests alone."""
     session.run("python", "-m", "pytest", "-m", "long", *session.posargs, external=True)
+    if not session.posargs:
+        session.notify("faults")
 
 
 @nox.session(venv_backend="none")

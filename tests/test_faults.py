@@ -245,6 +245,12 @@ def test_call_that_fails_at_any_use_of_warp_is_made_again(name):
     inject_events(SCENARIOS[name]).check()
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_call_that_fails_at_every_event_is_made_again(name):
+    inject_events(SCENARIOS[name], at_every_event=True).check()
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_cell_that_is_interrupted_between_any_two_lines_is_run_again(name):
     inject_interrupts(SCENARIOS[name], name, 12, FOLDERS).check()
