@@ -3,6 +3,7 @@
 Interpreters that are absent are skipped, and nox says so. What follows `--` goes to pytest: `nox -- -k bullet`.
 """
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,8 +13,8 @@ nox.needs_version = ">=2024.10"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
-# What the Pythons of a run have compiled of the kernels.
-OBJECTS = TemporaryDirectory()
+# What the Pythons have compiled of the kernels, by its source, for each other and for later runs.
+OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp", "ccd_warp_objects")
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
@@ -24,12 +25,14 @@ FEW = ["options", "mesh", "files", "read_frames", "datasets"]
 def tests(session: nox.Session) -> None:
     """Install the package with what its tests need, as a user would, and run them."""
     session.install(".[test]")
-    session.run("python", "-m", "pytest", *session.posargs)
+    session.run("python", "-m", "pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session(python=PYTHONS, reuse_venv=False)
+@nox.session(python=[PYTHONS[0], PYTHONS[-1]], reuse_venv=False)
 def users(session: nox.Session) -> None:
-    """Install a wheel and nothing else, act as three users in an empty folder, and run a few tests: `-- WHEEL`."""
+    """Under the oldest and the newest Python: install a wheel and nothing else, act as three users in an empty folder,
+    and run a few tests: `-- WHEEL`.
+    """
     if len(session.posargs) != 1:
         session.error("expected the path of one wheel: nox --session users -- dist/NAME.whl")
     session.install(str(Path(session.posargs[0]).resolve()))
@@ -38,9 +41,17 @@ def users(session: nox.Session) -> None:
     variables = {"PYTHONHASHSEED": "0"}
     with TemporaryDirectory() as kernels, TemporaryDirectory() as empty, session.chdir(empty):
         variables["WARP_CACHE_PATH"] = kernels
-        session.run("python", "-P", str(TESTS / "as_users.py"), OBJECTS.name, env=variables)
+        session.run("python", "-P", str(TESTS / "as_users.py"), str(OBJECTS), env=variables)
     session.install("pytest", "hypothesis")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))
+
+
+@nox.session(venv_backend="none")
+def long(session: nox.Session) -> None:
+    """The tests that take minutes, in this environment, then `faults`; `-- -k first`: some of these tests alone."""
+    session.run("python", "-m", "pytest", "-m", "long", *session.posargs, external=True)
+    if not session.posargs:
+        session.notify("faults")
 
 
 @nox.session(venv_backend="none")

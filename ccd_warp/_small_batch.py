@@ -21,7 +21,7 @@ from ccd_warp.kernels.contacts import ContactList
 from ccd_warp.kernels.minima import Minima
 from ccd_warp.kernels.sinks import TABLE, Table
 
-CAPACITY = 256  # pairs, some 240 bytes each; beyond it solving takes longer than launching
+CAPACITY = 512  # pairs, some 240 bytes each; beyond it solving takes longer than launching, and threads share it
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
 _OUTPUTS = {
     "toi": wp.float64,

@@ -8,6 +8,7 @@ a folder in which Pythons that are checked one after another leave what they hav
 
 import hashlib
 import json
+import os
 import pickle
 import re
 import shutil
@@ -45,6 +46,7 @@ class SharedObjects:
     """
 
     def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.compiled, self.taken = folder, 0, 0
         self._build = build.build_cpu
         build.build_cpu = self._build_once
@@ -59,7 +61,8 @@ class SharedObjects:
             self.taken += 1
             return
         self._build(object_path, source_path, **options)
-        shutil.copy(object_path, kept)
+        shutil.copy(object_path, made := kept.with_suffix(f".{os.getpid()}"))
+        made.rename(kept)
         self.compiled += 1
 
 

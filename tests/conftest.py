@@ -18,6 +18,23 @@ from browser import find_browser, opened_browser  # noqa: E402
 from ccd_warp._cli.explore import write_page  # noqa: E402
 
 wp.config.log_level = wp.LOG_WARNING
+# Files with seconds to minutes of work in few tests.
+_LONGEST = [
+    "test_emulated",
+    "test_gpu_check",
+    "test_distributed",
+    "test_cuda",
+    "test_interrupts",
+    "test_rounding",
+    "test_damaged_files",
+    "test_thickness",
+    "test_datasets",
+    "test_hold",
+    "test_faults",
+    "test_bench",
+]
+# What processes of `pytest -n` ran on the emulated device.
+_TOLD: list[str | None] = []
 
 
 @contextmanager
@@ -31,19 +48,51 @@ def loaded_example(name: str):
     del sys.modules[name]
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """Files are what `pytest -n` shares among processes, as the fixtures and kernels of a file are made once."""
+    if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
+        config.option.dist, config.option.loadscopereorder = "loadfile", False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """What takes longest comes first, so that at the end no process waits for another."""
+    items.sort(key=lambda item: _LONGEST.index(item.path.stem) if item.path.stem in _LONGEST else len(_LONGEST))
+
+
 def pytest_collection_finish():
     """What was imported stays to the end: the collector need not go through it at each of its full passes."""
     gc.collect()
     gc.freeze()
 
 
-def pytest_terminal_summary(terminalreporter):
-    """Say what ran on the emulated device."""
+def _emulated() -> str | None:
+    """What this process ran on the emulated device."""
     if "emulated.comparison" in sys.modules:
         from emulated.comparison import shared, summary
 
         if shared().num_kernels:
-            terminalreporter.write_line(summary(shared()))
+            return summary(shared())
+    return None
+
+
+def pytest_sessionfinish(session):
+    """A process of `pytest -n` tells the one that writes the summary."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["emulated"] = _emulated()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """Take what a process of `pytest -n` tells."""
+    _TOLD.append(getattr(node, "workeroutput", {}).get("emulated"))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say what ran on the emulated device."""
+    for line in filter(None, [*_TOLD, _emulated()]):
+        terminalreporter.write_line(line)
 
 
 def _devices() -> list[str]:

@@ -37,6 +37,10 @@ _OF_WARP = [
 ]
 _WARP = (wp, wp.array, wp.Launch, PackedLaunch)
 _OF_THREADS = [(ThreadPoolExecutor, "submit"), (threading.Thread, "start")]
+# What only reads, and what makes an array that nobody has yet: what fails directly after these leaves all as before.
+_READING = {"array.numpy", "warp.load_module"}
+_MAKING = {f"warp.{name}" for name in ("empty", "zeros", "full", "ones", "clone", "empty_like", "zeros_like")}
+_MAKING |= {"warp.from_dlpack", "array.__init__"}
 # Lines of callers by which two uses are told apart.
 _DEPTH = 2
 # Events of a call that are chosen beside, where many uses come from one line, as those of a recording do.
@@ -125,6 +129,7 @@ class Event:
         self.has_happened = False
         self.what = ""
         self.sites: dict[tuple[Any, ...], int] = {}
+        self.names: list[str] = []
         self._lock = threading.Lock()
 
     def __str__(self) -> str:
@@ -151,6 +156,7 @@ class Event:
             with self._lock:
                 self.count += 1
                 is_now = self.count == self.n
+                self.names.append(name)
                 self.sites.setdefault((name, *_lines(sys._getframe(1))), self.count)
                 if is_now:
                     self.has_happened, self.what = True, name
@@ -391,17 +397,17 @@ def _count(scenario: Scenario, fault: Any) -> None:
 def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_error: bool = False) -> Findings:
     """A fault before and directly after an event: the first from each line and its callers', and some more, or every.
 
-    The errors take turns, unless each is to happen at each event.
+    Directly after an event that leaves all as before, one happens only where every event is asked for. The errors take
+    turns, unless each is to happen at each event.
     """
     truth = truth_of(scenario)
     findings = Findings()
     counted = _undisturbed(scenario, Event())
-    name_of = {n: site[0] for site, n in counted.sites.items()}
     every = range(1, counted.count + 1)
-    chosen = every if at_every_event else sorted({*name_of, *every[:: max(1, counted.count // _FEWEST)]})
+    chosen = every if at_every_event else sorted({*counted.sites.values(), *every[:: max(1, counted.count // _FEWEST)]})
     for k, n in enumerate(chosen):
-        # to read is to leave all as it is: directly after is as before
-        for is_after in (False,) if name_of.get(n) in ("array.numpy", "warp.load_module") else (False, True):
+        is_as_before = counted.names[n - 1] in (_READING if at_every_event else _READING | _MAKING)
+        for is_after in (False,) if is_as_before else (False, True):
             for error in ERRORS if every_error else (ERRORS[(k + is_after) % len(ERRORS)],):
                 findings += inject(scenario, Event(n, is_after, error), truth)
     return findings

@@ -6,6 +6,9 @@ import re
 import runpy
 import subprocess
 import sys
+import traceback
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -38,29 +41,51 @@ FRESH = multiprocessing.get_context("forkserver")
 FRESH.set_forkserver_preload(["ccd_warp"])
 
 
-def _run_pasted(script: Path) -> None:
-    """Run a file as a program, in its folder, whose output goes into two more files there."""
-    os.chdir(script.parent)
-    for descriptor, name in ((1, "stdout"), (2, "stderr")):
-        with open(name, "wb") as file:
-            os.dup2(file.fileno(), descriptor)
-    try:
-        runpy.run_path(str(script), run_name="__main__")
-    finally:
-        sys.stdout.flush()
+def _run_pasted(scripts: list[Path]) -> None:
+    """Run files as programs, each in its folder, with its output and how it failed in files there."""
+    for script in scripts:
+        os.chdir(script.parent)
+        for descriptor, name in ((1, "stdout"), (2, "stderr")):
+            with open(name, "wb") as file:
+                os.dup2(file.fileno(), descriptor)
+        try:
+            runpy.run_path(str(script), run_name="__main__")
+            Path("whole").touch()
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
 
 
-@pytest.mark.parametrize("code, output", BLOCKS)
-def test_a_block_runs_as_it_stands_and_prints_what_the_page_says(code, output, tmp_path):
-    """Pasted into an empty file, as a reader does, without what stands above it on the page."""
-    script = tmp_path / "pasted.py"  # a file, because Warp reads the source of kernels
-    script.write_text(code, encoding="utf-8")
-    process = FRESH.Process(target=_run_pasted, args=(script,))
-    process.start()
-    process.join()
-    printed, errors = ((tmp_path / name).read_text(encoding="utf-8") for name in ("stdout", "stderr"))
-    assert process.exitcode == 0, errors
-    assert output is not None and printed == output
+@pytest.fixture(scope="module")
+def pasted(tmp_path_factory) -> Callable[[str], Path]:
+    """Runs the blocks of a page, pasted into empty files, one after the other in one process, and gives its folder."""
+
+    @cache
+    def run(page: str) -> Path:
+        folder, scripts = tmp_path_factory.mktemp("pasted"), []
+        for block in BLOCKS:
+            if block.id.rpartition("-")[0] == page:
+                script = folder / block.id / "pasted.py"  # a file, because Warp reads the source of kernels
+                script.parent.mkdir()
+                script.write_text(block.values[0], encoding="utf-8")
+                scripts.append(script)
+        process = FRESH.Process(target=_run_pasted, args=(scripts,))
+        process.start()
+        process.join()
+        assert process.exitcode == 0
+        return folder
+
+    return run
+
+
+@pytest.mark.parametrize("block, output", [pytest.param(b.id, b.values[1], id=b.id) for b in BLOCKS])
+def test_a_block_runs_as_it_stands_and_prints_what_the_page_says(block, output, pasted):
+    """As a reader does who pastes it into an empty file, without what stands above it on the page."""
+    folder = pasted(block.rpartition("-")[0]) / block
+    assert (folder / "whole").exists(), (folder / "stderr").read_text()
+    assert output is not None and (folder / "stdout").read_text() == output
 
 
 def test_pages_have_blocks_to_run():

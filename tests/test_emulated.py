@@ -263,6 +263,7 @@ def test_more_candidates_than_32_bits_count(first, monkeypatch):
     assert different(found, expected) == []
 
 
+@pytest.mark.long
 def test_no_access_out_of_bounds(sanitized):
     """One pass with AddressSanitizer, in a process of its own that loads it first."""
     process, output = sanitized

@@ -245,6 +245,12 @@ def test_call_that_fails_at_any_use_of_warp_is_made_again(name):
     inject_events(SCENARIOS[name]).check()
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_call_that_fails_at_every_event_is_made_again(name):
+    inject_events(SCENARIOS[name], at_every_event=True).check()
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_cell_that_is_interrupted_between_any_two_lines_is_run_again(name):
     inject_interrupts(SCENARIOS[name], name, 12, FOLDERS).check()
@@ -286,24 +292,26 @@ def toy(fault):
 
 
 def test_harness_finds_a_key_that_is_stored_before_its_value():
-    findings = inject_events(toy("key before value"))
     # before wp.full is carried out, and directly after: both leave the old value
-    assert (findings.num_faults, len(findings.wrong)) == (2, 2)
-    assert "differs" in findings.wrong[0]
+    for at_every_event, count in ((False, 1), (True, 2)):
+        findings = inject_events(toy("key before value"), at_every_event=at_every_event)
+        assert (findings.num_faults, len(findings.wrong)) == (count, count)
+        assert "differs" in findings.wrong[0]
     assert inject_interrupts(toy("key before value"), "toy", 30, (__file__,)).wrong
 
 
 def test_harness_finds_nothing_where_the_value_comes_first():
-    findings = inject_events(toy(""), every_error=True)
-    findings.check()
-    assert findings.num_faults == 6
+    for at_every_event, count in ((False, 3), (True, 6)):
+        findings = inject_events(toy(""), at_every_event=at_every_event, every_error=True)
+        findings.check()
+        assert findings.num_faults == count
     findings = inject_interrupts(toy(""), "toy", 30, (__file__,))
     findings.check()
     assert findings.num_faults == 30
 
 
 def test_harness_finds_an_exception_that_does_not_reach_the_caller():
-    findings = inject_events(toy("swallows"), every_error=True)
+    findings = inject_events(toy("swallows"), at_every_event=True, every_error=True)
     # a call that gets on without memory, and answers rightly, may; after a read nothing is other than before it
     assert (findings.num_faults, len(findings.wrong)) == (9, 6)
     assert "did not reach" in findings.wrong[0]

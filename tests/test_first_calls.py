@@ -141,8 +141,9 @@ def test_first_calls_of_a_process_come_from_many_threads(num_threads):
     assert in_own_process("all", num_threads) == ""
 
 
+@pytest.mark.long
 def test_first_calls_come_from_many_threads_while_nothing_is_compiled_yet(tmp_path):
-    assert in_own_process("few", 8, cache=str(tmp_path)) == ""
+    assert in_own_process("few", 8, cache=str(tmp_path), timeout=900) == ""
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="fork of POSIX")

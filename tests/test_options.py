@@ -77,7 +77,7 @@ def test_a_misspelled_argument_beside_the_options_is_told_too(name, misspelled, 
 @pytest.mark.parametrize(
     ("name", "option"),
     [
-        *((f.__name__, option) for f in PAIR_FUNCTIONS for option in MESH_ONLY),
+        *((f.__name__, option) for f in PAIR_FUNCTIONS for option in sorted(MESH_ONLY)),
         ("line_search", "t_max"),
         ("find_candidates", "tolerance"),
         ("find_intersections", "pair_kinds"),

@@ -69,7 +69,7 @@ def test_the_command_line_of_the_page_runs(tmp_path, monkeypatch, capsys):
 def test_the_two_commands_stand_alone():
     commands = [line for block in _blocks("sh") for line in block.splitlines()]
     assert "pip install -e . && ccd-warp demo" in commands
-    assert "pip install -e '.[test]' && pytest" in commands
+    assert "pip install -e '.[test]' && pytest -n auto" in commands
 
 
 def test_guarantee_is_stated():

@@ -1,10 +1,12 @@
-"""Compile the C++ program of an emulated module with the compiler of the machine, once for each source."""
+"""Compile the C++ program of an emulated module with the compiler of the machine, once for all runs."""
 
 import hashlib
 import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -67,28 +69,31 @@ def _version() -> str:
 def device_folder(is_sanitized: bool = False) -> Path:
     """A folder with the compiled device, `device.so`, and the headers of it and of Warp, parsed once.
 
-    Warp's are links, but for copies: of `builtin.h`, in which the branches for CUDA (of atomics, fmin, block_dim) are
-    those of EMULATED_CUDA_ARCH, and of `crt.h` without the system's `assert`, which would end the process.
+    Warp's are copies, as the folder outlives the environment in which it was made: `builtin.h` with the branches for
+    CUDA (of atomics, fmin, block_dim) as those of EMULATED_CUDA_ARCH, and `crt.h` without the system's `assert`, which
+    would end the process.
     """
     own = sorted([*_FOLDER.glob("*.h"), *_FOLDER.glob("*.cpp")])
     builtin = (_NATIVE / "builtin.h").read_text(encoding="utf-8").replace("__CUDA_ARCH__", "EMULATED_CUDA_ARCH")
     # the atomic sum of float64: a function of CUDA, not an instruction
     builtin = builtin.replace("#elif defined(__clang__)  // CUDA compiled by Clang", "#elif 1")
-    copies = {"builtin.h": builtin}
-    copies["crt.h"] = (_NATIVE / "crt.h").read_text(encoding="utf-8").replace("#include <assert.h>", "")
+    changed = {"builtin.h": builtin}
+    changed["crt.h"] = (_NATIVE / "crt.h").read_text(encoding="utf-8").replace("#include <assert.h>", "")
     flags = flags_for(is_sanitized)
-    texts = [*copies.values(), *(path.read_text() for path in own)]
-    name = _hash_of(*texts, wp.__version__, str(_NATIVE), _version(), *flags)
+    texts = [*changed.values(), *(path.read_text() for path in own)]
+    name = _hash_of(*texts, wp.__version__, _version(), *flags)
     folder = cache_folder() / f"device_{name}"
-    if folder.exists():
-        return folder
-    cache_folder().mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(dir=cache_folder()))
-    for path in _NATIVE.iterdir():
-        if path.name not in copies:
-            (made / path.name).symlink_to(path)
-    for copied, text in copies.items():
-        (made / copied).write_text(text, encoding="utf-8")
+    with _made_once(folder) as made:
+        if made:
+            _make_device(made, own, changed, flags, is_sanitized)
+    return folder
+
+
+def _make_device(made: Path, own: list[Path], changed: dict[str, str], flags: list[str], is_sanitized: bool) -> None:
+    """Fill the folder of the device."""
+    shutil.copytree(_NATIVE, made, dirs_exist_ok=True)
+    for header, text in changed.items():
+        (made / header).write_text(text, encoding="utf-8")
     for path in own:
         shutil.copy(path, made)
     (made / "device.h.gch").mkdir()  # of its headers the compiler takes the one with its own options
@@ -99,28 +104,51 @@ def device_folder(is_sanitized: bool = False) -> Path:
     told = ["-DEMULATED_IS_SANITIZED"] if is_sanitized else []
     fast = ["-O2", "-ftls-model=initial-exec"]  # as accesses are answered there
     _run([str(compiler()), *_FLAGS, *_LINKED, *fast, *told, "grid.cpp", "-o", "device.so"], made)
-    _move(made, folder)
-    return folder
 
 
-def build(source: str, is_sanitized: bool = False, is_watched: bool = False) -> Path:
+def build(name: str, write: Callable[[], str], is_sanitized: bool = False, is_watched: bool = False) -> Path:
     """The library of a C++ program that includes the device, which finds races of a program that it watches.
+
+    Args:
+        name: Stands for all that the source depends on.
+        write: Returns the source; called if there is no library of that name yet.
+        is_sanitized: Whether it is compiled with AddressSanitizer.
+        is_watched: Whether the device hears of every access to memory.
 
     Raises:
         RuntimeError: If it does not compile.
     """
     device = device_folder(is_sanitized)
     watched = _WATCHED if is_watched and not is_sanitized else []
-    library = cache_folder() / f"{_hash_of(source, device.name, *watched)}.so"
-    if not library.exists():
+    folder = cache_folder() / _hash_of(name, device.name, *watched)
+    with _made_once(folder) as made:
+        if made:
+            (made / "program.cpp").write_text(write(), encoding="utf-8")
+            _run([str(compiler()), *flags_for(is_sanitized), *watched, "-I", str(device), "-c", "program.cpp"], made)
+            of_link = [*_LINKED, *(_SANITIZED if is_sanitized else [])]
+            _run([str(compiler()), *_FLAGS, *of_link, "program.o", str(device / "device.so"), "-o", "program.so"], made)
+            (made / "program.o").unlink()
+            (made / "program.cpp").unlink()
+    return folder / "program.so"
+
+
+@contextmanager
+def _made_once(folder: Path) -> Iterator[Path | None]:
+    """A folder to be filled in place of one that is not there, which other processes wait for; None if it is there."""
+    if folder.exists():
+        yield None
+        return
+    import fcntl
+
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with open(f"{folder}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if folder.exists():
+            yield None
+            return
         made = Path(tempfile.mkdtemp(dir=cache_folder()))
-        (made / "program.cpp").write_text(source, encoding="utf-8")
-        _run([str(compiler()), *flags_for(is_sanitized), *watched, "-I", str(device), "-c", "program.cpp"], made)
-        of_link = [*_LINKED, *(_SANITIZED if is_sanitized else [])]
-        _run([str(compiler()), *_FLAGS, *of_link, "program.o", str(device / "device.so"), "-o", "program.so"], made)
-        _move(made / "program.so", library)
-        shutil.rmtree(made)
-    return library
+        yield made
+        made.rename(folder)
 
 
 def _run(command: list[str], folder: Path) -> None:
@@ -129,11 +157,3 @@ def _run(command: list[str], folder: Path) -> None:
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
     if result.returncode:
         raise RuntimeError(f"{' '.join(command)} failed in {folder}:\n{result.stderr[:4000]}")
-
-
-def _move(made: Path, final: Path) -> None:
-    """Put what was made in its place, unless another process was faster."""
-    try:
-        made.rename(final)
-    except OSError:
-        shutil.rmtree(made, ignore_errors=True)

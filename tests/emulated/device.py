@@ -22,16 +22,14 @@ import warp as wp
 from warp._src import context
 
 from emulated.build import build
-from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_point
+from emulated.source import BLOCK_DIMS, cuda_source, emulated_source, entry_point, name_of
 
 # What Warp takes where a launch leaves the size of a block to it.
 _DEFAULT_BLOCK_DIM = 256
 # The bytes of new memory, up to so many: what a kernel reads before it was written is neither zero nor plausible.
 _GARBAGE, _MOST_GARBAGE = 0xCB, 1 << 24
-# Kernels of the modules in which nearly all time goes: searches, culls and solvers.
-_SLOW = re.compile(
-    r"(search_trees|search_hashes|cull_candidates|solve_pairs)\w*_cuda_kernel_forward"
-)
+# In the names of the kernels in which nearly all time goes: searches, culls and solvers.
+_SLOW = re.compile("search_trees|search_hashes|cull_candidates|solve_pairs")
 # Multiprocessors of the GPU for which the library launches as many threads as it can run at once, whatever they find.
 MULTIPROCESSORS = 132
 
@@ -57,15 +55,14 @@ class Emulation:
         key = (module, _hash_of(module))
         with self._lock:
             if key not in self._libraries:
-                self._libraries[key] = self._load(self._build(emulated_source(cuda_source(module))))
+                self._libraries[key] = self._load(self._build(module))
             return self._libraries[key]
 
     def build_all(self, modules: Iterable[Any]) -> None:
         """Compile modules at once, as many as there are cores at a time."""
         modules = list(modules)
-        sources = [emulated_source(cuda_source(module)) for module in modules]
         with ThreadPoolExecutor(2) as pool:
-            paths = list(pool.map(self._build, sources))
+            paths = list(pool.map(self._build, modules))
         for module, path in zip(modules, paths, strict=True):
             self._libraries[module, _hash_of(module)] = self._load(path)
 
@@ -83,8 +80,9 @@ class Emulation:
             if message := library.take_error().decode():
                 raise RuntimeError(f"emulated device: {message}")
 
-    def _build(self, source: str) -> Path:
-        return build(source, self.is_sanitized, self.watches_all or not _SLOW.search(source))
+    def _build(self, module: Any) -> Path:
+        is_watched = self.watches_all or not _SLOW.search(" ".join(module.kernels))
+        return build(name_of(module), lambda: emulated_source(cuda_source(module)), self.is_sanitized, is_watched)
 
     @staticmethod
     def _load(path: Any) -> ctypes.CDLL:

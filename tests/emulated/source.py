@@ -2,7 +2,9 @@
 
 import re
 import tempfile
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from unittest import mock
 
@@ -23,6 +25,7 @@ _KERNEL = re.compile(
 _COLLECTIVE = re.compile(r"__\w+_sync\s*\(|__sync(warp|threads)\s*\(")
 _BLOCK = re.compile(r"__shared__|__syncthreads\s*\(")
 _TILE = re.compile(r"wp::tile_(?!shared_storage_t)")
+_WRITING = Lock()
 
 
 def entry_point(kernel: str, block_dim: int) -> str:
@@ -35,13 +38,28 @@ def kernels_in(source: str) -> list[str]:
     return [match[1] for match in _KERNEL.finditer(source)]
 
 
+@cache
+def _own_source() -> str:
+    return Path(__file__).read_text(encoding="utf-8")
+
+
+def name_of(module: Any) -> str:
+    """What tells the emulated source of a module from all others.
+
+    Not the source itself, in which the order of functions depends on what the process has built before, and which takes
+    longer to write than Warp's hash of what it is written from.
+    """
+    module_hash = module.get_module_hash(module.options["block_dim"]).hex()
+    return f"{module.name} {module_hash} {_own_source()}"
+
+
 def cuda_source(module: Any) -> str:
-    """The source that Warp hands to the compiler of CUDA, which is not called."""
+    """The source that Warp hands to the compiler of CUDA, which is not called; written by one thread at a time."""
 
     def write_nothing(_source_path: str, _arch: int, output_path: str, **_options: Any) -> None:
         Path(output_path).touch()
 
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(warp_build, "build_cuda", write_nothing):
+    with _WRITING, tempfile.TemporaryDirectory() as folder, mock.patch.object(warp_build, "build_cuda", write_nothing):
         wp.compile_aot_module(module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (path,) = Path(folder).glob("*.cu")
         return path.read_text(encoding="utf-8")
