@@ -9,9 +9,13 @@ from typing import Any
 import warp as wp
 
 # Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
-_FILES = ["contacts", "boxes", "box_tree", "device_step", "rest_order", "body_boxes", "contact_place"]
-_FILES += ["half_warp_tree", "hash_grid", "intersections", "meet_planes", "near_planes", "proximity"]
-_FILES += ["thickness", "device_hold", "start_holds"]
+_FILES = [
+    *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.half_warp_tree"),
+    *("boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
+    *("step.contacts", "step.device_step", "step.contact_place"),
+    *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
+    *("at_one_time.device_hold", "at_one_time.start_holds"),
+]
 
 
 def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
@@ -21,42 +25,42 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     searches in which something starts within its distance; of these the narrow phase in one precision, as nothing else
     distinguishes the two from those without radii, or as there is no other.
     """
-    from ccd_warp.kernels.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM, THICK_NORM
-    from ccd_warp.kernels.queued_pairs import STAGES
-    from ccd_warp.kernels.search_types import BOXES, CULL, LIST
+    from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
+    from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM, THICK_NORM
+    from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
     from ccd_warp.kernels.template import specialised
 
     modules = {}
     for name in _FILES:
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
-        modules[name] = wp.get_module(module.__name__)
+        modules[name.partition(".")[2]] = wp.get_module(module.__name__)
     for real in (wp.float64, wp.float32):
         for dimension in (2, 3):
             name = f"{real.__name__} {dimension}"
             parameters = {"real": real, "dimension": dimension}
-            modules[f"input_rows {name}"] = specialised("input_rows", **parameters).read_moving.module
-            modules[f"contact_points {name}"] = specialised("contact_points", **parameters).fill_points.module
+            modules[f"input_rows {name}"] = specialised("step.input_rows", **parameters).read_moving.module
+            modules[f"contact_points {name}"] = specialised("step.contact_points", **parameters).fill_points.module
         norms = [MAXIMUM_NORM]
         if with_distances:
             norms += [EUCLIDEAN_NORM, THICK_NORM, OWN_BOX_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]
         for norm in norms:
             of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
-            queued = specialised("queued_pairs", real=real, norm=norm)
+            queued = specialised("narrow_phase.queued_pairs", real=real, norm=norm)
             for name in ("points_toi", "solve_pairs", "pairs_bound"):
                 kernels = getattr(queued, name)
                 for stage, kernel in zip(STAGES if kernels else (), kernels, strict=True):
                     modules[f"queued_pairs {name} {stage} {real.__name__}{of_norm}"] = kernel.module
-    modules["candidate_cull"] = specialised("candidate_cull").cull_candidates.module
+    modules["candidate_cull"] = specialised("search.candidate_cull").cull_candidates.module
     if with_distances:
-        modules["candidate_cull thick"] = specialised("candidate_cull", is_thick=True).cull_candidates.module
+        modules["candidate_cull thick"] = specialised("search.candidate_cull", is_thick=True).cull_candidates.module
         for norm, shape in ((EUCLIDEAN_NORM, "ball"), (MAXIMUM_NORM, "box")):
-            modules[f"holds {shape}"] = specialised("start_holds", norm=norm).lower_holds.module
+            modules[f"holds {shape}"] = specialised("at_one_time.start_holds", norm=norm).lower_holds.module
     for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, with_distances)):
         if is_thick and end == LIST:
             continue  # lists candidates with radii as it does without
         name = f"{end} {with_lists}{' thick' if is_thick else ''}"
         parameters = {"end": end, "with_lists": with_lists, "is_thick": is_thick}
         for walk in ("search_trees", "search_hashes"):
-            of_walk = specialised(walk, **parameters, in_half_warps=True)
+            of_walk = specialised(f"search.{walk}", **parameters, in_half_warps=True)
             modules[f"{walk} {name}"] = getattr(of_walk, walk).module
     return {name: module for name, module in modules.items() if module.kernels}

@@ -7,7 +7,8 @@ A query fails if it is
 - missed: the exact trajectories come within the distance, and toi is inf;
 - late: toi is after the exact time;
 - phantom: at a finite toi, no limit reached, the exact distance is above distance + tolerance + 100 u · size, with the
-  unit roundoff u; the kernel accepts at ten rounding bounds of at most 8.25 u each on every axis (kernels/rounding.py);
+  unit roundoff u; the kernel accepts at ten rounding bounds of at most 8.25 u each on every axis
+  (kernels/pair/rounding.py);
 - gap: the reported bound of the gap is below the exact one.
 """
 

@@ -24,7 +24,7 @@ import warp as wp
 from ccd_warp.benchmarks import scenes, side_figures
 from ccd_warp.benchmarks.numbers import count_text, table, time_text
 from ccd_warp.benchmarks.virtual_mesh import Traffic, VirtualMesh, VirtualPlan
-from ccd_warp.kernels.minima import FOUND
+from ccd_warp.kernels.step.minima import FOUND
 
 from ccd_warp._engine.topology import NUM_SAMPLES
 from ccd_warp._engine.workspace import Workspace

@@ -8,7 +8,7 @@ Every batch draws a kind, a source of queries, a precision and options. A query 
 - missed: the exact trajectories touch (or come within the separation), and toi is inf;
 - late: toi is after the exact time of impact;
 - phantom: at a finite toi, no limit reached, the exact gap is above separation + tolerance + 100 u · size. The kernel
-  accepts at ten rounding bounds of at most 8.25 u each (kernels/rounding.py), so 100 u of the pair's size and
+  accepts at ten rounding bounds of at most 8.25 u each (kernels/pair/rounding.py), so 100 u of the pair's size and
   separation cover them;
 - capped: the default max_iterations was reached, or the resolution's limit though the tolerance is above 100 u · size;
 - gap: the reported bound of the gap is below the exact gap;
@@ -49,7 +49,7 @@ CHECKS = ("missed", "late", "phantom", "capped", "gap", "insane")
 BATCH = 100
 MESH_SHARE = 0.25
 ROUNDING = {name: 100 * u for name, u in UNIT_ROUNDOFF.items()}
-# A reported gap is formed from a separation rounded up by 8 u (kernels/rounding.py, step 6).
+# A reported gap is formed from a separation rounded up by 8 u (kernels/pair/rounding.py, step 6).
 SEPARATION_ROUNDING = {name: 16 * u for name, u in UNIT_ROUNDOFF.items()}
 
 # ---- Checks ----------------------------------------------------------------------------------------------------------

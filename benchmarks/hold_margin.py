@@ -21,7 +21,7 @@ _SHARES = (1.0, 1.0 - 1e-12, 0.9, 0.1)
 def _with_margin(margin: float) -> None:
     """Give the kernels another margin, before any of them is compiled."""
     import warp as wp
-    from ccd_warp.kernels import hold
+    from ccd_warp.kernels.pair import hold
 
     wp.config.quiet = True
     hold.MARGIN.update(dict.fromkeys(hold.MARGIN, margin * 2.0**-53))

@@ -18,7 +18,7 @@ def fingerprint(settings: dict, about: dict, data: Path | None) -> str:
         if path.is_file():
             digest.update(f"{path.relative_to(data)} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
     for package in (ccd_warp.__path__[0], ccd_warp.kernels.__path__[0], Path(__file__).parent):
-        for path in sorted(Path(package).glob("*.py")):
+        for path in sorted(Path(package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

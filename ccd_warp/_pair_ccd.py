@@ -21,9 +21,9 @@ from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp.kernels.contacts import lift
-from ccd_warp.kernels.minima import NUM_COUNTS
-from ccd_warp.kernels.sinks import TABLE, Table
+from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
+from ccd_warp.kernels.step.contacts import lift
+from ccd_warp.kernels.step.minima import NUM_COUNTS
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def vertex_face_ccd(
     References:
         Wang et al. 2021, "A large-scale benchmark and an inclusion-based algorithm for continuous collision detection",
         sections 3 and 4; Snyder 1992, "Interval analysis for computer graphics". The rounding analysis is in
-        ``ccd_warp.kernels.rounding``.
+        ``ccd_warp.kernels.pair.rounding``.
 
     Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """

@@ -2,7 +2,9 @@
 
 from enum import IntEnum, IntFlag
 
-from ccd_warp.kernels import minima, pair_kind, status
+from ccd_warp.kernels import pair_kind
+from ccd_warp.kernels.pair import status
+from ccd_warp.kernels.step import minima
 
 
 class PairKind(IntEnum):

@@ -1,8 +1,14 @@
-"""Warp functions, kernels and structs of ccd_warp: no launch, no allocation, no NumPy."""
+"""Warp functions, kernels and structs of ccd_warp: no launch, no allocation, no NumPy.
+
+A room for each part of a step: `boxes` and `search` find pairs, `narrow_phase` solves them by the mathematics of
+`pair`, `step` holds input and results, and `at_one_time` is what needs no motion.
+"""
 
 import sys
 from importlib.machinery import SOURCE_SUFFIXES, FileFinder
+from pathlib import Path
 
 from .kept_code import KeptCode
 
-sys.path_importer_cache[__path__[0]] = FileFinder(__path__[0], (KeptCode, SOURCE_SUFFIXES))
+for _room in (Path(__path__[0]), *(path for path in Path(__path__[0]).iterdir() if path.is_dir())):
+    sys.path_importer_cache[str(_room)] = FileFinder(str(_room), (KeptCode, SOURCE_SUFFIXES))

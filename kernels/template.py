@@ -1,4 +1,4 @@
-"""Files of this folder as templates: each is executed once for every set of parameters, into a module of its own.
+"""Files of these folders as templates: each is executed once for every set of parameters, into a module of its own.
 
 A template imports the parameters on which it depends from `parameters`; in a specialisation they have the values of
 that, and what the template imports from other templates is specialised alike. A file that imports no parameter is an
@@ -11,6 +11,7 @@ import builtins
 import importlib
 import re
 import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import CodeType, ModuleType, SimpleNamespace
@@ -21,28 +22,41 @@ from .kept_code import KeptCode
 from .once import building, once
 
 _FOLDER = Path(__file__).parent
-# What a file imports from this folder: a module and its names, or modules.
-_IMPORT = re.compile(r"^ *from \.(\w*) import (\([^)]*\)|.*)", re.MULTILINE)
+# What a file imports from here: how many folders up, a module and its names, or a folder and modules.
+_IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _NAME = re.compile(r"(\w+)(?: as \w+)?")
 
 
 @cache
 def _read(name: str) -> tuple[str, CodeType, str]:
     """The path, the code and the source of a file."""
-    full_name, path = f"{__package__}.{name}", str(_FOLDER / f"{name}.py")
+    full_name, path = f"{__package__}.{name}", str(_FOLDER / f"{name.replace('.', '/')}.py")
     loader = KeptCode(full_name, path)
     code = loader.get_code(full_name)
     assert code is not None
     return path, code, loader.get_source(full_name)
 
 
+def _modules(name: str, level: int, imported: str, wanted: Iterable[str]) -> dict[str, str]:
+    """The modules of an import in a file by name: several, or one with no name from which names are taken."""
+    folder = name.split(".")[:-1]
+    path = [*folder[: len(folder) - level + 1], *filter(None, imported.split("."))]
+    if (_FOLDER / Path(*path)).is_dir():
+        return {each: ".".join([*path, each]) for each in wanted}
+    return {"": ".".join(path)}
+
+
 @cache
 def _parameters_of(name: str) -> frozenset[str]:
     """The parameters on which a file depends: those that it imports and those of what it imports, if it imports any."""
-    imports = [(module, _NAME.findall(names)) for module, names in _IMPORT.findall(_read(name)[2])]
-    found = {each for module, names in imports if module == "parameters" for each in names}
+    found: set[str] = set()
+    modules: set[str] = set()
+    for dots, imported, names in _IMPORT.findall(_read(name)[2]):
+        wanted = _NAME.findall(names)
+        from_here = _modules(name, len(dots), imported, wanted)
+        modules.update(from_here.values())
+        found.update(wanted if from_here.get("") == "parameters" else ())
     if found:
-        modules = {each for module, names in imports for each in ([module] if module else names)}
         found.update(*map(_parameters_of, modules - {"parameters"}))
     return frozenset(found)
 
@@ -55,18 +69,17 @@ def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
     alike = dict(values)
 
     def import_alike(imported: str, scope: Any = None, local: Any = None, wanted: Any = (), level: int = 0) -> Any:
-        if level != 1:
+        if level == 0:
             return builtins.__import__(imported, scope, local, wanted, level)
-        if imported == "parameters":
-            return SimpleNamespace(**alike)
-        if imported:
-            return specialised(imported, **alike)
-        return SimpleNamespace(**{each: specialised(each, **alike) for each in wanted})
+        modules = _modules(name, level, imported, wanted)
+        if "" not in modules:
+            return SimpleNamespace(**{each: specialised(module, **alike) for each, module in modules.items()})
+        return SimpleNamespace(**alike) if modules[""] == "parameters" else specialised(modules[""], **alike)
 
     path, code, _ = _read(name)
     module.__dict__.update(
         __file__=path,
-        __package__=__package__,
+        __package__=f"{__package__}.{name}".rpartition(".")[0],
         __builtins__={**vars(builtins), "__import__": import_alike},
     )
     sys.modules[module.__name__] = module  # where those look for it who read the source of a function
@@ -75,10 +88,10 @@ def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
 
 
 def specialised(name: str, **values: Any) -> Any:
-    """A template of this folder for parameters, once for each set of those on which it depends.
+    """A template for parameters, once for each set of those on which it depends.
 
     Args:
-        name: Name of the file.
+        name: Its folder and its name, as in ``pair.solver``.
         values: The parameters by name; those left out are as in a plain import.
 
     Raises:

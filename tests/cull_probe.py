@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import warp as wp
-from ccd_warp.kernels.single_points import corners, points_of
+from ccd_warp.kernels.pair.single_points import corners, points_of
 from ccd_warp.kernels.template import specialised
 
 KINDS = {"vertex-face": 0, "edge-edge": 1}
@@ -18,16 +18,16 @@ def _make_probe(width, test, flags):
     module = wp.get_module(f"cull_probe.{width}.{test}.{flags}")
     options = {"enable_backward": False, "fuse_fp": False, **({"cpu_compiler_flags": flags} if flags else {})}
     wp.set_module_options(options, module=module)
-    cull = specialised("cull", width=width)
+    cull = specialised("search.cull", width=width)
     free_lanes = cull.free_lanes
     by_volume, by_sides = cull.is_free_by_volume, cull.is_free_by_sides
     bits_of = cull.bits_of
-    Corners = specialised("patch", width=width).Corners
+    Corners = specialised("pair.patch", width=width).Corners
     lanes = wp.constant(width)
 
     if width > 1:
-        points_at = specialised("lane_points", width=width).points_at
-        corners_of_lanes = specialised("points", width=width).corners
+        points_at = specialised("search.lane_points", width=width).points_at
+        corners_of_lanes = specialised("pair.points", width=width).corners
 
         @wp.func
         def corners_at(kind: int, x: wp.array[wp.vec3d], first: int, count: int) -> Corners:

@@ -1,4 +1,4 @@
-"""Attack on step 13 of `kernels/rounding.py`: offsets and clips with a Euclidean distance, in exact arithmetic."""
+"""Attack on step 13 of `kernels/pair/rounding.py`: offsets and clips with a Euclidean distance, in exact arithmetic."""
 
 import math
 from fractions import Fraction
@@ -9,9 +9,9 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.distance_oracle import exact_distance_tois
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.kernels.norm import EUCLIDEAN_NORM
-from ccd_warp.kernels.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
-from ccd_warp.kernels.single_points import row_points
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.pair.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from rounding_samples import cross, drawn, exactly
@@ -27,14 +27,14 @@ SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -9
 def make_probe(real):
     """Kernels that write offsets, and the times to which the clips prove a pair free."""
     vec3 = wp.types.vector(length=3, dtype=real)
-    Options = specialised("query", real=real).Options
-    normalise = specialised("solver", real=real, norm=EUCLIDEAN_NORM).normalise
-    ball = specialised("ball", real=real)
+    Options = specialised("pair.query", real=real).Options
+    normalise = specialised("pair.solver", real=real, norm=EUCLIDEAN_NORM).normalise
+    ball = specialised("pair.ball", real=real)
     offset, turn_of_side, clip_turn = ball.offset, ball.turn_of_side, ball.clip_turn
     with_largest_one = ball.with_largest_one
-    clip_beyond = specialised("inclusion", real=real).clip_beyond
-    separation_offset = specialised("volume", real=real, norm=EUCLIDEAN_NORM).separation_offset
-    advance_volume = specialised("advance", real=real, norm=EUCLIDEAN_NORM).advance_volume
+    clip_beyond = specialised("pair.inclusion", real=real).clip_beyond
+    separation_offset = specialised("pair.volume", real=real, norm=EUCLIDEAN_NORM).separation_offset
+    advance_volume = specialised("pair.advance", real=real, norm=EUCLIDEAN_NORM).advance_volume
     module = wp.get_module(f"test_ball_rounding.{real.__name__}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 

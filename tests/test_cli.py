@@ -511,7 +511,7 @@ def test_process_says_nothing_of_warp(scene):
     )
     assert done.returncode == 0 and done.stderr == ""
     assert done.stdout.startswith(f"ccd-warp {ccd.__version__}")
-    assert len(list(own.glob("wp_*kernels.contacts_*"))) == 1
+    assert len(list(own.glob("wp_*kernels.step.contacts_*"))) == 1
     for word in ("Warp ", "initialized", "Module", "took"):
         assert word not in done.stdout
 

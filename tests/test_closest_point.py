@@ -26,7 +26,7 @@ POINT = {"float64": 2.0**-510, "float32": 2.0**-62}
 def _kernels(precision):
     real = {"float64": wp.float64, "float32": wp.float32}[precision]
     vec3 = wp.types.vector(length=3, dtype=real)
-    functions = specialised("closest_point", real=real)
+    functions = specialised("pair.closest_point", real=real)
     closest_weights, closest_on_patch = functions.closest_weights, functions.closest_on_patch
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -274,7 +274,7 @@ def test_parameters_of_a_sliver_are_of_the_closest_point(limit, aspect, kind, pr
     assert hit.sum() > 20
     start, end = start[hit], end[hit]
     result = SOLVE[kind](start, end, **solve)
-    # the pairs are about 3 across, and corners at toi carry roundings of their own (kernels/rounding.py)
+    # the pairs are about 3 across, and corners at toi carry roundings of their own (kernels/pair/rounding.py)
     slack = 12 * ROUNDINGS * UNIT_ROUNDOFF[precision]
     assert (named_gap(kind, start, end, result) <= least_gap(kind, start, end, result) + slack).all()
     assert (result.parameters >= 0).all()

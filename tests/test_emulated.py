@@ -13,7 +13,7 @@ import pytest
 import scenes
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.kernels.minima import CANDIDATES
+from ccd_warp.kernels.step.minima import CANDIDATES
 from emulated.build import compiler
 from emulated.comparison import PAIRS, PLAN, answer_of_cpu, shared
 from emulated.device import MULTIPROCESSORS, Emulation, emulation

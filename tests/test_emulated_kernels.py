@@ -5,15 +5,15 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
-from ccd_warp.kernels.contacts import ContactList
-from ccd_warp.kernels.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
-from ccd_warp.kernels.lanes import vec8f
-from ccd_warp.kernels.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
+from ccd_warp.kernels.boxes.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
+from ccd_warp.kernels.boxes.lanes import vec8f
+from ccd_warp.kernels.narrow_phase.sinks import Table
+from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_warp, latest
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
-from ccd_warp.kernels.search_types import SearchOptions
-from ccd_warp.kernels.sinks import Table
+from ccd_warp.kernels.search.search_types import SearchOptions
+from ccd_warp.kernels.step.contacts import ContactList
+from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.template import specialised
-from ccd_warp.kernels.whole_warp import agreed, is_first, item_of_warp, latest
 from emulated.build import compiler
 from emulated.comparison import shared
 from emulated.device import emulation
@@ -209,7 +209,7 @@ def cull(num_listed, num_threads, *, capacity=300, found=0, beyond=0, only_if_co
     faces = array([[0, 1, 2]], wp.vec3i)
     inputs = [0, num_threads, part, only_if_complete, listed, corners, faces]
     inputs += [array(start, wp.vec3d), array(end, wp.vec3d), options]
-    kernel = specialised("candidate_cull").cull_candidates
+    kernel = specialised("search.candidate_cull").cull_candidates
     launch(kernel, num_threads, inputs, [counts, keys, minima])
     keys = keys.numpy()
     return np.sort(keys[keys >= 0]) >> 32, counts.numpy(), minima, (k + 3)[k % 3 != 1]
@@ -269,5 +269,5 @@ def test_warps_agree_while_others_lower_the_least_toi():
         inputs = [0, num_solvers, int(EDGE_EDGE), array(counts, wp.int64), *pairs]
         inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, 0, 0.0, 0, queue]
         outputs = [Table(), Minima(), ContactList(), least, open_toi]
-        launch(specialised("queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
+        launch(specialised("narrow_phase.queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
         assert 0.3 - 1e-6 <= least.numpy().view(np.float64)[0] <= 0.3

@@ -637,7 +637,7 @@ def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, c
         status, said = unpacked([carried, "--into", into, "--collect"], capsys)
         assert status == 0
     assert f"unpacked; sh {into / 'gpu_check.sh'}" in said
-    for name in ("ccd_warp/__init__.py", "ccd_warp/kernels/minima.py", "ccd_warp/benchmarks/gpu_check/unpack.py"):
+    for name in ("ccd_warp/__init__.py", "ccd_warp/kernels/step/minima.py", "ccd_warp/benchmarks/gpu_check/unpack.py"):
         assert (into / "site" / name).is_file()
     assert (into / "site" / "trimesh" / "__init__.py").is_file()
     assert (into / "tests" / Path(__file__).name).read_bytes() == Path(__file__).read_bytes()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.box_tree import fill_vertex_aabbs
+from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
 from launches import check_same, on_device
 from scenes import sheet, sheet_over_floor, single, soup
 

@@ -135,12 +135,13 @@ def test_a_tolerance_far_larger_than_the_pair_leaves_the_parameters_finite(lengt
 
 def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
     """Warp does not look for operators in a function, so the names of the modules tell."""
-    from ccd_warp.kernels import search_types, simd
+    from ccd_warp.kernels.pair import simd
+    from ccd_warp.kernels.search import search_types
     from ccd_warp.kernels.template import specialised
 
     modules = [
-        specialised("narrow_phase").solve_pairs.module.name,
-        specialised("search_trees", end=search_types.CULL).search_trees.module.name,
+        specialised("narrow_phase.narrow_phase").solve_pairs.module.name,
+        specialised("search.search_trees", end=search_types.CULL).search_trees.module.name,
     ]
     assert all(simd.fingerprint() in name for name in modules)
     before = simd.fingerprint()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels import lanes, pair_lanes
+from ccd_warp.kernels.boxes import lanes, pair_lanes
 
 WIDTH = 16
 _kernels = {}

@@ -324,7 +324,7 @@ def test_scene_without_a_distance_compiles_nothing_of_it(monkeypatch):
         ccd.mesh_ccd(mesh, start, end, device="cpu", **options)
         ccd.collision_free_step(mesh, start, end, device="cpu", **options)
     assert set(norms) <= {"maximum", "own_box"} and "maximum" in norms
-    kernels = [specialised("narrow_phase", norm=norm).solve_pairs for norm in ("maximum", "euclidean")]
+    kernels = [specialised("narrow_phase.narrow_phase", norm=norm).solve_pairs for norm in ("maximum", "euclidean")]
     assert "euclidean" not in kernels[0].module.name and "euclidean" in kernels[1].module.name
 
 

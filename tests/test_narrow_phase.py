@@ -16,7 +16,7 @@ SOLVE = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
 KINDS = list(SOLVE)
 
 # Gap that rounding alone may leave, as a multiple of the pair's size. The kernel accepts at 8 E plus the tolerance and
-# two E, with E = 8.25 u per unit of size after normalisation (kernels/rounding.py): below 100 u in all.
+# two E, with E = 8.25 u per unit of size after normalisation (kernels/pair/rounding.py): below 100 u in all.
 ROUNDING = {"float64": 100 * 2.0**-53, "float32": 100 * 2.0**-24}
 
 
@@ -593,5 +593,5 @@ def test_bad_warp_input():
 
 def test_one_kernel_of_the_cpu_solves_the_pairs_of_all_calls():
     """So the solver is compiled once for each precision, number of lanes and norm."""
-    kernels = [each for each in vars(specialised("narrow_phase")).values() if isinstance(each, wp.Kernel)]
+    kernels = [each for each in vars(specialised("narrow_phase.narrow_phase")).values() if isinstance(each, wp.Kernel)]
     assert [kernel.func.__name__ for kernel in kernels] == ["solve_pairs"]

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.contacts import NO_CONTACT, reset_first
+from ccd_warp.kernels.step.contacts import NO_CONTACT, reset_first
 
 from ccd_warp._runtime.packed import PackedLaunch
 

@@ -75,7 +75,7 @@ def test_contacts_of_a_mesh_through_the_queue_have_equal_bits(options, precision
 
 
 def test_threads_get_few_pairs_spread_over_all_warps():
-    from ccd_warp.kernels.queued_pairs import turns_of
+    from ccd_warp.kernels.narrow_phase.queued_pairs import turns_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def take(num_solvers: int, count: int, taken: wp.array[wp.int32], lanes_used: wp.array[wp.int32]):

@@ -1,4 +1,4 @@
-"""Attack on the rounding analysis of `kernels/rounding.py`: inputs searched to make (actual error / bound) large.
+"""Attack on the rounding analysis of `kernels/pair/rounding.py`: inputs searched to make (actual error / bound) large.
 
 A Warp kernel evaluates the intermediate quantities of each step by calling the same functions as the solver. A
 reference computes them from the input points alone. The search climbs with the reference in extended precision, which
@@ -17,9 +17,9 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_tois
-from ccd_warp.kernels.boxes import end_box
-from ccd_warp.kernels.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
-from ccd_warp.kernels.single_points import row_points
+from ccd_warp.kernels.boxes.boxes import end_box
+from ccd_warp.kernels.pair.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
+from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from rounding_samples import cross, drawn, exactly
@@ -66,24 +66,24 @@ def make_probe(real):
     """Kernels that write the intermediate quantities of the solver, and the clips that it is built of."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    corners_at = specialised("patch", real=real).corners_at
-    Options = specialised("query", real=real).Options
-    normalise = specialised("solver", real=real).normalise
-    sub_corners = specialised("sub_patch", real=real).sub_corners
+    corners_at = specialised("pair.patch", real=real).corners_at
+    Options = specialised("pair.query", real=real).Options
+    normalise = specialised("pair.solver", real=real).normalise
+    sub_corners = specialised("pair.sub_patch", real=real).sub_corners
     # the functions for one lane; `test_lane_width` compares those for several with them
-    inclusion = specialised("inclusion", real=real)
+    inclusion = specialised("pair.inclusion", real=real)
     clip = inclusion.clip
     clip_corner = inclusion.clip_corner
     offset = inclusion.offset
-    volume = specialised("volume", real=real)
-    advance_volume = specialised("advance", real=real).advance_volume
+    volume = specialised("pair.volume", real=real)
+    advance_volume = specialised("pair.advance", real=real).advance_volume
     Hull = volume.Hull
     restrict = volume.restrict
     separation_offset = volume.separation_offset
     hull_fall = volume.fall
-    facets = specialised("facets", real=real)
+    facets = specialised("pair.facets", real=real)
     direction = facets.direction
-    fall = specialised("moving_clip", real=real).fall
+    fall = specialised("pair.moving_clip", real=real).fall
     clip_facet = facets.clip_facet
     half = wp.constant(real(0.5))
     num_clips = wp.constant(12)
@@ -259,7 +259,7 @@ class Sample:
         self.weights = [convert(inputs[name])[:, None] for name in ("u", "v", "t", "x")]
         unit = self.out["unit"]
         points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
-        # (corner, side) as in kernels/patch.py, from the definition of each pair kind
+        # (corner, side) as in kernels/pair/patch.py, from the definition of each pair kind
         rows = {"vertex-face": ((0, 1), (0, 2), (0, 3), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
         self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in rows] for p in points]
         sides = {"vertex-face": ((1, 2), (1, 3)), "edge-edge": ((2, 3), (1, 0))}[kind]

@@ -2,46 +2,47 @@
 
 import pytest
 import warp as wp
-from ccd_warp.kernels import atomics, patch
+from ccd_warp.kernels import atomics
+from ccd_warp.kernels.pair import patch
 from ccd_warp.kernels.template import specialised
 
 
 def test_plain_import_is_the_specialisation_for_one_pair_in_float64():
-    assert specialised("patch") is patch is specialised("patch", real=wp.float64, width=1)
+    assert specialised("pair.patch") is patch is specialised("pair.patch", real=wp.float64, width=1)
 
 
 def test_each_set_of_parameters_is_made_once():
-    single = specialised("patch", real=wp.float32)
-    assert single is specialised("patch", width=1, real=wp.float32)
-    assert single.Corners is not patch.Corners and single.Vec3 is specialised("simd", real=wp.float32).Vec3
+    single = specialised("pair.patch", real=wp.float32)
+    assert single is specialised("pair.patch", width=1, real=wp.float32)
+    assert single.Corners is not patch.Corners and single.Vec3 is specialised("pair.simd", real=wp.float32).Vec3
 
 
 def test_what_a_template_imports_is_specialised_alike():
-    lanes = specialised("lane_advance", real=wp.float32, width=8, norm="euclidean", with_facets=False)
-    assert lanes.Corners is specialised("patch", real=wp.float32, width=8).Corners
-    assert lanes.length is specialised("support", real=wp.float32, width=8, norm="euclidean").length
+    lanes = specialised("pair.lane_advance", real=wp.float32, width=8, norm="euclidean", with_facets=False)
+    assert lanes.Corners is specialised("pair.patch", real=wp.float32, width=8).Corners
+    assert lanes.length is specialised("pair.support", real=wp.float32, width=8, norm="euclidean").length
     assert lanes.with_facets is False
 
 
 def test_parameters_on_which_a_file_does_not_depend_change_nothing():
-    assert specialised("patch", norm="thick", dimension=2) is patch
+    assert specialised("pair.patch", norm="thick", dimension=2) is patch
     assert specialised("atomics", real=wp.float32) is atomics  # imports no parameter
 
 
 def test_every_template_has_its_own_parameters_and_no_other():
-    outcome = specialised("pair_outcome", width=8)
+    outcome = specialised("narrow_phase.pair_outcome", width=8)
     # the solver of a single pair has no lanes, whatever those of the rounds
-    assert outcome.solver is specialised("solver") and outcome.simd is specialised("simd", width=8)
+    assert outcome.solver is specialised("pair.solver") and outcome.simd is specialised("pair.simd", width=8)
 
 
 def test_a_plain_import_shares_its_code_with_specialisations():
     """Warp parses the source of a function once for each code object."""
     for function in (patch.corners_at, atomics.claim):
-        name = function.func.__module__.rpartition(".")[2]
+        name = function.func.__module__.removeprefix("ccd_warp.kernels.")
         code = specialised(name, real=wp.float32, width=8).__dict__[function.key.rpartition(".")[2]].func.__code__
         assert code is function.func.__code__
 
 
 def test_a_parameter_that_is_not_known_is_refused():
-    with pytest.raises(ValueError, match="patch is asked for with breadth; expected parameters"):
-        specialised("patch", breadth=8)
+    with pytest.raises(ValueError, match="pair.patch is asked for with breadth; expected parameters"):
+        specialised("pair.patch", breadth=8)

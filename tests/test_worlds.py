@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.box_tree import fill_vertex_aabbs
+from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
 from oracles import brute_force
 from scenes import soup
 

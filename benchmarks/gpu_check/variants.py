@@ -8,8 +8,8 @@ from typing import Any
 
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.kernels.norm import MAXIMUM_NORM
-from ccd_warp.kernels.search_types import BOXES, CULL
+from ccd_warp.kernels.pair.norm import MAXIMUM_NORM
+from ccd_warp.kernels.search.search_types import BOXES, CULL
 
 from ccd_warp._runtime.lanes import narrow_phase_on, search_on
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.topology import WIDTH, Positions, Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels import body_boxes as kernels
+from ccd_warp.kernels.boxes import body_boxes as kernels
 
 _MORTON_BITS = 10  # of each axis
 # Shifts and masks that move the bits of a number three places apart.

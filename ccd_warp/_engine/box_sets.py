@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp.kernels import box_tree
+from ccd_warp.kernels.boxes import box_tree
 
 if TYPE_CHECKING:
     from ccd_warp._engine.topology import PrimitiveSet

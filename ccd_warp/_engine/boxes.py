@@ -26,7 +26,7 @@ from ccd_warp._engine.topology import (
 )
 from ccd_warp._engine.trees import Tree
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels import box_tree as kernels
+from ccd_warp.kernels.boxes import box_tree as kernels
 
 # A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
 _LARGEST_BLOCK = 12.0

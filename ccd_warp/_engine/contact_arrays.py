@@ -9,7 +9,7 @@ import warp as wp
 from ccd_warp._engine.contacts import new_contact_list
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels import contact_place as kernels
+from ccd_warp.kernels.step import contact_place as kernels
 from ccd_warp.kernels.template import specialised
 
 
@@ -25,7 +25,7 @@ class ContactArrays:
     def __init__(
         self, topology: Topology, execution: Execution, arrays: Mapping[str, wp.array], name: str = "contacts"
     ) -> None:
-        """Take the arrays of a list, by the names of ``kernels.contacts.ContactList``, and what messages call it."""
+        """Take the arrays of a list by the names of ``kernels.step.contacts``, and what messages call it."""
         self._topology, self._execution, self._name = topology, execution, name
         self._list = new_contact_list(arrays)
         self._capacity = len(arrays["kind"])
@@ -58,7 +58,7 @@ class ContactArrays:
         planes = self._topology.planes
         inputs += [planes.point, planes.vertex, planes.unit]
         return self._filled(
-            name, wp.vec3d, specialised("contact_points", real=real, dimension=dimension).fill_points, *inputs
+            name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs
         )
 
     def order_by_toi(self) -> wp.array:

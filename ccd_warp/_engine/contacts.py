@@ -14,8 +14,8 @@ from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp.kernels import contacts as kernels
-from ccd_warp.kernels.minima import Minima
+from ccd_warp.kernels.step import contacts as kernels
+from ccd_warp.kernels.step.minima import Minima
 
 CONTACT_DTYPES = {
     "kind": wp.int32,
@@ -148,7 +148,7 @@ class _Ordered:
         inputs = [self._contacts, *corners, minima]
         launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
         if len(self._topology.mesh.planes):
-            from ccd_warp.kernels import meet_planes  # not before a scene needs it
+            from ccd_warp.kernels.narrow_phase import meet_planes  # not before a scene needs it
 
             inputs = [self._contacts, self._topology.planes.body, minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])

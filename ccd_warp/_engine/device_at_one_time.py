@@ -25,8 +25,8 @@ from ccd_warp._engine.trees import search_options
 from ccd_warp._input.interop import without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp.kernels import proximity as kernels
-from ccd_warp.kernels.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 
 _SLOTS = ("inflation", "search options", "reach", "largest")
 

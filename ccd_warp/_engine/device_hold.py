@@ -16,8 +16,8 @@ from ccd_warp._results import DeviceContacts
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels import device_hold as kernels
-from ccd_warp.kernels.norm import shape_of
+from ccd_warp.kernels.at_one_time import device_hold as kernels
+from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class DeviceHold:
         topology, moving = self._topology, self._topology.moving_vertices
         listed = self._contacts.count, self._contacts.kind, self._contacts.primitives
         recording.launch(
-            specialised("start_holds", norm=self._norm).note_near_contacts,
+            specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
             len(self._contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), stages.vertices_t0, self._of_start["reach"], stages.minima],
             outputs=[self._world_near],

@@ -33,10 +33,11 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import LaunchFlag, PairKind
-from ccd_warp.kernels import device_step, thickness
-from ccd_warp.kernels.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
-from ccd_warp.kernels.norm import is_ball
-from ccd_warp.kernels.sinks import CONTACTS
+from ccd_warp.kernels.boxes import thickness
+from ccd_warp.kernels.narrow_phase.sinks import CONTACTS
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.step import device_step
+from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED, NUM_COUNTS
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -470,7 +471,7 @@ class DeviceStep:
                 if number < len(stages) - 1 or has_kinematic:
                     self._record_touched(recording, by_scene)
                 recording.launch(
-                    specialised("input_rows", real=form.real, dimension=self._mesh.dimension).shorten,
+                    specialised("step.input_rows", real=form.real, dimension=self._mesh.dimension).shorten,
                     len(topology.moving_vertices),
                     inputs=[
                         topology.moving_vertices,
@@ -586,7 +587,7 @@ class DeviceStep:
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         """Record the launches that read positions and, in the first pass, reset the vertices."""
         topology, minima = self.topology, stages.minima
-        read = specialised("input_rows", real=form.real, dimension=self._mesh.dimension)
+        read = specialised("step.input_rows", real=form.real, dimension=self._mesh.dimension)
         if is_first and form.t0_by_vertex and self._has_static:
             recording.launch(
                 read.read_static,

@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp._engine.box_sets import BoxSet, Layout
 from ccd_warp._engine.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
 from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp.kernels import box_tree, hash_grid
+from ccd_warp.kernels.boxes import box_tree, hash_grid
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
 _CELL_FACTOR, _QUANTILE = 1.4, 0.95

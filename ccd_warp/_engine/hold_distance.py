@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ccd_warp._input.options import Options
 
 # What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
-# the mesh are far above the margin of a pair (`kernels.hold`), unless its motion is far larger than the mesh.
+# the mesh are far above the margin of a pair (`kernels.pair.hold`), unless its motion is far larger than the mesh.
 # A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice that is held there, and with it
 # solved in float64.
 _OF_DISTANCE = 2.0**-20

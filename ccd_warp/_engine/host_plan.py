@@ -20,9 +20,9 @@ from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
-from ccd_warp.kernels.norm import EUCLIDEAN_NORM
-from ccd_warp.kernels.sinks import BOUND, CONTACTS
+from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace

@@ -42,8 +42,8 @@ _MANY_PAIRS_EACH = 16
 # Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
 _MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
-# Where pairs are held, and press (`kernels.hold`), a step below the first fraction is none if its motion is below the
-# second fraction of the size of the scene.
+# Where pairs are held, and press (`kernels.pair.hold`), a step below the first fraction is none if its motion is below
+# the second fraction of the size of the scene.
 _LOST_TOI, _LOST = 2.0**-20, 2.0**-30
 
 _T = TypeVar("_T")

@@ -1,8 +1,8 @@
 """The parameters of the common points of pairs that are known to intersect, in float64 where that is accurate.
 
 Each is a quotient of two determinants. Where the denominator exceeds 2⁻²¹ of its permanent, the error of either, at
-most 16 · 2⁻⁵³ of it as in ``kernels/intersections.py``, changes the quotient by less than 2⁻²⁵; otherwise the exact
-test gives it.
+most 16 · 2⁻⁵³ of it as in ``kernels/at_one_time/intersections.py``, changes the quotient by less than 2⁻²⁵; otherwise
+the exact test gives it.
 """
 
 from collections.abc import Callable

@@ -19,7 +19,7 @@ from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._intersections import PRIMITIVES_OF, Intersections, located
 from ccd_warp._status import IntersectionKind, PairKind
-from ccd_warp.kernels import intersections as kernels
+from ccd_warp.kernels.at_one_time import intersections as kernels
 
 _APART, _FOUND, _OPEN = int(kernels.APART), int(kernels.FOUND), int(kernels.OPEN)
 _CODE_BYTES = 4

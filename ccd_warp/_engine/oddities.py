@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp.kernels.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
-from ccd_warp.kernels.start_gap import LEAST_TOLERANCE
+from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
     from ccd_warp._engine.topology import Positions, Topology

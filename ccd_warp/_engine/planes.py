@@ -22,7 +22,7 @@ _LENGTH_UP = 1.0 + 8.0 * _U
 # Components of a scaled normal below this may have lost bits.
 _LEAST_NORMAL = 2.0**-1000
 _LOST = 2.0**-1070
-# As in `kernels.planes`.
+# As in `kernels.narrow_phase.planes`.
 _LARGE, _SMALL, _SHRINK, _GROW = 2.0**1000, 2.0**-400, 2.0**-16, 2.0**600
 _FAR = 2.0**1015
 _VALUE, _ABSOLUTE = 4.5 * _U, 2.0**-1000
@@ -104,7 +104,7 @@ def excluded_keys(mesh: "CollisionMesh") -> NDArray[np.int64]:
 
 def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.array]) -> Any:
     """The planes of a mesh as the struct of the kernels; ``array`` puts values of a dtype on a device."""
-    from ccd_warp.kernels.planes import Planes  # not before a scene needs it
+    from ccd_warp.kernels.narrow_phase.planes import Planes  # not before a scene needs it
 
     planes = Planes()
     if len(mesh.planes) == 0:
@@ -130,8 +130,8 @@ def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, 
 
     ``holds`` is whether what starts within its distance may part and slide.
     """
-    from ccd_warp.kernels.planes import PlaneQuery  # not before a scene needs it
-    from ccd_warp.kernels.start_gap import LEAST_TOLERANCE
+    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
+    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
     separation = options.separation(length_scale)
 
@@ -226,7 +226,7 @@ def _point_at(mesh: "CollisionMesh", planes: ScaledPlanes, k: int, x: NDArray[np
 def _values(
     x: NDArray[np.float64], p: NDArray[np.float64], planes: ScaledPlanes, k: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(x - p)·n for scaled positions and plane k at p, the bounds of the errors, and the scales (`kernels.planes`)."""
+    """(x - p)·n for scaled positions and plane k at p, the bounds of the errors, and the scales."""
     n = planes.normal[k]
     largest = np.maximum(np.abs(x).max(axis=1, initial=0.0), np.abs(p).max())
     s = np.where(largest > _LARGE, _SHRINK, np.where(largest < _SMALL, _GROW, 1.0))

@@ -10,7 +10,7 @@ from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import sort_places
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels import proximity as kernels
+from ccd_warp.kernels.at_one_time import proximity as kernels
 
 PROXIMITY_DTYPES = {
     "kind": wp.int32,

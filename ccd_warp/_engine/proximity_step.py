@@ -20,8 +20,8 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import proximity as kernels
-from ccd_warp.kernels.norm import shape_of
+from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
 # Pairs of vertices and planes for which a call begins with capacity.
@@ -139,7 +139,7 @@ class HoldStep(StepAtOneTime):
 
     def find_holds(self, distance: float) -> NDArray[np.float64]:
         """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
-        from ccd_warp.kernels import start_holds as kernels  # few programs need it
+        from ccd_warp.kernels.at_one_time import start_holds as kernels  # few programs need it
 
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
@@ -173,7 +173,9 @@ class HoldStep(StepAtOneTime):
             reach = reach_of(topology.radius, distance, self.workspace.flag.array)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             self.execution.launch(
-                specialised("start_holds", norm=shape_of(norm_of(self.mesh, self.options))).note_near_contacts,
+                specialised(
+                    "at_one_time.start_holds", norm=shape_of(norm_of(self.mesh, self.options))
+                ).note_near_contacts,
                 len(contacts),
                 inputs=[count, *listed, *corners_by_kind(topology), x, reach, self.workspace.contacts.minima],
                 outputs=[near],

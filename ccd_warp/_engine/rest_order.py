@@ -13,8 +13,8 @@ from ccd_warp._engine.topology import (
     choose_quantization,
 )
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels import box_tree, half_warp_tree
-from ccd_warp.kernels import rest_order as kernels
+from ccd_warp.kernels.boxes import box_tree, half_warp_tree
+from ccd_warp.kernels.boxes import rest_order as kernels
 
 # Bits of a coordinate within a segment: those of a float32.
 _MOST_BITS = 24

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.norm import OWN_BOX_NORM, THICK_NORM, is_ball
+from ccd_warp.kernels.pair.norm import OWN_BOX_NORM, THICK_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -38,7 +38,7 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
 
 
 def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False, is_held: bool = False) -> str:
-    """The norm of separations (``kernels.norm``): with radii each pair has a distance of its own.
+    """The norm of separations (``kernels.pair.norm``): with radii each pair has a distance of its own.
 
     Args:
         mesh: The bodies.

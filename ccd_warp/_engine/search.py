@@ -16,8 +16,8 @@ from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_r
 from ccd_warp._runtime.lanes import search_on
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.minima import FOUND, NUM_COUNTS, Minima
-from ccd_warp.kernels.search_types import BOXES, SearchRange
+from ccd_warp.kernels.search.search_types import BOXES, SearchRange
+from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS, Minima
 
 _FOUND = int(FOUND)
 _NUM_COUNTS = int(NUM_COUNTS)

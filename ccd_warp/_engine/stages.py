@@ -13,11 +13,12 @@ from ccd_warp._runtime.lanes import queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree, contacts, device_step, rest_order
-from ccd_warp.kernels.minima import FOUND, OPEN, Minima
-from ccd_warp.kernels.norm import shape_of
-from ccd_warp.kernels.search_types import CULL, CULL_OF_BOXES, LIST
-from ccd_warp.kernels.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
+from ccd_warp.kernels.boxes import box_tree, rest_order
+from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
+from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
+from ccd_warp.kernels.step import contacts, device_step
+from ccd_warp.kernels.step.minima import FOUND, OPEN, Minima
 from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
@@ -49,7 +50,7 @@ class Stages:
         tree_pairs: The tree pairs to search.
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
         narrow_phase: The kernels of ``narrow_phase`` for a precision.
-        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.minima``.
+        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.step.minima``.
         vertices_t0: Start positions, wp.vec3d, shape [V].
         vertices_t1: End positions.
         vertex_aabbs: AABBs of the vertices.
@@ -122,7 +123,7 @@ class Stages:
         narrow_phase, query = self.narrow_phase, self.tree_pairs[0].query
         if launcher.is_cuda:
             solvers = queued_pairs_in(narrow_phase.real, narrow_phase.norm).by_sink[sink]
-            others = [specialised("candidate_cull", is_thick=self.is_thick).cull_candidates]
+            others = [specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates]
         else:
             solvers = [narrow_phase.solve_pairs]
             others = [box_tree.fill_vertex_aabbs, device_step.reset]
@@ -275,7 +276,7 @@ class Stages:
         if not isinstance(candidates, Slot):
             num_threads = min(_MOST_CULLS, -(-len(candidates) // WIDTH) * WIDTH)
         launcher.launch(
-            specialised("candidate_cull", is_thick=self.is_thick).cull_candidates,
+            specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates,
             num_threads,
             inputs=[
                 num_threads,
@@ -321,7 +322,7 @@ class Stages:
         self._meet_planes(launcher, BOUND, inputs, [worlds, contacts.ContactList(), self.least_bits])
 
     def _meet_planes(self, launcher: Launcher, sink: int, inputs: list[Any], outputs: list[Any]) -> None:
-        from ccd_warp.kernels.meet_planes import meet_planes  # not before a scene needs it
+        from ccd_warp.kernels.narrow_phase.meet_planes import meet_planes  # not before a scene needs it
 
         topology = self.topology
         met = [sink, topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
@@ -348,20 +349,22 @@ class Stages:
 
     def list_proximities(self, launcher: Launcher) -> None:
         """In place of the narrow phase: list the pairs that are near at the start."""
-        from ccd_warp.kernels.proximity import list_proximities  # few programs need it
+        from ccd_warp.kernels.at_one_time.proximity import list_proximities  # few programs need it
 
         self._at_one_time(launcher, list_proximities, [], [self.minima, self.proximities])
 
     def bound_displacements(self, launcher: Launcher) -> None:
         """In place of the narrow phase: lower the bounds, which are the minima of the vertices."""
-        from ccd_warp.kernels.proximity import bound_displacements
+        from ccd_warp.kernels.at_one_time.proximity import bound_displacements
 
         self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
 
     def lower_holds(self, launcher: Launcher, norm: str) -> None:
         """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
 
-        self._at_one_time(launcher, specialised("start_holds", norm=shape_of(norm)).lower_holds, [], [self.minima])
+        self._at_one_time(
+            launcher, specialised("at_one_time.start_holds", norm=shape_of(norm)).lower_holds, [], [self.minima]
+        )
 
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""
@@ -369,12 +372,12 @@ class Stages:
 
     def bound_by_half_spaces(self, launcher: Launcher) -> None:
         """Lower the bounds of vertices beside planes."""
-        from ccd_warp.kernels.proximity import ProximityList
+        from ccd_warp.kernels.at_one_time.proximity import ProximityList
 
         self._measure_planes(launcher, DISPLACEMENT, ProximityList())
 
     def _measure_planes(self, launcher: Launcher, sink: int, proximities: Any) -> None:
-        from ccd_warp.kernels.near_planes import measure_planes
+        from ccd_warp.kernels.at_one_time.near_planes import measure_planes
 
         topology = self.topology
         inputs = [sink, topology.plane_vertices, topology.vertex_body, topology.planes, self.box_radius]

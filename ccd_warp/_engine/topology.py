@@ -17,8 +17,8 @@ from ccd_warp._engine.worlds import WorldPlaces, inner_part, place_worlds, world
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels.collision_filter import CollisionFilter
+from ccd_warp.kernels.boxes import box_tree as kernels
+from ccd_warp.kernels.search.collision_filter import CollisionFilter
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh

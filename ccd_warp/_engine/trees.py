@@ -14,9 +14,11 @@ from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import box_tree as kernels
-from ccd_warp.kernels import device_step, half_warp_tree, search_types
-from ccd_warp.kernels.norm import is_ball
+from ccd_warp.kernels.boxes import box_tree as kernels
+from ccd_warp.kernels.boxes import half_warp_tree
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.search import search_types
+from ccd_warp.kernels.step import device_step
 
 _CHUNK = int(device_step.CHUNK)
 # A level of no more boxes than this is united in one launch with all levels above.

@@ -18,7 +18,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.norm import is_ball
+from ccd_warp.kernels.pair.norm import is_ball
 
 _MOST_OPTIONS = 8
 

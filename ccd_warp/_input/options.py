@@ -17,7 +17,7 @@ from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKi
 from ccd_warp._quiet import start_warp
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
-from ccd_warp.kernels import norm, query
+from ccd_warp.kernels.pair import norm, query
 from ccd_warp.kernels.template import specialised
 
 MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than there are cores
@@ -124,7 +124,7 @@ class Options:
 
     @property
     def norm(self) -> str:
-        """The norm of the separation, for which kernels are made (``kernels.norm``)."""
+        """The norm of the separation, for which kernels are made (``kernels.pair.norm``)."""
         return norm.EUCLIDEAN_NORM if self.minimum_distance > 0 else norm.MAXIMUM_NORM
 
     def separation(self, length_scale: float) -> float:
@@ -254,7 +254,7 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
 
 def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
     """The struct of the kernels, from the values of its fields in order."""
-    options = specialised("query", real=real).Options()
+    options = specialised("pair.query", real=real).Options()
     for name, value in zip(_FIELDS, values, strict=True):
         setattr(options, name, value)
     if stop is not None:

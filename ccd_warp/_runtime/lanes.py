@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp.kernels.search_types import BOXES, LIST
+from ccd_warp.kernels.search.search_types import BOXES, LIST
 from ccd_warp.kernels.template import specialised
 
 _CPU_INFO = Path("/proc/cpuinfo")
@@ -38,20 +38,20 @@ def narrow_phase_on(device: Any, real: Any, norm: str) -> ModuleType:
     Args:
         device: Warp device.
         real: Floating-point type of the iteration, a Warp dtype.
-        norm: That of the separation (``kernels.norm``).
+        norm: That of the separation (``kernels.pair.norm``).
     """
     width = lanes_of(device)
     width = width if width == 1 or real is wp.float64 else 2 * width
-    return specialised("narrow_phase", real=real, width=width, norm=norm)
+    return specialised("narrow_phase.narrow_phase", real=real, width=width, norm=norm)
 
 
 def queued_pairs_in(real: Any, norm: str) -> ModuleType:
     """The kernels of the narrow phase on CUDA for a precision and a norm, in the order of their launches."""
-    return specialised("queued_pairs", real=real, norm=norm)
+    return specialised("narrow_phase.queued_pairs", real=real, norm=norm)
 
 
 def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
-    """The kernel of a search that ends at a stage (``kernels.search_types``), with lanes for the cull if it has one.
+    """The kernel of a search that ends at a stage (``kernels.search.search_types``), with lanes for its cull.
 
     Args:
         device: Warp device.
@@ -66,7 +66,7 @@ def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bo
         parameters["in_half_warps"] = True
     elif end != BOXES:
         parameters["width"] = lanes_of(device)
-    return getattr(specialised(walk, **parameters), walk)
+    return getattr(specialised(f"search.{walk}", **parameters), walk)
 
 
 @cache

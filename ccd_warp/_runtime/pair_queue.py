@@ -11,7 +11,7 @@ QUEUE_BYTES = 4 + 8 + 1
 
 def queue_of(rows: wp.array, t: wp.array, used: wp.array) -> Any:
     """A queue in the given arrays: int32, float64 and int8."""
-    from ccd_warp.kernels.queued_pairs import Queue  # not before a step needs it
+    from ccd_warp.kernels.narrow_phase.queued_pairs import Queue  # not before a step needs it
 
     queue = Queue()
     queue.rows, queue.t, queue.used = rows, t, used
@@ -33,7 +33,7 @@ def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs
         inputs: Inputs of the kernels after the number of threads.
         outputs: Their outputs.
     """
-    from ccd_warp.kernels.queued_pairs import MOST_SOLVERS, WARP
+    from ccd_warp.kernels.narrow_phase.queued_pairs import MOST_SOLVERS, WARP
 
     for kernel, most in zip(kernels, MOST_SOLVERS.values(), strict=True):
         solvers = min(most, most_pairs * WARP)

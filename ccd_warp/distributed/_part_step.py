@@ -15,7 +15,7 @@ from ccd_warp._engine.line_search import OneProcess
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._part import TogetherIn
 from ccd_warp.distributed._ranks import Ranks
-from ccd_warp.kernels.minima import FOUND
+from ccd_warp.kernels.step.minima import FOUND
 
 
 class StepOnPart(Step):

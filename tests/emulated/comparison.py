@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.kernels.queued_pairs import STAGES
+from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
 
 from emulated import calls
 from emulated.device import Emulation, emulation

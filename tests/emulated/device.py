@@ -173,7 +173,7 @@ def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -
     Raises:
         RuntimeError: If a launch of a graph failed.
     """
-    from ccd_warp.kernels import queued_pairs
+    from ccd_warp.kernels.narrow_phase import queued_pairs
 
     from ccd_warp._engine import stages  # with what only CUDA launches
 

@@ -53,11 +53,19 @@ FINDERS = {
     "pairs": ["test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"],
     "replays": [_step("replays", "worlds", "float32")],
 }
-_ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/half_warp.py", "kernels/whole_warp.py"
-_SEARCH, _WALK = "kernels/search_half_warp.py", "kernels/search_trees.py"
-_GRIDS, _QUEUE = "kernels/hash_grid.py", "kernels/queued_pairs.py"
-_CULL, _TREE, _STEP = "kernels/candidate_cull.py", "kernels/half_warp_tree.py", "kernels/device_step.py"
-_STAGES, _DRIVER, _CONTACTS = "ccd_warp/_engine/stages.py", "ccd_warp/_engine/device_step.py", "kernels/contacts.py"
+_ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
+_SEARCH, _WALK = "kernels/search/search_half_warp.py", "kernels/search/search_trees.py"
+_GRIDS, _QUEUE = "kernels/boxes/hash_grid.py", "kernels/narrow_phase/queued_pairs.py"
+_CULL, _TREE, _STEP = (
+    "kernels/search/candidate_cull.py",
+    "kernels/boxes/half_warp_tree.py",
+    "kernels/step/device_step.py",
+)
+_STAGES, _DRIVER, _CONTACTS = (
+    "ccd_warp/_engine/stages.py",
+    "ccd_warp/_engine/device_step.py",
+    "kernels/step/contacts.py",
+)
 _ONE_PLACE = ("functions",)
 _LATEST = """; bits > 0; bits >>= 1) {
         const auto other = __shfl_xor_sync(0xFFFFFFFFu, t, bits);
@@ -114,21 +122,21 @@ PLANTED = [
     ),
     Fault(
         "contacts counted without an atomic operation",
-        "kernels/pair_outcome.py",
+        "kernels/narrow_phase/pair_outcome.py",
         "n = claim_int(contacts.count, 0)",
         "n = contacts.count[0]\n    contacts.count[0] = n + 1",
         ("solvers",),
     ),
     Fault(
         "near pairs counted without an atomic operation",
-        "kernels/proximity.py",
+        "kernels/at_one_time/proximity.py",
         "n = claim_int(proximities.count, 0)",
         "n = proximities.count[0]\n    proximities.count[0] = n + 1",
         ("at one time",),
     ),
     Fault(
         "bounds of segments lowered without an atomic operation",
-        "kernels/rest_order.py",
+        "kernels/boxes/rest_order.py",
         "atomic_min_int32(bounds, first / size * 8 + axis, ordered_bits(lower[axis]))",
         "bounds[first / size * 8 + axis] = wp.min(bounds[first / size * 8 + axis], ordered_bits(lower[axis]))",
         ("trees", "launch"),
@@ -303,7 +311,7 @@ PLANTED = [
     Fault("empty boxes not written", _TREE, "    if block == count - 1:\n", "    if block == count:\n", ("trees",)),
     Fault(
         "static bodies that move not noted",
-        "kernels/input_rows.py",
+        "kernels/step/input_rows.py",
         "is_moved[0] = 1  # until `settle`, when all boxes are up to date",
         "pass",
         ("launch",),
@@ -344,7 +352,7 @@ PLANTED = [
     # --- bounds and indices ---
     Fault(
         "one contact beyond the list",
-        "kernels/pair_outcome.py",
+        "kernels/narrow_phase/pair_outcome.py",
         "if n < contacts.toi.shape[0]:",
         "if n <= contacts.toi.shape[0]:",
         ("overflow",),

@@ -1,0 +1,1 @@
+"""What is near, within a distance or through each other at one time."""

@@ -1,0 +1,75 @@
+"""The holds of vertices (`hold`) in a line search on the device."""
+
+import warp as wp
+
+from ..step.minima import PAIRS_OVERFLOW, Minima, world_of
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_INFINITY = wp.constant(wp.float64(float("inf")))
+
+
+@wp.kernel
+def clear_holds(
+    begin: int,
+    # out
+    hold: wp.array[wp.float64],
+):
+    """Hold nothing."""
+    hold[begin + wp.tid()] = _INFINITY
+
+
+@wp.kernel
+def clear_near(
+    begin: int,
+    # out
+    body_near: wp.array[wp.int32],
+    world_near: wp.array[wp.int32],
+    is_near: wp.array[wp.int32],
+):
+    """Note that nothing is near."""
+    i = begin + wp.tid()
+    if i < body_near.shape[0]:
+        body_near[i] = 0
+    if i < world_near.shape[0]:
+        world_near[i] = 0
+    if i == 0:
+        is_near[0] = 0
+
+
+@wp.kernel
+def note_near_bodies(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    world_near: wp.array[wp.int32],
+    minima: Minima,
+    # out
+    body_near: wp.array[wp.int32],
+    is_near: wp.array[wp.int32],
+):
+    """Note the bodies of these worlds."""
+    v = vertices[begin + wp.tid()]
+    if world_near[world_of(minima, v)] != 0:
+        body_near[minima.vertex_body[v]] = 1
+        is_near[0] = 1
+
+
+@wp.kernel
+def keep_holds(
+    begin: int,
+    # in
+    m: Minima,
+    # out
+    hold: wp.array[wp.float64],
+):
+    """Keep the holds that a search has found as minima of the vertices.
+
+    A pair beyond the capacity has lowered those of its vertices to 0, which would let others come as near: its world,
+    which has a flag, holds nothing.
+    """
+    v = begin + wp.tid()
+    least = wp.cast(m.vertex[v], wp.float64)
+    if (m.world_flags[world_of(m, v)] & PAIRS_OVERFLOW) != 0:
+        least = _INFINITY
+    hold[v] = least

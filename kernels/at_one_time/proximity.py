@@ -1,0 +1,235 @@
+"""What is near at one time: pairs within a distance, and for each vertex how far it may move.
+
+Both take the place of the narrow phase. The first appends each pair within the distance to a list; the second lowers,
+for each vertex of a pair, the length by which it may move, an atomic minimum as those of the toi. A pair for which the
+search has no capacity lowers that length to 0 (`mark_overflow`).
+"""
+
+import warp as wp
+
+from ..atomics import atomic_min_int64, claim_int
+from ..boxes.thickness import distance_of
+from ..interrupts import is_stopped
+from ..pair.rounding import RELATIVE, UNIT_ROUNDOFF
+from ..pair.single_points import points_of
+from ..pair_key import pair_of
+from ..step.contacts import sort_key
+from ..step.minima import CONTACTS_OVERFLOW, FOUND, INVALID_INPUT, Minima, flag_world, world_of
+from .pair_distance import UNDERFLOW, PairDistance, measured
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_ZERO = wp.constant(wp.float64(0.0))
+_HALF = wp.constant(wp.float64(0.5))
+_DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+
+
+@wp.struct
+class Reach:
+    """How near is near."""
+
+    distance: wp.float64  # pairs that are farther apart than this, and their radii, are left out
+    kept: wp.float64  # the distance that bounds of displacements keep, beside the radii
+    radius: wp.array[wp.float64]  # of each vertex, or empty
+    stop: wp.array[wp.int32]  # set when the host wants a kernel to end
+
+
+@wp.struct
+class ProximityList:
+    """Pairs of all kinds in any order, as many as the capacity allows, and the number of pairs found."""
+
+    count: wp.array[wp.int32]
+    kind: wp.array[wp.int32]
+    primitives: wp.array[wp.vec2i]
+    parameters: wp.array[wp.vec2d]
+    distance: wp.array[wp.float64]
+    direction: wp.array[wp.vec3d]
+    features: wp.array[wp.int32]
+
+
+@wp.func
+def record_proximity(
+    kind: int, pair: wp.vec2i, vertex: int, found: PairDistance, minima: Minima, proximities: ProximityList
+):
+    """Append a pair to the list; ``vertex`` is one of its vertices, whose world is flagged if the list is full."""
+    n = claim_int(proximities.count, 0)
+    if n >= proximities.kind.shape[0]:
+        flag_world(minima, vertex, CONTACTS_OVERFLOW)
+        return
+    proximities.kind[n] = kind
+    proximities.primitives[n] = pair
+    proximities.parameters[n] = found.parameters
+    proximities.distance[n] = found.distance
+    proximities.direction[n] = found.direction
+    proximities.features[n] = found.features
+
+
+@wp.kernel
+def list_proximities(
+    begin: int,
+    # in
+    num_solvers: int,
+    chunk: int,
+    kind: int,
+    counts: wp.array2d[wp.int64],
+    pairs: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    # out
+    minima: Minima,
+    proximities: ProximityList,
+):
+    """List the pairs of a solver, which are every ``num_solvers``-th chunk, that are within the distance."""
+    count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+    first = (begin + wp.tid()) * chunk
+    while first < count:
+        if is_stopped(reach.stop):
+            return
+        for k in range(first, wp.min(first + chunk, count)):
+            pair = pair_of(pairs[k])
+            a = first_corners[pair[0]]
+            b = second_corners[pair[1]]
+            found = measured(kind, points_of(kind, a, b, x))
+            if found.least <= distance_of(reach.distance, reach.radius, a, b):  # a NaN is not
+                record_proximity(kind, pair, a[0], found, minima, proximities)
+        if first > 2147483647 - num_solvers * chunk:
+            return
+        first += num_solvers * chunk
+
+
+@wp.func
+def lower_bounds(c: wp.vec3i, bits: wp.int64, minima: Minima):
+    """Lower the bounds of the vertices of a primitive."""
+    for k in range(3):
+        atomic_min_int64(minima.vertex, c[k], bits)
+
+
+@wp.func
+def bound_pair(
+    a: wp.vec3i, b: wp.vec3i, least: wp.float64, kept: wp.float64, body_static: wp.array[wp.int32], minima: Minima
+):
+    """Lower the bounds of a pair that is at least ``least`` apart, and is to keep a distance (rounding, step 16).
+
+    The two sides share what is between; a static one leaves all of it to the other.
+    """
+    gap = (least - kept) * _DOWN - UNDERFLOW
+    if not gap > _ZERO:
+        gap = _ZERO  # also where a radius is not finite
+    is_static_a = body_static[minima.vertex_body[a[0]]] != 0
+    is_static_b = body_static[minima.vertex_body[b[0]]] != 0
+    if not is_static_a and not is_static_b:
+        gap = wp.max(_HALF * gap - UNDERFLOW, _ZERO)
+    bits = wp.cast(gap, wp.int64)
+    if not is_static_a:
+        lower_bounds(a, bits, minima)
+    if not is_static_b:
+        lower_bounds(b, bits, minima)
+
+
+@wp.kernel
+def bound_displacements(
+    begin: int,
+    # in
+    num_solvers: int,
+    chunk: int,
+    kind: int,
+    counts: wp.array2d[wp.int64],
+    pairs: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    x: wp.array[wp.vec3d],
+    reach: Reach,
+    body_static: wp.array[wp.int32],
+    # out
+    minima: Minima,
+):
+    """Lower the bounds of the vertices of the pairs of a solver."""
+    count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+    first = (begin + wp.tid()) * chunk
+    while first < count:
+        if is_stopped(reach.stop):
+            return
+        for k in range(first, wp.min(first + chunk, count)):
+            pair = pair_of(pairs[k])
+            a = first_corners[pair[0]]
+            b = second_corners[pair[1]]
+            least = measured(kind, points_of(kind, a, b, x)).least
+            if not (least >= _ZERO):
+                least = _ZERO  # a coordinate that is not finite
+            bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
+        if first > 2147483647 - num_solvers * chunk:
+            return
+        first += num_solvers * chunk
+
+
+@wp.kernel
+def reset_bounds(
+    begin: int,
+    # in
+    largest: wp.float64,
+    body_static: wp.array[wp.int32],
+    # out
+    minima: Minima,
+):
+    """Set the bound of each vertex to the largest; to 0 if it is static, or of a world with a coordinate that is none.
+
+    Runs after all input is read.
+    """
+    v = begin + wp.tid()
+    bits = wp.cast(largest, wp.int64)
+    if body_static[minima.vertex_body[v]] != 0 or (minima.world_flags[world_of(minima, v)] & INVALID_INPUT) != 0:
+        bits = wp.int64(0)
+    minima.vertex[v] = bits
+
+
+@wp.kernel
+def note_inflation(
+    begin: int,  # a single item
+    # in
+    inflation: wp.float64,
+    # in and out
+    of_static: wp.array[wp.float64],
+    # out
+    is_moved: wp.array[wp.int32],
+):
+    """Have the boxes of static bodies made again if they have another inflation."""
+    if not (of_static[begin + wp.tid()] == inflation):
+        is_moved[0] = 1  # until `settle`
+        of_static[0] = inflation
+
+
+@wp.kernel
+def proximity_keys(
+    begin: int,
+    # in
+    proximities: ProximityList,
+    # out
+    keys: wp.array[wp.int64],
+):
+    """Keys that order pairs by kind, then lexicographically; as those of contacts."""
+    n = begin + wp.tid()
+    if n < proximities.count[0]:
+        keys[n] = sort_key(proximities.kind[n], proximities.primitives[n])
+
+
+@wp.kernel
+def order_proximities(
+    begin: int,
+    # in
+    order: wp.array[wp.int32],
+    proximities: ProximityList,
+    # out
+    ordered: ProximityList,
+):
+    """Copy the pairs in the given order."""
+    n = begin + wp.tid()
+    if n < proximities.count[0]:
+        k = order[n]
+        ordered.kind[n] = proximities.kind[k]
+        ordered.primitives[n] = proximities.primitives[k]
+        ordered.parameters[n] = proximities.parameters[k]
+        ordered.distance[n] = proximities.distance[k]
+        ordered.direction[n] = proximities.direction[k]
+        ordered.features[n] = proximities.features[k]

@@ -1,0 +1,1 @@
+"""Boxes around primitives: trees, spatial hashes, and the operations on sixteen boxes at once."""

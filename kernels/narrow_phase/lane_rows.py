@@ -1,0 +1,200 @@
+"""Rows of arrays in lanes: the points of several pairs are gathered, and what is known of the pairs is written.
+
+A row is a pair: of an array of points, or in a list of keys. Rows need not follow each other: those that the first
+rounds of the narrow phase leave open are packed together.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..pair.points import Points
+from ..pair_kind import EDGE_EDGE
+from ..parameters import width
+from ..template import specialised
+
+simd = specialised("pair.simd", width=width)
+Index: Any = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else wp.int32
+# lists in which pairs wait until they fill the lanes
+most_pending = 2 * width if width > 1 else 1
+Rows: Any = wp.types.vector(length=most_pending, dtype=wp.int32)
+Numbers: Any = wp.types.vector(length=most_pending, dtype=wp.float64)
+# of the C++ below
+index_of = "i" if width == 1 else "i[k]"
+out64 = "double r[1]" if width == 1 else f"wp::vec_t<{width}, double> r"
+out_index = "int r[1]" if width == 1 else f"wp::vec_t<{width}, wp::int32> r"
+returned = "r[0]" if width == 1 else "r"
+
+gathered_snippet = f"""
+    {out64};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = ((const double*)x.data)[3LL * {index_of} + axis];
+    return {returned};
+"""
+
+
+@wp.func_native(gathered_snippet)
+def gathered(x: wp.array[wp.vec3d], i: Index, axis: int) -> simd.Lanes:
+    """A coordinate of a point for each lane."""
+    ...
+
+
+gathered_row_snippet = f"""
+    {out64};
+    const int column = point < x.shape[1] ? point : x.shape[1] - 1;
+    for (int k = 0; k < {width}; ++k)
+        r[k] = ((const double*)&wp::index(x, {index_of}, column))[axis];
+    return {returned};
+"""
+
+
+@wp.func_native(gathered_row_snippet)
+def gathered_row(x: wp.array2d[wp.vec3d], i: Index, point: int, axis: int) -> simd.Lanes:
+    """A coordinate of one point of a row for each lane; missing points repeat the last one."""
+    ...
+
+
+corner_of_snippet = f"""
+    {out_index};
+    for (int k = 0; k < {width}; ++k) {{
+        const long long written = pairs.data[{index_of}], key = written < 0 ? ~written : written;
+        const long long primitive = is_second != 0 ? key & 0xFFFFFFFFLL : key >> 32;
+        r[k] = ((const int*)corners.data)[3LL * primitive + corner];
+    }}
+    return {returned};
+"""
+
+
+@wp.func_native(corner_of_snippet)
+def corner_of(pairs: wp.array[wp.int64], i: Index, is_second: int, corners: wp.array[wp.vec3i], corner: int) -> Index:
+    """A vertex of a primitive of a pair for each lane; the key of an open pair is its complement."""
+    ...
+
+
+rows_from_snippet = f"""
+    {out_index};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = first + (k < count ? k : 0);
+    return {returned};
+"""
+
+
+@wp.func_native(rows_from_snippet)
+def rows_from(first: int, count: int) -> Index:
+    """The rows from ``first`` on, one in each lane; lanes beyond ``count`` repeat the first."""
+    ...
+
+
+rows_of_snippet = f"""
+    {out_index};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = list[first + (k < count ? k : 0)];
+    return {returned};
+"""
+numbers_of_snippet = f"""
+    {out64};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = list[first + (k < count ? k : 0)];
+    return {returned};
+"""
+
+if width > 1:
+
+    @wp.func
+    def row_of(i: Index, lane: int) -> int:
+        """The row in a lane."""
+        return i[lane]
+
+else:
+
+    @wp.func
+    def row_of(i: Index, lane: int) -> int:
+        """The row in a lane."""
+        return i
+
+
+@wp.func_native(rows_of_snippet)
+def rows_of(list: Rows, first: int, count: int) -> Index:
+    """Rows of a list, one in each lane; lanes beyond ``count`` repeat the first."""
+    ...
+
+
+@wp.func_native(numbers_of_snippet)
+def numbers_of(list: Numbers, first: int, count: int) -> simd.Lanes:
+    """Numbers of a list, likewise."""
+    ...
+
+
+number = "{0}" if width == 1 else "{0}[k]"
+put_snippet = f"""
+    for (int k = 0; k < {width}; ++k)
+        if (k < count)
+            x.data[{index_of}] = {{0}};
+"""
+
+
+@wp.func_native(put_snippet.format(number.format("a")))
+def put(x: wp.array[wp.float64], i: Index, a: simd.Lanes, count: int):
+    """x[i] = a in the first ``count`` lanes."""
+    ...
+
+
+@wp.func_native(put_snippet.format("(int)" + number.format("a")))
+def put(x: wp.array[wp.int32], i: Index, a: simd.Lanes, count: int):  # noqa: F811
+    ...
+
+
+@wp.func_native(put_snippet.format(f"wp::vec_t<2, double>({number.format('a')}, {number.format('b')})"))
+def put_vec2(x: wp.array[wp.vec2d], i: Index, a: simd.Lanes, b: simd.Lanes, count: int):
+    """x[i] = (a, b) in the first ``count`` lanes."""
+    ...
+
+
+@wp.func
+def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
+    """A point for each lane."""
+    return simd.vec(gathered(x, i, 0), gathered(x, i, 1), gathered(x, i, 2))
+
+
+@wp.func
+def points_of_rows(x: wp.array2d[wp.vec3d], rows: Index) -> Points:
+    """The points of a row for each lane."""
+    p = Points()
+    p.p0 = simd.vec(gathered_row(x, rows, 0, 0), gathered_row(x, rows, 0, 1), gathered_row(x, rows, 0, 2))
+    p.p1 = simd.vec(gathered_row(x, rows, 1, 0), gathered_row(x, rows, 1, 1), gathered_row(x, rows, 1, 2))
+    p.p2 = simd.vec(gathered_row(x, rows, 2, 0), gathered_row(x, rows, 2, 1), gathered_row(x, rows, 2, 2))
+    p.p3 = simd.vec(gathered_row(x, rows, 3, 0), gathered_row(x, rows, 3, 1), gathered_row(x, rows, 3, 2))
+    return p
+
+
+@wp.func
+def points_of_vertices(x: wp.array[wp.vec3d], i0: Index, i1: Index, i2: Index, i3: Index) -> Points:
+    """Four vertices of a mesh for each lane."""
+    p = Points()
+    p.p0 = gathered_point(x, i0)
+    p.p1 = gathered_point(x, i1)
+    p.p2 = gathered_point(x, i2)
+    p.p3 = gathered_point(x, i3)
+    return p
+
+
+@wp.func
+def points_of_pairs(
+    kind: int,
+    pairs: wp.array[wp.int64],
+    rows: Index,
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+):
+    """The points of a pair of primitives of a mesh for each lane, at both ends of the step."""
+    i0 = corner_of(pairs, rows, 0, first_corners, 0)
+    i1 = corner_of(pairs, rows, 1, second_corners, 0)
+    i2 = corner_of(pairs, rows, 1, second_corners, 1)
+    i3 = corner_of(pairs, rows, 1, second_corners, 2)
+    if kind == EDGE_EDGE:
+        i3 = i2
+        i2 = i1
+        i1 = corner_of(pairs, rows, 0, first_corners, 1)
+    return points_of_vertices(vertices_t0, i0, i1, i2, i3), points_of_vertices(vertices_t1, i0, i1, i2, i3)

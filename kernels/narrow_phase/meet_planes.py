@@ -1,0 +1,148 @@
+"""The kernels in which every vertex that moves meets the planes of half-spaces; see `planes`."""
+
+import warp as wp
+
+from ..atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
+from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
+from ..pair_key import pair_key
+from ..pair_kind import VERTEX_PLANE
+from ..step.contacts import ContactList
+from ..step.minima import (
+    CONTACTS_OVERFLOW,
+    FOUND,
+    ROUNDING_LIMIT,
+    STRUCK,
+    Minima,
+    flag_world,
+    lower_primitive,
+    world_of,
+)
+from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
+from .sinks import BOUND
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# As in `pair_outcome`: below it a toi may be so small only because the gap is lost in the rounding of a float32 motion.
+_LOST_TOI = wp.constant(wp.float64(2.0**-20))
+_ZERO = wp.constant(wp.float64(0.0))
+
+
+@wp.func
+def is_pair_excluded(v: int, k: int, excluded: wp.array[wp.int64]) -> bool:
+    """Whether the pair of a vertex and a plane is listed, by binary search."""
+    key = pair_key(v, k)
+    low = int(0)
+    high = excluded.shape[0]
+    while low < high:
+        middle = low + (high - low) / 2
+        if excluded[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    if low < excluded.shape[0]:
+        return excluded[low] == key
+    return False
+
+
+@wp.kernel
+def meet_planes(
+    begin: int,
+    # in
+    sink: int,
+    vertices: wp.array[wp.int32],
+    planes: Planes,
+    query: PlaneQuery,
+    vertex_body: wp.array[wp.int32],
+    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
+    active: wp.array[wp.int32],  # by body: 0, its vertices are left out; empty, none is
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    only_moving: int,  # 1: a vertex that does not move is left out, so it may touch; planes that move strike it
+    gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the vertex moves by this many gaps
+    # out
+    counts: wp.array2d[wp.int64],
+    minima: Minima,
+    contacts: ContactList,
+    least_bits: wp.array[wp.int64],
+):
+    """Meet every plane with a vertex that is free; lower the minima and list the contacts, or lower the least toi.
+
+    For the least toi `BOUND` is the sink, and of the minima only the worlds are read.
+    """
+    v = vertices[begin + wp.tid()]
+    body = vertex_body[v]
+    if active.shape[0] > 0:
+        if active[body] == 0:
+            return
+    x0 = vertices_t0[v]
+    x1 = vertices_t1[v]
+    is_struck = only_moving != 0 and x0 == x1
+    if is_struck and planes.vertex.shape[0] == 0:
+        return
+    radius = _ZERO
+    if box_radius.shape[0] > 0:
+        radius = box_radius[v]
+    world = world_of(minima, v)
+    for i in range(first_plane(planes, world), end_of_planes(planes, world)):
+        k = nth_plane(planes, i)
+        p0 = point_of(planes, k, vertices_t0)
+        p1 = point_of(planes, k, vertices_t1)
+        if planes.meets[k, body] != wp.uint8(0) and not (is_struck and p0 == p1):
+            meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
+            if meeting.toi <= query.t_max:
+                if not is_pair_excluded(v, k, planes.excluded):
+                    claim(counts, VERTEX_PLANE, FOUND, 1)
+                    toi = meeting.toi
+                    if sink == BOUND:
+                        atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
+                        continue
+                    if gaps_moved > _ZERO and toi < _LOST_TOI:
+                        motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
+                        if gaps_moved * meeting.gap < motion:
+                            toi = wp.max(toi, gaps_moved * meeting.gap / motion)
+                    bits = wp.cast(toi, wp.int64)
+                    if is_struck:
+                        flag_world(minima, v, STRUCK)
+                    else:
+                        lower_primitive(minima, wp.vec3i(v, v, v), bits)
+                        atomic_min_int64(minima.body, planes.body[k], bits)
+                        atomic_min_int64(minima.world, world, bits)
+                        atomic_min_int64(minima.scene, 0, bits)
+                    status = STATUS_COLLISION
+                    if meeting.toi == _ZERO:
+                        status = STATUS_INITIAL_CONTACT
+                        if meeting.gap > query.most_gap:
+                            status = STATUS_ROUNDING_LIMIT
+                            flag_world(minima, v, ROUNDING_LIMIT)
+                    n = claim_int(contacts.count, 0)
+                    if n < contacts.toi.shape[0]:
+                        contacts.kind[n] = VERTEX_PLANE
+                        contacts.primitives[n] = wp.vec2i(v, k)
+                        contacts.toi[n] = meeting.toi
+                        contacts.status[n] = status
+                        contacts.parameters[n] = wp.vec2d(_ZERO, _ZERO)
+                        contacts.gap[n] = meeting.gap
+                        contacts.width[n] = _ZERO
+                        contacts.normal[n] = planes.unit[k]
+                    else:
+                        flag_world(minima, v, CONTACTS_OVERFLOW)
+
+
+@wp.kernel
+def first_plane_contacts(
+    begin: int,
+    # in
+    contacts: ContactList,
+    plane_body: wp.array[wp.int32],
+    minima: Minima,
+    # out
+    body_contact: wp.array[wp.int32],
+):
+    """The contact that the toi of each half-space belongs to, as `first_contacts` finds that of all other bodies."""
+    n = begin + wp.tid()
+    if n >= contacts.count[0]:
+        return
+    if contacts.kind[n] == VERTEX_PLANE:
+        body = plane_body[contacts.primitives[n][1]]
+        if minima.body[body] == wp.cast(contacts.toi[n], wp.int64):
+            atomic_min_int32(body_contact, body, n)

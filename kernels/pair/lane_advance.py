@@ -1,0 +1,299 @@
+"""The first clips of a pair, for all lanes at once: those of `advance`, without a branch of a lane's own.
+
+A round is one clip with the volume, of a few Newton steps, and one with the direction of the closest pair. It ends with
+each lane free, in contact, or further on in time; whatever is still open after a few rounds goes on to the solver for
+single pairs, at the time reached. Rounds are numbered for each pair by itself, and no lane looks at another, so a pair
+gets the same answer in whatever lane and company it is solved.
+"""
+
+import warp as wp
+
+from ..pair_kind import VERTEX_FACE
+from ..parameters import norm, real, with_facets
+from . import simd
+from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
+from .facets import clip_facet, widest_facet
+from .inclusion import clip, clip_beyond
+from .lane_closest import LaneClosest, closest
+from .lane_pair import LanePair
+from .lane_touch import touching_point
+from .norm import is_ball
+from .patch import Corners, Volume, corners_at
+from .rounding import UNIT_ROUNDOFF
+from .simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    bits_of,
+    dot,
+    greatest,
+    is_at_most,
+    is_less,
+    is_within,
+    mask_of,
+    opposite,
+    select,
+    spread,
+    vec,
+)
+from .support import length
+from .volume import clip_volume
+
+_NONE = wp.constant(wp.uint32(0))
+# Clips with the volume in a round: in the first rounds, and at most in the later ones.
+_VOLUME_CLIPS = wp.constant(3)
+_MOST_VOLUME_CLIPS = wp.constant(8)
+# Clips with a facet in a round.
+_FACET_STEPS = wp.constant(4)
+# Clips with a direction that turns with a side.
+_TURN_STEPS = wp.constant(2)
+
+
+is_euclidean = is_ball(norm)
+
+unit = UNIT_ROUNDOFF[real]
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+settled = wp.constant(real(8.0 * unit))  # a gain of the volume that is rounding only
+quarter = wp.constant(real(0.25))
+patience = wp.constant(real(3.0))
+huge = wp.constant(real(1.0e30))
+stall_errors = wp.constant(real(128.0))
+box_errors = wp.constant(real(256.0))
+floor_errors = wp.constant(real(8.0))
+
+
+@wp.struct
+class LaneReached:
+    """Where the lanes are."""
+
+    t: Lanes
+    u: Lanes  # weights of the contact
+    v: Lanes
+    point: Vec3
+    iterations: Lanes
+    gap: Lanes  # squared length of the last direction
+    slow: Lanes  # rounds with little progress
+    open: Mask
+    free: Mask
+    contact: Mask
+
+
+@simd.func
+def start(t: Lanes, open: wp.uint32) -> LaneReached:
+    """Lanes at a time, of which some are open."""
+    r = LaneReached()
+    r.t = t
+    r.open = mask_of(open)
+    r.iterations = spread(zero)
+    r.gap = spread(huge)
+    r.slow = spread(zero)
+    return r
+
+
+@wp.struct
+class LaneStep:
+    """What the direction of the closest pair shows at a time t."""
+
+    t: Lanes  # time up to which it separates, 2 if beyond the end
+    gap: Lanes  # square of the gap
+    number: Lanes  # of the facet that separates farthest, where one is taken
+    floor: Vec3  # size of the closest point below which the gap may consist of rounding errors only
+    at_floor: Mask  # whether it does
+    is_near: Mask  # whether it is few times as large
+
+
+if is_euclidean:
+
+    @simd.func
+    def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
+        """The point of a patch with given weights."""
+        cu = one - u
+        cv = one - v
+        return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
+
+    @simd.func
+    def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
+        """Clip with the direction that the closest pair will have where it reaches the ball, fixed and turning.
+
+        d is its direction and length at t, with the velocity of its point; c are the corners at t.
+        """
+        h = time_to_ball(d, velocity, n.separation.x, end - t)
+        ahead = with_largest_one(d + h * velocity)
+        s = clip_beyond(ahead, offset(ahead, n.error, n.separation), t, n.t0, n.t1, is_face)
+        side = turn_along(c, with_largest_one(d), corners_at(n.t0, n.t1, t + h), ahead, is_face)
+        turned = clip_turn(n.t0, n.t1, n.separation, n.error, side, t, end, _TURN_STEPS)
+        return greatest(s, turned)
+
+    @simd.func
+    def step_from(
+        n: LanePair, volume: Volume, c: Corners, near: LaneClosest, is_face: bool, open: Mask, t: Lanes, end: Lanes
+    ) -> LaneStep:
+        """Clip the open lanes beyond the ball; c are the corners at t, and near their closest point."""
+        r = LaneStep()
+        r.number = spread(zero)
+        r.floor = floor_errors * n.error
+        r.at_floor = is_in_ball(near.d, r.floor, n.separation)
+        r.is_near = is_in_ball(near.d, stall_errors * n.error, n.separation)
+        gap = length(near.d) - n.separation.x
+        r.gap = gap * gap
+        d = with_largest_one(near.d)
+        r.t = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_face)
+        turns = open & is_at_most(r.t, end) & opposite(r.at_floor)
+        if bits_of(turns) != _NONE:
+            velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
+            r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
+        return r
+
+    @simd.func
+    def is_contact(n: LanePair, point: Vec3, floor: Vec3) -> Mask:
+        """Whether the gap at a point is at most the tolerance."""
+        return is_in_ball(point, floor, n.separation + n.delta)
+
+else:
+
+    @simd.func
+    def is_contact(n: LanePair, point: Vec3, floor: Vec3) -> Mask:
+        """Whether the gap at a point is at most the tolerance."""
+        return is_within(point, floor + n.delta)
+
+
+if with_facets and not is_euclidean:
+
+    @simd.func
+    def needs_facets(n: LanePair, volume: Volume) -> Mask:
+        """Whether only the facets of the patch and its separation box bring a pair all the way to a contact."""
+        # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
+        return volume.is_flat | opposite(is_within(n.separation, box_errors * n.error))
+
+    @simd.func
+    def step_from(
+        n: LanePair, volume: Volume, c: Corners, near: LaneClosest, is_face: bool, open: Mask, t: Lanes, end: Lanes
+    ) -> LaneStep:
+        """Clip the open lanes beyond the separation box, of which some take the facet that separates farthest."""
+        r = LaneStep()
+        r.number = spread(zero)
+        r.floor = n.separation + floor_errors * n.error
+        r.at_floor = is_within(near.d, r.floor)
+        r.is_near = is_within(near.d, n.separation + stall_errors * n.error)
+        r.gap = dot(near.d, near.d)
+        r.t = clip(near.d, n.error + n.separation, t, n.t0, n.t1, is_face)
+        turns = open & needs_facets(n, volume)
+        if bits_of(turns) != _NONE:
+            facet = widest_facet(c, n.separation, n.error, is_face)
+            s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
+            r.number = select(turns, facet.number, r.number)
+            r.t = select(turns, greatest(r.t, select(is_less(zero, facet.slack), s, t)), r.t)
+            r.at_floor = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & r.at_floor)
+            r.gap = select(turns, facet.slack * facet.slack, r.gap)
+        return r
+
+elif not is_euclidean:
+
+    @simd.func
+    def step_from(
+        n: LanePair, volume: Volume, c: Corners, near: LaneClosest, is_face: bool, open: Mask, t: Lanes, end: Lanes
+    ) -> LaneStep:
+        """Clip pairs without a separation."""
+        r = LaneStep()
+        r.number = spread(zero)
+        r.floor = floor_errors * n.error
+        r.at_floor = is_within(near.d, r.floor)
+        r.is_near = is_within(near.d, stall_errors * n.error)
+        r.gap = dot(near.d, near.d)
+        r.t = clip(near.d, n.error, t, n.t0, n.t1, is_face)
+        return r
+
+
+if with_facets:
+
+    @simd.func
+    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+        """Clip open lanes until the volume gains nothing more: in later rounds most are about to be contacts.
+
+        Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
+        """
+        x = end
+        free = mask_of(_NONE)
+        moving = open
+        steps = int(0)
+        while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
+            s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
+            free = free | (moving & now_free)
+            gains = is_less(settled, s - t)
+            t = select(moving, s, t)
+            x = select(moving, next_x, x)
+            moving = moving & gains & opposite(now_free)
+            steps += 1
+        return t, free, opposite(moving)
+
+else:
+
+    @simd.func
+    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+        """Clip all lanes a few times.
+
+        Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
+        """
+        x = end
+        free = mask_of(_NONE)
+        last = t
+        for _ in range(_VOLUME_CLIPS):
+            last = t
+            t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
+            free = free | now_free
+            if bits_of(open & opposite(free)) == _NONE:
+                break
+        return t, free, is_at_most(t - last, settled)
+
+
+@simd.func
+def advance_round(
+    kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
+) -> LaneReached:
+    """One round of the lanes that are open.
+
+    Invariant: each pair is free of contact on [0, t).
+    """
+    is_face = kind == VERTEX_FACE
+    end = spread(t_end)
+    t, free, is_settled = clip_with_volume(n, volume, has_separation, reached.open, reached.t, end)
+    r = reached
+    r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
+    still_open = reached.open & opposite(free)
+    if bits_of(still_open) == _NONE:
+        # the volume alone has settled all lanes
+        r.free = reached.open
+        r.contact = still_open
+        r.open = still_open
+        return r
+    c = corners_at(n.t0, n.t1, t)
+    near = closest(c, is_face)
+    step = step_from(n, volume, c, near, is_face, still_open, t, end)
+    free = free | is_less(end, step.t)
+    has_stalled = is_at_most(patience, reached.slow) & step.is_near
+    claims = (step.at_floor & is_settled) | has_stalled
+    point = near.point
+    touches = is_contact(n, point, step.floor)
+    if wp.static(with_facets and not is_euclidean):
+        # of a patch at the corner of a separation box another point may touch than the closest one
+        has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
+        others = still_open & claims & has_box & opposite(touches | free)
+        if bits_of(others) != _NONE:
+            size = step.floor + n.delta
+            point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
+            touches = is_contact(n, point, step.floor)
+    contact = still_open & claims & touches & opposite(free)
+    r.u = select(contact, near.u, reached.u)
+    r.v = select(contact, near.v, reached.v)
+    r.point = select(contact, point, reached.point)
+    is_small = is_less(step.t - reached.t, quarter * (end - reached.t))
+    is_slow = is_small & is_less(quarter * reached.gap, step.gap)
+    r.slow = select(is_slow, reached.slow + one, reached.slow)
+    r.gap = step.gap
+    r.t = select(reached.open, select(contact, t, step.t), reached.t)
+    r.free = reached.open & free
+    r.contact = contact
+    # a lane that gains nothing needs other tools
+    r.open = reached.open & is_less(reached.t, step.t) & opposite(free | contact)
+    return r

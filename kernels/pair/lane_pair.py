@@ -1,0 +1,238 @@
+"""Pairs in lanes: their differences are formed and scaled, one pair in each lane.
+
+This is `normalise` of `solver`, step by step: differences in float64 (rounding, step 1), each axis multiplied by a
+power of two (step 2). A pair whose coordinates come near overflow, or are not finite, is left to the solver for single
+pairs.
+"""
+
+import warp as wp
+
+from ..parameters import norm, real, width
+from ..template import specialised
+from . import simd
+from .norm import is_ball, is_by_pair
+from .pair_options import LaneOptions as Options
+from .patch import Corners
+from .points import Points, corners, largest, longest_side, total
+from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
+from .simd import Lanes, Vec3, header, spread, vec
+
+# A separation beyond any corner, in normalised units; small enough for every product in float32.
+_FAR = wp.constant(wp.float64(2.0**60))
+
+
+def _power_of_two(width: int) -> str:
+    """C++ of `inverse_power_of_two` of `rounding` on lanes."""
+    vector = "" if width == 1 else f" __attribute__((ext_vector_type({width})))"
+    return (
+        header(wp.float64, width)
+        + f"    typedef long long Bits64{vector};\n"
+        + """
+    const Lanes a = lanes(x);
+    Bits64 bits;
+    memcpy(&bits, &a, sizeof(bits));
+    const Bits64 mirrored = 2045 - ((bits >> 52) & 0x7FF);
+    const Bits64 one = (Bits64)1;
+    const Bits64 power = (mirrored < one ? one : mirrored) << 52;
+    Lanes r;
+    memcpy(&r, &power, sizeof(r));
+    return of_lanes(r);
+"""
+    )
+
+
+is_euclidean = is_ball(norm)
+has_own = is_by_pair(norm)
+simd64 = specialised("pair.simd", width=width)
+Corners64 = specialised("pair.patch", width=width).Corners
+root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
+round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
+tiny = wp.constant(real(TINY[real]))
+
+
+@wp.func_native(_power_of_two(width))
+def inverse_power_of_two(x: simd64.Lanes) -> simd64.Lanes:
+    """Power of two s with 1/2 <= s·x < 1, as in `rounding`."""
+    ...
+
+
+if real == wp.float64:
+
+    @wp.func
+    def narrowed(x: simd64.Lanes) -> Lanes:
+        """Lanes in the precision of the iteration."""
+        return x
+
+    @wp.func
+    def widened(x: Lanes) -> simd64.Lanes:
+        """Lanes in float64."""
+        return x
+
+elif width == 1:
+
+    @wp.func
+    def narrowed(x: simd64.Lanes) -> Lanes:
+        """Lanes in the precision of the iteration."""
+        return wp.float32(x)
+
+    @wp.func
+    def widened(x: Lanes) -> simd64.Lanes:
+        """Lanes in float64."""
+        return wp.float64(x)
+
+else:
+    typed = f"""
+    typedef double Wide __attribute__((ext_vector_type({width})));
+    typedef float Narrow __attribute__((ext_vector_type({width})));
+    Wide wide;
+    Narrow narrow;
+"""
+
+    narrowed_snippet = (
+        typed
+        + f"""
+    __builtin_memcpy(&wide, &x, sizeof(wide));
+    narrow = __builtin_convertvector(wide, Narrow);
+    wp::vec_t<{width}, float> r;
+    __builtin_memcpy(&r, &narrow, sizeof(narrow));
+    return r;
+"""
+    )
+
+    @wp.func_native(narrowed_snippet)
+    def narrowed(x: simd64.Lanes) -> Lanes:
+        """Lanes in the precision of the iteration."""
+        ...
+
+    widened_snippet = (
+        typed
+        + f"""
+    __builtin_memcpy(&narrow, &x, sizeof(narrow));
+    wide = __builtin_convertvector(narrow, Wide);
+    wp::vec_t<{width}, double> r;
+    __builtin_memcpy(&r, &wide, sizeof(wide));
+    return r;
+"""
+    )
+
+    @wp.func_native(widened_snippet)
+    def widened(x: Lanes) -> simd64.Lanes:
+        """Lanes in float64."""
+        ...
+
+
+@wp.func
+def narrowed(a: simd64.Vec3) -> Vec3:
+    return vec(narrowed(a.x), narrowed(a.y), narrowed(a.z))
+
+
+@wp.struct
+class LanePair:
+    """A pair in each lane, in normalised units; the fields are those of `Patch` and `Problem` in `patch`."""
+
+    t0: Corners
+    t1: Corners
+    error: Vec3
+    separation: Vec3
+    delta: Vec3
+    unit: simd64.Vec3
+    is_valid: wp.uint32  # bits of the lanes that neither overflow nor hold NaN
+
+
+@wp.func
+def normalised(c: Corners64, s: simd64.Vec3) -> Corners:
+    """Corners in normalised units (rounding, step 2)."""
+    r = Corners()
+    r.w00 = narrowed(simd64.scaled(c.w00, s))
+    r.w01 = narrowed(simd64.scaled(c.w01, s))
+    r.w10 = narrowed(simd64.scaled(c.w10, s))
+    r.w11 = narrowed(simd64.scaled(c.w11, s))
+    r.q = narrowed(simd64.scaled(c.q, s))
+    r.r = narrowed(simd64.scaled(c.r, s))
+    return r
+
+
+@simd64.func
+def is_finite(sums: simd64.Vec3) -> wp.uint32:
+    """Bits of the lanes whose differences neither overflow nor hold NaN."""
+    limit = simd64.spread(LARGEST)
+    fits = simd64.is_at_most(sums.x, limit) & simd64.is_at_most(sums.y, limit)
+    return simd64.bits_of(fits & simd64.is_at_most(sums.z, limit))
+
+
+@simd64.func
+def capped(length: simd64.Lanes, s: simd64.Lanes) -> simd64.Lanes:
+    """A length in normalised units; corners are below 4, so anything larger has the effect of `_FAR`."""
+    return simd64.least(length * s, _FAR)
+
+
+@simd.func
+def with_bounds(n: LanePair, size: Vec3, separation: Vec3, delta: Vec3) -> LanePair:
+    """Set the rounding bound of a projection, the separation and the largest gap that counts as contact."""
+    least_error = spread(tiny)
+    n.error = root_bound * size + vec(least_error, least_error, least_error)
+    n.separation = round_up * separation
+    n.delta = delta + n.error + n.error
+    return n
+
+
+@simd64.func
+def scaled_pair(
+    n: LanePair,
+    c0: Corners64,
+    c1: Corners64,
+    m: simd64.Vec3,  # largest corners
+    s: simd64.Vec3,  # factors
+    separation_length: simd64.Lanes,
+    delta_length: simd64.Lanes,
+) -> LanePair:
+    """The pair with its axes multiplied by powers of two."""
+    one = simd64.spread(wp.float64(1.0))
+    n.unit = simd64.vec(one / s.x, one / s.y, one / s.z)
+    n.t0 = normalised(c0, s)
+    n.t1 = normalised(c1, s)
+    separation = simd64.vec(
+        capped(separation_length, s.x), capped(separation_length, s.y), capped(separation_length, s.z)
+    )
+    # a separation that is cut is left to the solver for single pairs
+    far = simd64.spread(_FAR)
+    is_cut = simd64.is_at_most(far, separation.x) | simd64.is_at_most(far, separation.y)
+    n.is_valid = n.is_valid & ~simd64.bits_of(is_cut | simd64.is_at_most(far, separation.z))
+    delta = simd64.vec(capped(delta_length, s.x), capped(delta_length, s.y), capped(delta_length, s.z))
+    return with_bounds(n, narrowed(simd64.scaled(m, s)), narrowed(separation), narrowed(delta))
+
+
+@simd64.func
+def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options) -> LanePair:
+    """Form the differences and scale each axis by a power of two (rounding, steps 1 and 2)."""
+    n = LanePair()
+    c0 = corners(kind, points_t0)
+    c1 = corners(kind, points_t1)
+    n.is_valid = is_finite(total(c0) + total(c1))
+    scale = simd64.spread(options.length_scale)
+    if options.length_scale <= wp.float64(0.0):
+        scale = longest_side(points_t0, points_t1)
+        n.is_valid = n.is_valid & simd64.bits_of(simd64.is_at_most(scale, LARGEST))
+    limit = simd64.spread(LARGEST)
+    delta_length = simd64.least(options.tolerance * scale, limit)
+    if wp.static(has_own):
+        separation_length = simd64.least(options.minimum_separation, limit)  # one in each lane
+    else:
+        separation_length = simd64.least(options.minimum_separation * scale, limit)
+    m = simd64.greatest(largest(c0), largest(c1))
+    most = simd64.greatest(m.x, simd64.greatest(m.y, m.z))
+    if wp.static(has_own):
+        separation_length = simd64.greatest(separation_length - options.margin * most, wp.float64(0.0))
+    if wp.static(is_euclidean):
+        # a length, and one scale for all axes, so that the ball stays a ball
+        if wp.static(not has_own):
+            separation_length = simd64.least(options.minimum_separation, limit)
+        shared = inverse_power_of_two(simd64.greatest(most, delta_length))
+        return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation_length, delta_length)
+    # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
+    s = simd64.vec(
+        inverse_power_of_two(simd64.greatest(m.x, delta_length)),
+        inverse_power_of_two(simd64.greatest(m.y, delta_length)),
+        inverse_power_of_two(simd64.greatest(m.z, delta_length)),
+    )
+    return scaled_pair(n, c0, c1, m, s, separation_length, delta_length)

@@ -1,0 +1,191 @@
+"""The lanes of the narrow phase: what the rounds of `lane_advance` settle for several pairs at once.
+
+`first_rounds` takes pairs as they come: two rounds, which are all that most pairs need. What they leave open is packed
+into full vectors again, and `later_rounds` takes it from there, with the facets of `facets` for pairs that have a
+minimum separation or lie in one plane.
+"""
+
+import warp as wp
+
+from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
+from ..parameters import norm, real, width
+from ..template import specialised
+from . import ball, facets, simd
+from .lane_pair import LanePair, narrowed, normalise, widened
+from .norm import EUCLIDEAN_NORM, is_ball, is_by_pair
+from .pair_options import LaneOptions as Options
+from .points import Points
+from .query import CLIPPING
+from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
+from .simd import Lanes, bits_of, greatest, least, magnitude, mask_of, spread
+from .volume import volume_of
+
+# Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
+FIRST_ROUNDS = wp.constant(2)
+_LATER_ROUNDS = wp.constant(8)
+_NONE = wp.constant(wp.uint32(0))
+
+
+is_euclidean = is_ball(norm)
+has_own = is_by_pair(norm)
+simd64 = specialised("pair.simd", width=width)
+start_gap_share = (ball if is_euclidean else facets).start_gap_share
+length64 = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
+three = wp.constant(real(3.0))
+round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
+length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+all_lanes = wp.constant(wp.uint32((1 << width) - 1))
+
+
+@wp.struct
+class LaneAnswer:
+    """What is known of the pair in each lane: free, or in contact at t, or free on [0, t)."""
+
+    free: wp.uint32  # bits of the lanes
+    contact: wp.uint32
+    t: simd64.Lanes
+    u: simd64.Lanes  # parameters of a contact, as reported
+    v: simd64.Lanes
+    gap: simd64.Lanes
+    iterations: simd64.Lanes
+
+
+if has_own:
+
+    @wp.func
+    def has_distance(options: Options) -> bool:
+        """Whether a pair may have a separation: the distance of any of them may be above 0."""
+        return True
+
+else:
+
+    @wp.func
+    def has_distance(options: Options) -> bool:
+        """Whether the pairs have a separation."""
+        return options.minimum_separation > wp.float64(0.0)
+
+
+@simd.func
+def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
+    """Upper bound of a coordinate of a point beyond the separation."""
+    return magnitude(size) + three * error - round_down * separation
+
+
+# not out of line for plain numbers: on CUDA the later rounds have a kernel of their own, and a call passes structs
+# through memory
+@(simd.rare if width > 1 else simd.func)
+def with_start_gap(n: LanePair, is_face: bool, fraction: real) -> LanePair:
+    """Reduce the separation to a fraction of the gap at the start, where that is smaller."""
+    share = fraction * start_gap_share(n.t0, is_face, n.separation, n.error)
+    share = least(greatest(share, real(0.0)) * round_down, real(1.0))
+    n.separation = share * n.separation
+    return n
+
+
+def make_solve(with_facets: bool):
+    advance = specialised("pair.lane_advance", norm=norm, real=real, width=width, with_facets=with_facets)
+    LaneReached = advance.LaneReached
+    advance_round = advance.advance_round
+    start = advance.start
+
+    @simd64.func
+    def gap_of(n: LanePair, reached: LaneReached) -> simd64.Lanes:
+        """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
+        if wp.static(is_euclidean):
+            nothing = spread(real(0.0))
+            x64 = widened(beyond(reached.point.x, n.error.x, nothing))
+            y64 = widened(beyond(reached.point.y, n.error.y, nothing))
+            z64 = widened(beyond(reached.point.z, n.error.z, nothing))
+            all64 = length64(simd64.vec(x64, y64, z64)) * length_up
+            more = all64 - widened(n.separation.x) * slack_down
+            return simd64.greatest(more * length_up, wp.float64(0.0)) * n.unit.x
+        x = widened(beyond(reached.point.x, n.error.x, n.separation.x)) * n.unit.x
+        y = widened(beyond(reached.point.y, n.error.y, n.separation.y)) * n.unit.y
+        z = widened(beyond(reached.point.z, n.error.z, n.separation.z)) * n.unit.z
+        return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
+
+    @wp.func
+    def solve(
+        kind: int,
+        points_t0: Points,
+        points_t1: Points,
+        options: Options,
+        lanes: wp.uint32,
+        t_start: simd64.Lanes,
+        num_rounds: int,
+        bound: wp.float64,
+    ) -> LaneAnswer:
+        """Advance the pairs of the given lanes by some rounds, or until they are free up to a bound."""
+        answer = LaneAnswer()
+        n = normalise(kind, points_t0, points_t1, options)
+        open = n.is_valid & lanes
+        if wp.static(with_facets):
+            if has_distance(options) and options.start_gap_fraction > wp.float64(0.0):
+                n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
+        has_separation = bool(False)
+        if wp.static(with_facets):
+            has_separation = has_distance(options)
+        volume = volume_of(n.t0, n.t1, n.separation, has_separation)
+        reached = start(narrowed(t_start), open)
+        rounds = int(0)
+        while open != _NONE and rounds < num_rounds:
+            reached = advance_round(kind, n, volume, has_separation, options.t_end, reached)
+            answer.free = answer.free | bits_of(reached.free)
+            answer.contact = answer.contact | bits_of(reached.contact)
+            # what is free up to the bound needs no better answer
+            open = bits_of(reached.open) & simd64.bits_of(simd64.is_less(widened(reached.t), bound))
+            reached.open = mask_of(open)
+            rounds += 1
+        if answer.contact != _NONE:
+            answer.gap = gap_of(n, reached)
+            answer.u = widened(reached.v)
+            answer.v = widened(reached.u)
+            if kind == EDGE_EDGE or kind == POINT_POINT:
+                answer.u = widened(reached.u)
+                answer.v = widened(reached.v)
+        answer.t = widened(reached.t)
+        answer.iterations = widened(reached.iterations)
+        return answer
+
+    return solve
+
+
+solve_plain = make_solve(with_facets=False)
+solve_full = make_solve(with_facets=True)
+
+
+@wp.func
+def first_rounds(
+    kind: int, points_t0: Points, points_t1: Points, options: Options, cap: int, bound: wp.float64
+) -> LaneAnswer:
+    """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound.
+
+    They have no minimum separation.
+    """
+    t = simd64.spread(wp.float64(0.0))
+    return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
+
+
+@(simd64.rare if width > 1 else simd64.func)
+def later_rounds(
+    kind: int,
+    points_t0: Points,
+    points_t1: Points,
+    options: Options,
+    lanes: wp.uint32,
+    t_start: simd64.Lanes,
+    used: simd64.Lanes,
+    cap: int,
+    bound: wp.float64,
+) -> LaneAnswer:
+    """Advance the given lanes on from a time, after ``used`` iterations each."""
+    rounds = cap
+    if not has_distance(options):
+        rounds -= FIRST_ROUNDS
+    if options.method != CLIPPING:
+        rounds = 0
+    rounds = wp.min(rounds, _LATER_ROUNDS)
+    answer = solve_full(kind, points_t0, points_t1, options, lanes, t_start, rounds, bound)
+    answer.iterations = answer.iterations + used
+    return answer

@@ -1,0 +1,112 @@
+"""The options of single pairs: with radii, and where pairs are held, each has a distance of its own.
+
+Otherwise they are those of the query.
+"""
+
+import warp as wp
+
+from ..boxes.thickness import distance_of
+from ..pair_key import pair_of
+from ..parameters import norm, real, width
+from ..template import specialised
+from .hold import MARGIN, held_at
+from .norm import is_ball, is_by_pair
+from .query import Options
+
+Lanes = specialised("pair.simd", width=width).Lanes
+Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
+lanes = wp.constant(width)
+infinite = wp.constant(wp.float64(float("inf")))
+margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
+
+if not is_by_pair(norm):
+
+    @wp.func
+    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
+        """The options of a pair, given by the vertices of its primitives."""
+        return options
+
+    @wp.func
+    def options_of_rows(
+        options: Options,
+        pairs: wp.array[wp.int64],
+        rows: Index,
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+    ) -> Options:
+        """The options of the pair in each lane, given by its place in the list of keys."""
+        return options
+
+    LaneOptions = Options
+else:
+
+    @wp.func
+    def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
+        """The options of a pair, given by the vertices of its primitives."""
+        options.minimum_separation = distance_of(options.minimum_separation, options.radius, first, second)
+        held = held_at(options.hold, first, second)
+        if held < infinite:
+            options.minimum_separation = wp.min(options.minimum_separation, held)
+            options.margin = margin
+        return options
+
+    @wp.func
+    def of_key(
+        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
+    ) -> Options:
+        """The options of a pair; the key of an open pair is its complement."""
+        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
+        return options_of_pair(options, first_corners[pair[0]], second_corners[pair[1]])
+
+    if width == 1:
+        LaneOptions = Options
+
+        @wp.func
+        def options_of_rows(
+            options: Options,
+            pairs: wp.array[wp.int64],
+            row: int,
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+        ) -> LaneOptions:
+            """The options of a pair, given by its place in the list of keys."""
+            return of_key(pairs[row], first_corners, second_corners, options)
+
+    else:
+
+        @wp.struct
+        class LaneOptions:
+            """What the lanes take of the options of a query, with a distance for the pair in each lane."""
+
+            tolerance: wp.float64
+            minimum_separation: Lanes
+            margin: Lanes
+            start_gap_fraction: wp.float64
+            length_scale: wp.float64
+            t_end: real
+            method: int
+
+        @wp.func
+        def options_of_rows(
+            options: Options,
+            pairs: wp.array[wp.int64],
+            rows: Index,
+            first_corners: wp.array[wp.vec3i],
+            second_corners: wp.array[wp.vec3i],
+        ) -> LaneOptions:
+            """The options of the pair in each lane, given by its place in the list of keys."""
+            own = LaneOptions()
+            own.tolerance = options.tolerance
+            distances = Lanes()
+            margins = Lanes()
+            for k in range(lanes):
+                of_pair = of_key(pairs[rows[k]], first_corners, second_corners, options)
+                distances[k] = of_pair.minimum_separation
+                margins[k] = of_pair.margin
+            own.minimum_separation = distances
+            own.margin = margins
+            own.start_gap_fraction = options.start_gap_fraction
+            own.length_scale = options.length_scale
+            own.t_end = options.t_end
+            own.method = options.method
+            return own

@@ -1,0 +1,282 @@
+"""The solver of a single pair: its earliest time of impact, for every pair kind and both precisions.
+
+The corners of the patch are formed (differences first, in float64), each axis is normalised by a power of two, and the
+whole patch is advanced; only a pair whose advance is slow is subdivided.
+"""
+
+import warp as wp
+
+from ..pair_kind import VERTEX_FACE
+from ..parameters import norm, real
+from ..template import specialised
+from . import ball, facets
+from .advance import CONTACT, LIMIT, SLOW, advance, point_of
+from .answer import Answer, parameters
+from .bisection import bisect
+from .closest_point import closest_weights
+from .norm import EUCLIDEAN_NORM, is_ball, is_by_pair
+from .patch import Corners, corners_at
+from .points import Points, corners, largest, longest_side, scaled, total
+from .query import BISECTION, Options
+from .rounding import (
+    LARGEST,
+    PROJECTION_PATCH,
+    PROJECTION_ROOT,
+    RELATIVE,
+    SLACK,
+    TINY,
+    UNIT_ROUNDOFF,
+    inverse_power_of_two,
+)
+from .status import (
+    STATUS_COLLISION,
+    STATUS_INITIAL_CONTACT,
+    STATUS_INVALID,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+)
+from .sub_patch import Patch, Problem
+from .subdivide import subdivide
+from .volume import volume_of
+
+# A separation beyond any corner, in normalised units; small enough for every product in float32.
+FAR = wp.constant(wp.float64(2.0**60))
+
+vec3d = wp.vec3d
+
+
+is_euclidean = is_ball(norm)
+has_own = is_by_pair(norm)
+vec3 = wp.types.vector(length=3, dtype=real)
+Corners64 = specialised("pair.patch").Corners
+root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
+patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
+start_gap_share = (ball if is_euclidean else facets).start_gap_share
+length64 = specialised("pair.support", norm=EUCLIDEAN_NORM).length
+round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
+slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
+length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+tiny = wp.constant(real(TINY[real]))
+
+
+@wp.func
+def normalised(c: Corners64, s: vec3d) -> Corners:
+    """Corners in normalised units (rounding, step 2)."""
+    r = Corners()
+    r.w00 = vec3(wp.cw_mul(c.w00, s))
+    r.w01 = vec3(wp.cw_mul(c.w01, s))
+    r.w10 = vec3(wp.cw_mul(c.w10, s))
+    r.w11 = vec3(wp.cw_mul(c.w11, s))
+    r.q = vec3(wp.cw_mul(c.q, s))
+    r.r = vec3(wp.cw_mul(c.r, s))
+    return r
+
+
+@wp.struct
+class Outcome:
+    """The reported result of a pair."""
+
+    toi: wp.float64
+    status: int
+    parameters: wp.vec2d
+    gap: wp.float64
+    width: wp.float64
+    iterations: int
+
+
+@wp.struct
+class Normalised:
+    """A pair in normalised units."""
+
+    patch: Patch
+    problem: Problem
+    size: vec3  # largest corner, per axis
+    unit: vec3d  # length of a normalised unit, per axis
+    is_valid: bool
+
+
+@wp.func
+def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options) -> Normalised:
+    """Form the corners and scale each axis by a power of two (rounding, steps 1 and 2)."""
+    n = Normalised()
+    c0 = corners(kind, points_t0)
+    c1 = corners(kind, points_t1)
+    sums = total(c0) + total(c1)
+    one = wp.float64(1.0)
+    smaller = wp.float64(1.0 / 1024.0)
+    pre = vec3d(one, one, one)
+    if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
+        # an overflow, or NaN in the input: try again with the axes that overflowed at 1/1024 of their size
+        for k in range(3):
+            if wp.static(is_euclidean) or not sums[k] <= LARGEST:
+                pre[k] = smaller
+        c0 = corners(kind, scaled(points_t0, pre))
+        c1 = corners(kind, scaled(points_t1, pre))
+        sums = total(c0) + total(c1)
+    n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
+    if n.is_valid:
+        # lengths are scaled by 1/1024 as well where the points or their box come near overflow
+        shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
+        scale = options.length_scale * shrink
+        if scale <= wp.float64(0.0):
+            scale = longest_side(points_t0, points_t1)
+            if shrink < one or not scale <= LARGEST:
+                shrink = smaller
+                small = vec3d(smaller, smaller, smaller)
+                scale = longest_side(scaled(points_t0, small), scaled(points_t1, small))
+        delta_length = wp.min(options.tolerance * scale, LARGEST)
+        separation_length = wp.min(options.minimum_separation * scale, LARGEST)
+        m = wp.max(largest(c0), largest(c1))
+        reach = m  # what fits into a normalised unit
+        if wp.static(is_euclidean):
+            # a length, and one scale for all axes, so that the ball stays a ball
+            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+            reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
+        if wp.static(has_own):
+            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+            size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
+            separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
+        s = vec3d()
+        is_cut = bool(False)
+        for k in range(3):
+            # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
+            unit = pre[k] / shrink
+            s[k] = inverse_power_of_two(wp.max(reach[k], delta_length * unit))
+            n.unit[k] = one / s[k] / pre[k]
+            # corners are below 4 in these units, so a separation or tolerance above FAR has the effect of FAR
+            length = wp.min(separation_length * unit * s[k], FAR)
+            is_cut = is_cut or length == FAR
+            n.problem.separation[k] = real(length) * round_up
+            length = wp.min(delta_length * unit * s[k], FAR)
+            n.problem.delta[k] = real(length)
+        n.size = vec3(wp.cw_mul(m, s))
+        n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
+        n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+        n.problem.has_separation = separation_length > wp.float64(0.0)
+        n.patch.t0 = normalised(c0, s)
+        n.patch.t1 = normalised(c1, s)
+        n.patch.is_face = kind == VERTEX_FACE
+        n.patch.is_triangle = kind == VERTEX_FACE
+        n.patch.narrowing = wp.where(kind == VERTEX_FACE, real(0.0), real(1.0))
+        if options.start_gap_fraction > wp.float64(0.0) and n.problem.has_separation and not is_cut:
+            share = start_gap_share(n.patch.t0, n.patch.is_face, n.problem.separation, n.problem.error)
+            share = wp.max(share * real(options.start_gap_fraction), real(0.0)) * round_down
+            if share < real(1.0):
+                n.problem.separation = share * n.problem.separation
+                n.problem.has_separation = share > real(0.0)
+        n.problem.volume = volume_of(n.patch.t0, n.patch.t1, n.problem.separation, n.problem.has_separation)
+    return n
+
+
+@wp.func
+def gap_of(point: vec3, n: Normalised) -> wp.float64:
+    """Upper bound of the gap beyond the separation, in its norm, at a point of the patch, as a length."""
+    gap = wp.float64(0.0)
+    if wp.static(is_euclidean):
+        x = vec3d(wp.abs(point) + real(3.0) * n.problem.error)
+        gap = length64(x) * length_up - wp.float64(n.problem.separation[0]) * slack_down
+        return wp.max(gap * length_up, wp.float64(0.0)) * n.unit[0]
+    for k in range(3):
+        # the separation was rounded up, and the point carries the errors of a corner and of its interpolation
+        beyond = wp.abs(point[k]) + real(3.0) * n.problem.error[k] - round_down * n.problem.separation[k]
+        if beyond > real(0.0):
+            gap = wp.max(gap, wp.float64(beyond) * n.unit[k])
+    return gap
+
+
+@wp.func
+def to_lengths(n: Normalised) -> vec3:
+    """Factors that convert corners to lengths, up to a factor common to all axes."""
+    largest = wp.max(wp.max(n.unit[0], n.unit[1]), n.unit[2])
+    if largest <= LARGEST:
+        return vec3(n.unit / largest)
+    return vec3(real(1.0), real(1.0), real(1.0))
+
+
+@wp.func
+def closest_in_space(n: Normalised, t: real):
+    """Weights of the closest point at a time, in the Euclidean norm of lengths."""
+    c = corners_at(n.patch.t0, n.patch.t1, t)
+    s = to_lengths(n)
+    wb, wc, from_w11 = closest_weights(
+        wp.cw_mul(s, c.w00),
+        wp.cw_mul(s, c.w01),
+        wp.cw_mul(s, c.w10),
+        wp.cw_mul(s, c.w11),
+        n.patch.is_triangle,
+    )
+    return wb, wc, from_w11
+
+
+@wp.func
+def closest_parameters(kind: int, n: Normalised, t: real) -> wp.vec2d:
+    """Parameters of the closest point at a time."""
+    wb, wc, from_w11 = closest_in_space(n, t)
+    return parameters(kind, real(0.0), real(1.0), real(0.0), real(1.0), wb, wc, from_w11)
+
+
+@wp.func
+def closest_point(n: Normalised, t: real) -> vec3:
+    """The closest point at a time, in normalised units."""
+    wb, wc, from_w11 = closest_in_space(n, t)
+    return point_of(corners_at(n.patch.t0, n.patch.t1, t), wb, wc, from_w11)
+
+
+@wp.func
+def solve(kind: int, n: Normalised, options: Options, t_start: real, used: int, max_iterations: int) -> Outcome:
+    """Earliest toi of one pair that is free on [0, t_start), inf if none; ``used`` iterations have been made."""
+    outcome = Outcome()
+    outcome.toi = wp.float64(wp.inf)
+    outcome.status = STATUS_NO_COLLISION
+    if not n.is_valid:
+        outcome.toi = wp.float64(0.0)
+        outcome.status = STATUS_INVALID
+        outcome.gap = wp.float64(wp.inf)
+        outcome.width = options.t_max
+    else:
+        answer = Answer()
+        patch_error = patch_bound * n.size + vec3(tiny, tiny, tiny)
+        if options.method == BISECTION:
+            n.problem.error = patch_error
+            if wp.static(is_euclidean):
+                n.problem.delta = real(0.5) * n.problem.delta  # the diagonal of a box that counts as contact
+            n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+            answer = bisect(kind, n.patch, n.problem, options.t_end, max_iterations, options.stop)
+        else:
+            reached = advance(n.patch, n.problem, t_start, options.t_end, max_iterations - used)
+            if reached.outcome == SLOW:
+                n.problem.error = patch_error
+                n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
+                left = max_iterations - used - reached.iterations
+                answer = subdivide(kind, n.patch, n.problem, reached.t, options.t_end, left, options.stop)
+                answer.iterations += used + reached.iterations
+            else:
+                answer.toi = reached.t
+                answer.iterations = used + reached.iterations
+                if reached.outcome == CONTACT:
+                    answer.status = STATUS_COLLISION
+                elif reached.outcome == LIMIT:
+                    answer.status = STATUS_ITERATION_LIMIT
+                answer.point = reached.point
+                answer.parameters = parameters(
+                    kind, real(0.0), real(1.0), real(0.0), real(1.0), reached.wb, reached.wc, reached.from_w11
+                )
+        outcome.iterations = answer.iterations
+        if answer.status != STATUS_NO_COLLISION and wp.float64(answer.toi) <= options.t_max:
+            outcome.toi = wp.float64(answer.toi)
+            outcome.status = answer.status
+            outcome.width = wp.float64(answer.width)
+            is_open = answer.status != STATUS_COLLISION
+            if not is_open and answer.toi == real(0.0):
+                outcome.status = STATUS_INITIAL_CONTACT
+            if is_open or n.problem.has_separation or options.method == BISECTION:
+                # the toi is the earliest time still open, on any sub-patch; or the point is one within the
+                # separation, or a corner of a box of the bisection, which need not be the closest
+                answer.parameters = closest_parameters(kind, n, answer.toi)
+                if is_open:
+                    answer.point = closest_point(n, answer.toi)
+                    outcome.width = options.t_max - outcome.toi
+            outcome.parameters = answer.parameters
+            outcome.gap = gap_of(answer.point, n)
+    return outcome

@@ -1,0 +1,131 @@
+"""Bisection of a patch in (u, v) with a stack of fixed depth, for patches on which single directions clip little."""
+
+import warp as wp
+
+from ..interrupts import is_stopped
+from ..parameters import real
+from .advance import CONTACT, LIMIT, SLOW, Reached, advance
+from .answer import STACK_DEPTH, Answer, parameters
+from .rounding import MAX_SPLITS
+from .status import STATUS_COLLISION, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION, STATUS_RESOLUTION_LIMIT
+from .sub_patch import Patch, Problem, sub_corners
+
+box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
+narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
+half = wp.constant(real(0.5))
+depth = wp.constant(STACK_DEPTH)
+
+
+@wp.func
+def length_u(patch: Patch) -> real:
+    """Largest length (L∞) of the patch along u, on both sides and at both ends of the step."""
+    at_v0 = wp.max(wp.max(wp.abs(patch.t0.w10 - patch.t0.w00)), wp.max(wp.abs(patch.t1.w10 - patch.t1.w00)))
+    at_v1 = wp.max(wp.max(wp.abs(patch.t0.w11 - patch.t0.w01)), wp.max(wp.abs(patch.t1.w11 - patch.t1.w01)))
+    return wp.max(at_v0, at_v1)
+
+
+@wp.func
+def length_v(patch: Patch) -> real:
+    """The same along v."""
+    at_u0 = wp.max(wp.max(wp.abs(patch.t0.w01 - patch.t0.w00)), wp.max(wp.abs(patch.t1.w01 - patch.t1.w00)))
+    at_u1 = wp.max(wp.max(wp.abs(patch.t0.w11 - patch.t0.w10)), wp.max(wp.abs(patch.t1.w11 - patch.t1.w10)))
+    return wp.max(at_u0, at_u1)
+
+
+@wp.func
+def closest_along(reached: Reached, along_u: bool) -> real:
+    """Parameter of the closest point within the patch, in [0, 1], along u or v."""
+    weight = wp.where(along_u, reached.wc, reached.wb)
+    opposite = wp.where(along_u, reached.wb, reached.wc)
+    return wp.where(reached.from_w11, real(1.0) - opposite, weight)
+
+
+@wp.func
+def subdivide(
+    kind: int,
+    root: Patch,
+    problem: Problem,
+    t_start: real,
+    t_max: real,
+    max_iterations: int,
+    stop: wp.array[wp.int32],
+) -> Answer:
+    """Earliest contact of a patch that is free on [0, t_start).
+
+    Invariant: every contact lies on a patch of the stack, or at or after ``toi``. A patch is halved across its
+    longer side, and the half with the closest point is searched first: a contact on it bounds the time to search
+    the others.
+    """
+    answer = Answer()
+    answer.toi = real(2.0)
+    answer.status = STATUS_NO_COLLISION
+    stack = box_stack()
+    stack[0] = t_start
+    stack[1] = real(0.0)
+    stack[2] = real(1.0)
+    stack[3] = real(0.0)
+    stack[4] = real(1.0)
+    top = int(1)
+    while top > 0 and not is_stopped(stop):
+        top -= 1
+        t = stack[5 * top]
+        u0 = stack[5 * top + 1]
+        u1 = stack[5 * top + 2]
+        v0 = stack[5 * top + 3]
+        v1 = stack[5 * top + 4]
+        if not t < answer.toi:
+            continue
+        patch = Patch()
+        patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
+        patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
+        patch.is_face = root.is_face
+        patch.is_triangle = root.is_triangle and u1 == real(1.0)
+        patch.narrowing = real(1.0)
+        if root.is_face:
+            patch.narrowing = (real(1.0) - u1) / (real(1.0) - u0)
+        end = wp.min(answer.toi, t_max)
+        reached = advance(patch, problem, t, end, max_iterations - answer.iterations)
+        answer.iterations += reached.iterations
+        t = reached.t
+        if reached.outcome == SLOW and t < answer.toi:
+            can_split_u = u1 - u0 > narrowest
+            can_split_v = v1 - v0 > narrowest
+            if (can_split_u or can_split_v) and top + 2 <= depth:
+                split_u = (length_u(patch) >= length_v(patch) and can_split_u) or not can_split_v
+                # lower half [u0, mu] × [v0, mv], upper half [nu, u1] × [nv, v1]
+                mu = wp.where(split_u, half * (u0 + u1), u1)
+                nu = wp.where(split_u, mu, u0)
+                mv = wp.where(split_u, v1, half * (v0 + v1))
+                nv = wp.where(split_u, v0, mv)
+                is_upper_first = closest_along(reached, split_u) > half
+                lower = wp.where(is_upper_first, 5 * top, 5 * top + 5)
+                upper = wp.where(is_upper_first, 5 * top + 5, 5 * top)
+                stack[lower] = t
+                stack[lower + 1] = u0
+                stack[lower + 2] = mu
+                stack[lower + 3] = v0
+                stack[lower + 4] = mv
+                stack[upper] = t
+                stack[upper + 1] = nu
+                stack[upper + 2] = u1
+                stack[upper + 3] = nv
+                stack[upper + 4] = v1
+                top += 2
+                continue
+        status = STATUS_NO_COLLISION
+        if reached.outcome == CONTACT:
+            status = STATUS_COLLISION
+        elif reached.outcome == SLOW:
+            status = STATUS_RESOLUTION_LIMIT
+        elif reached.outcome == LIMIT:
+            # the smallest time still open is a lower bound of the toi
+            for k in range(top):
+                t = wp.min(t, stack[5 * k])
+            status = STATUS_ITERATION_LIMIT
+            top = 0
+        if status != STATUS_NO_COLLISION and t < answer.toi:
+            answer.toi = t
+            answer.status = status
+            answer.point = reached.point
+            answer.parameters = parameters(kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11)
+    return answer

@@ -1,0 +1,155 @@
+"""The volume f(t) = P·(Q×R) as an inclusion function: as long as it keeps its sign there is no contact.
+
+A contact makes P, Q, R linearly dependent, so f = 0 is necessary for a contact anywhere on the patch. With a separation
+box, n·F = f for the moving normal n = Q×R, so |f| ≤ Σ separation_k·|n_k| is necessary; with a ball of radius D,
+|f| ≤ D·|n| is. f is a cubic in t. The convex hull of its Bernstein coefficients bounds it on any interval, and a clip
+ends before the hull falls to zero: where the steepest line from the first coefficient to another does. That is the
+first crossing of the hull itself wherever the other coefficient is beyond zero, no later elsewhere, and takes one
+division. It converges quadratically to a simple
+root, from below. No root is ever *computed* here: the univariate method decides by the roots and misses collisions,
+whereas this one only skips times at which f is certainly not zero. Where f vanishes identically (motion in one plane)
+it skips nothing, and the directions of `inclusion` make the progress.
+"""
+
+import warp as wp
+
+from ..parameters import real
+from . import simd
+from .patch import Corners, Volume
+from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
+from .simd import Lanes, Vec3, cross, dot, greatest, is_at_most, is_less, least, magnitude, minus, select, vec
+from .support import support
+
+unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
+tiny = wp.constant(real(TINY[real]))
+zero = wp.constant(real(0.0))
+half = wp.constant(real(0.5))
+third = wp.constant(real(1.0 / 3.0))
+one = wp.constant(real(1.0))
+one_and_half = wp.constant(real(1.5))
+three = wp.constant(real(3.0))
+four = wp.constant(real(4.0))
+round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
+round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+fraction_down = wp.constant(real(1.0 - CROSSING * UNIT_ROUNDOFF[real]))
+
+
+@wp.struct
+class Hull:
+    """Four control points of a cubic on an interval."""
+
+    c0: Lanes
+    c1: Lanes
+    c2: Lanes
+    c3: Lanes
+
+
+@simd.func
+def volume_of(t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) -> Volume:
+    """The Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing."""
+    r = Volume()
+    n0 = cross(t0.q, t0.r)
+    n1 = cross(t1.q, t1.r)
+    nm = half * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
+    m0 = dot(t0.w00, nm)
+    m1 = dot(t1.w00, nm)
+    r.b0 = dot(t0.w00, n0)
+    r.b1 = third * (dot(t1.w00, n0) + m0 + m0)
+    r.b2 = third * (dot(t0.w00, n1) + m1 + m1)
+    r.b3 = dot(t1.w00, n1)
+    p = greatest(magnitude(t0.w00), magnitude(t1.w00))
+    q = greatest(magnitude(t0.q), magnitude(t1.q))
+    s = greatest(magnitude(t0.r), magnitude(t1.r))
+    # the sums of the magnitudes of the products of Q×R, and of the determinant
+    n = vec(q.y * s.z + q.z * s.y, q.z * s.x + q.x * s.z, q.x * s.y + q.y * s.x)
+    r.bound = unit_bound * dot(p, n) + tiny
+    if has_separation:
+        r.bound = r.bound + unit_bound * dot(separation, n)
+        r.normal_t0 = n0
+        r.normal_mid = nm
+        r.normal_t1 = n1
+    largest = greatest(greatest(magnitude(r.b0), magnitude(r.b1)), greatest(magnitude(r.b2), magnitude(r.b3)))
+    r.is_flat = is_at_most(largest, r.bound)
+    return r
+
+
+@simd.func
+def restrict(f: Volume, t: Lanes, x: Lanes) -> Hull:
+    """Bernstein coefficients on [t, x]: the blossom of those on [0, 1]."""
+    ct = one - t
+    cx = one - x
+    t0 = ct * f.b0 + t * f.b1
+    t1 = ct * f.b1 + t * f.b2
+    t2 = ct * f.b2 + t * f.b3
+    x0 = cx * f.b0 + x * f.b1
+    x1 = cx * f.b1 + x * f.b2
+    x2 = cx * f.b2 + x * f.b3
+    tt0 = ct * t0 + t * t1
+    tt1 = ct * t1 + t * t2
+    tx0 = cx * t0 + x * t1
+    tx1 = cx * t1 + x * t2
+    xx0 = cx * x0 + x * x1
+    xx1 = cx * x1 + x * x2
+    r = Hull()
+    r.c0 = ct * tt0 + t * tt1
+    r.c1 = cx * tt0 + x * tt1
+    r.c2 = cx * tx0 + x * tx1
+    r.c3 = cx * xx0 + x * xx1
+    return r
+
+
+@simd.func
+def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
+    """Bernstein coefficients, on [t, x], of a cubic above the support of the separation along n."""
+    ct = one - t
+    cx = one - x
+    t0 = ct * f.normal_t0 + t * f.normal_mid
+    t1 = ct * f.normal_mid + t * f.normal_t1
+    x0 = cx * f.normal_t0 + x * f.normal_mid
+    x1 = cx * f.normal_mid + x * f.normal_t1
+    a = support(separation, ct * t0 + t * t1)
+    b = support(separation, cx * t0 + x * t1)
+    c = support(separation, cx * x0 + x * x1)
+    r = Hull()
+    r.c0 = round_up * a
+    r.c1 = round_up * (third * (a + b + b))
+    r.c2 = round_up * (third * (b + b + c))
+    r.c3 = round_up * c
+    return r
+
+
+@simd.func
+def fall(h: Hull) -> Lanes:
+    """Fraction of the interval, c0 > 0 and another not, at which the steepest line from c0 to another is zero."""
+    slope = greatest(three * (h.c0 - h.c1), greatest(one_and_half * (h.c0 - h.c2), h.c0 - h.c3))
+    return h.c0 / slope
+
+
+@simd.func
+def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: Lanes, end: Lanes):
+    """One clip: with f on [t, x], the time up to which it keeps its sign, and the x of the next clip.
+
+    The third result says which lanes are free until ``end``. A lane that gains nothing gets ``end`` for its next x.
+    """
+    h = restrict(f, t, x)
+    is_negative = is_less(h.c0, zero)
+    h.c0 = select(is_negative, minus(h.c0), h.c0) - f.bound
+    h.c1 = select(is_negative, minus(h.c1), h.c1) - f.bound
+    h.c2 = select(is_negative, minus(h.c2), h.c2) - f.bound
+    h.c3 = select(is_negative, minus(h.c3), h.c3) - f.bound
+    if has_separation:
+        offset = separation_offset(f, separation, t, x)
+        h.c0 = h.c0 - offset.c0
+        h.c1 = h.c1 - offset.c1
+        h.c2 = h.c2 - offset.c2
+        h.c3 = h.c3 - offset.c3
+    is_proof = is_less(zero, h.c0)
+    is_clear = is_proof & is_less(zero, least(h.c1, least(h.c2, h.c3)))
+    # the fraction of [t, x] is rounded down, so it never reaches the crossing
+    s = (t + (x - t) * (fall(h) * fraction_down)) * round_down
+    s = select(is_clear, x, s)
+    has_gained = is_proof & is_less(t, s)
+    s = select(has_gained, s, t)
+    step = s - t
+    ahead = least(end, s + select(is_clear, four * step, step + step))
+    return s, select(has_gained, ahead, end), is_clear & is_at_most(end, x)

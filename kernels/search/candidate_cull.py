@@ -1,0 +1,122 @@
+"""The cull of single candidates, and its kernel on CUDA: one candidate in each thread.
+
+In the walk of a search few threads of a warp find a candidate at the same time, and the others would wait while it is
+culled. On CUDA a search therefore writes candidates to a list, which then fills all threads. What the cull leaves open
+is the same in every order.
+"""
+
+import warp as wp
+
+from ..atomics import claim
+from ..boxes.half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
+from ..boxes.lanes import lowest_bit
+from ..boxes.thickness import distance_of
+from ..pair.single_points import corners, points_of
+from ..pair_key import pair_key, pair_of
+from ..pair_kind import EDGE_EDGE, VERTEX_FACE
+from ..parameters import is_thick
+from ..step.minima import ANY_UNLISTED, CANDIDATES, FOUND, Minima, mark_overflow
+from ..template import specialised
+from .search_types import SearchOptions, SearchRange
+
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
+
+
+@wp.func
+def has_volume(kind: int) -> bool:
+    """Whether the cull has a test for a pair kind; the patches of other kinds have no volume."""
+    return kind == EDGE_EDGE or kind == VERTEX_FACE
+
+
+@wp.func
+def write_pair(
+    first: int,
+    second: int,
+    a: wp.vec3i,  # vertices of the first primitive
+    b: wp.vec3i,
+    n: wp.int64,
+    part: SearchRange,
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Write the key of pair n; beyond the capacity lower its toi where no caller checks the count."""
+    if n < wp.int64(keys.shape[0]):
+        keys[n] = pair_key(first, second)
+    elif part.marks_overflow != 0:
+        mark_overflow(minima, a, b)
+
+
+free_lanes = specialised("search.cull", is_thick=is_thick).free_lanes
+module = wp.get_module(f"ccd_warp.candidate_cull{'.thick' if is_thick else ''}")
+# 128 registers: sixteen warps fit on a multiprocessor, and small blocks bring few candidates to all of them
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "block_dim": 64}, module=module)
+
+
+@wp.func
+def is_discarded(
+    kind: int,
+    a: wp.vec3i,  # vertices of the first primitive
+    b: wp.vec3i,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    options: SearchOptions,
+) -> bool:
+    """Whether a test of the cull proves that a candidate does not touch in the step."""
+    if has_volume(kind):
+        c0 = corners(kind, points_of(kind, a, b, vertices_t0))
+        c1 = corners(kind, points_of(kind, a, b, vertices_t1))
+        if wp.static(is_thick):
+            distance = distance_of(options.separation, options.radius, a, b)
+            return free_lanes(kind, c0, c1, distance, options.is_euclidean, options.t_end, _ONE) != _NONE
+        return free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, _ONE) != _NONE
+    return False
+
+
+@wp.kernel(module=module, grid_stride=False)
+def cull_candidates(
+    begin: int,
+    # in
+    num_threads: int,
+    part: SearchRange,
+    only_if_complete: int,  # 1: if the list was too short, a second search culls all candidates
+    candidates: wp.array[wp.int64],
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    options: SearchOptions,
+    # out
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Cull the candidates of a kind, the row of the counts: those of a thread are ``num_threads`` apart."""
+    thread = begin + wp.tid()
+    first_of_thread = first_lane(thread)
+    end = end_lane(thread)
+    kind = part.row
+    if only_if_complete != 0 and counts[kind, CANDIDATES] > wp.int64(candidates.shape[0]):
+        if thread == 0:
+            claim(counts, 0, ANY_UNLISTED, 1)
+        return
+    count = wp.int32(wp.min(counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))
+    for n in range(thread - thread % HALF_WARP, count, num_threads):
+        lanes = wp.uint32(0)
+        for lane in range(first_of_thread, wp.min(end, count - n)):
+            pair = pair_of(candidates[n + lane])
+            a = first_corners[pair[0]]
+            b = second_corners[pair[1]]
+            if not is_discarded(kind, a, b, vertices_t0, vertices_t1, options):
+                lanes = lanes | (_ONE << wp.uint32(lane))
+        every = united(lanes)
+        if every != _NONE:
+            place = claim_together(counts, kind, FOUND, every)
+            while lanes != _NONE:
+                lane = lowest_bit(lanes)
+                lanes = lanes & (lanes - _ONE)
+                pair = pair_of(candidates[n + lane])
+                a = first_corners[pair[0]]
+                b = second_corners[pair[1]]
+                at = place + wp.int64(number_before(every, lane))
+                write_pair(pair[0], pair[1], a, b, at, part, keys, minima)

@@ -1,0 +1,183 @@
+"""The search for pairs of overlapping boxes in two spatial hashes, whose contract is that of `search_trees`.
+
+The queries of an item stand one after another in the order of the buckets. Those that stand in one row of cells look up
+the cells of the targets together: every row in which partners of one of them may stand, as `hash_grid` says. In a row
+the boxes around sixteen blocks are tested at a time with that around the item, and then its queries with the boxes of
+each block that is left.
+
+A box may be reached through several rows that share its bucket, and counts in its own row alone. Of two boxes of one
+set and one level, the one that comes first finds the other.
+"""
+
+import warp as wp
+
+from ..boxes.box_tree import WIDTH, BoxTree
+from ..boxes.half_warp import united
+from ..boxes.hash_grid import (
+    LAST_LEVEL,
+    NO_CELL,
+    PARTS,
+    HashGrid,
+    bucket_of,
+    cell_at,
+    cell_key,
+    density_of,
+    first_of_row,
+    is_at_an_end,
+    last_of_row,
+    level_of_cell,
+)
+from ..boxes.lanes import lanes_between, lowest_bit
+from ..interrupts import is_stopped
+from ..parameters import in_half_warps
+from ..step.minima import Minima
+from .collision_filter import CollisionFilter
+from .hash_lanes import in_cells
+from .search_types import Search, SearchOptions, SearchRange, TreePair
+
+if in_half_warps:
+    from . import search_half_warp as queries
+else:
+    from . import search_lanes as queries
+    from .collected import num_collected
+
+_NONE = wp.constant(wp.uint32(0))
+
+module = queries.module_of("search_hashes")
+
+
+@wp.func
+def search_run(
+    search: Search,
+    grid: HashGrid,
+    item: queries.Item,
+    first: int,  # place
+    last: int,  # place after the last one
+    first_cell: wp.uint64,
+    last_cell: wp.uint64,
+) -> int:
+    """Search a run of places in a row of cells for partners of an item; returns the number of candidates."""
+    num_candidates = int(0)
+    parent = int(first / (WIDTH * WIDTH))
+    while parent * WIDTH * WIDTH < last:
+        if is_stopped(search.options.stop):
+            break
+        blocks = united(queries.overlapping(search, item, search.target.block_begin[1] + parent))
+        blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
+        while blocks != _NONE:
+            block = parent * WIDTH + lowest_bit(blocks)
+            blocks = blocks & (blocks - wp.uint32(1))
+            targets = lanes_between(queries.lanes_of(item), first, last, block)
+            targets = in_cells(grid.cells, block, targets, first_cell, last_cell)
+            if united(targets) != _NONE:
+                num_candidates += queries.search_leaf(search, item, block, targets)
+        parent += 1
+    return num_candidates
+
+
+@wp.func
+def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int) -> int:
+    """Search the cells of a level in which partners of an item may stand; returns the number of candidates."""
+    num_candidates = int(0)
+    extent = queries.extent_of(search, item)
+    density = density_of(level, grid.cells_per_unit)
+    low = cell_at(extent.lower, level, density)
+    high = cell_at(extent.upper, level, density)
+    if level < LAST_LEVEL:
+        low = low - wp.vec3i(PARTS, 1, 1)
+    num_buckets = 1 << grid.bucket_bits
+    for z in range(low[2], high[2] + 1):
+        for y in range(low[1], high[1] + 1):
+            first_cell = cell_key(level, low[0], y, z)
+            last_cell = cell_key(level, high[0], y, z)
+            bucket = bucket_of(first_cell, grid.bucket_bits)
+            # a small table has fewer buckets than a row has cells
+            left = wp.min(high[0] - low[0] + 1, num_buckets)
+            while left > 0:
+                # up to the last bucket, and then from the first one on
+                count = wp.min(left, num_buckets - bucket)
+                # what comes before the queries in their own set has found them
+                first = wp.max(grid.bucket_begin[bucket], item.own + 1)
+                last = grid.bucket_begin[bucket + count]
+                left -= count
+                bucket = 0
+                if first < last:
+                    num_candidates += search_run(search, grid, item, first, last, first_cell, last_cell)
+    return num_candidates
+
+
+@wp.func
+def search_levels(search: Search, grid: HashGrid, item: queries.Item, own_level: int) -> int:
+    """Search the levels that are no finer than that of the queries; returns the number of candidates."""
+    num_candidates = int(0)
+    rise = search.tree_pair.rise
+    levels = (wp.uint32(grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(rise)
+    level = int(own_level + rise)
+    while levels != _NONE:
+        if (levels & wp.uint32(1)) != _NONE:
+            item.own = wp.where(search.tree_pair.within != 0 and level == own_level, item.first, -1)
+            num_candidates += search_level(search, grid, item, level)
+        levels = levels >> wp.uint32(1)
+        level += 1
+    return num_candidates
+
+
+@wp.func
+def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, item: queries.Item) -> int:
+    """Look up the cells of an item; returns the number of candidates that are still to be counted."""
+    num_candidates = int(0)
+    if wp.static(in_half_warps):
+        own = query_grid.cells[item.first]
+        if own != NO_CELL:
+            search_levels(search, target_grid, item, level_of_cell(own))
+    else:
+        block = item.first / WIDTH
+        pending = wp.uint32(item.queries)
+        while pending != _NONE:
+            own = query_grid.cells[block * WIDTH + lowest_bit(pending)]
+            if own == NO_CELL:
+                break  # as are all that follow
+            if is_stopped(search.options.stop):
+                break
+            in_row = in_cells(query_grid.cells, block, pending, first_of_row(own), last_of_row(own))
+            own_level = level_of_cell(own)
+            if own_level < LAST_LEVEL and is_at_an_end(own):
+                in_row = in_row & (~in_row + wp.uint32(1))  # one alone: the box around several may cover any number
+            pending = pending & ~in_row
+            item.queries = in_row
+            num_candidates += search_levels(search, target_grid, item, own_level)
+    return num_candidates
+
+
+@wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.hash_registers)
+def search_hashes(
+    begin: int,
+    # in
+    part: SearchRange,
+    query: BoxTree,
+    query_grid: HashGrid,
+    target: BoxTree,
+    target_grid: HashGrid,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    # out
+    counts: wp.array2d[wp.int64],
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Find the pairs of the items of a thread."""
+    search = Search(
+        part, query, target, tree_pair, options, collision_filter, vertices_t0, vertices_t1, counts, keys, minima
+    )
+    thread = begin + wp.tid()
+    items = queries.items_of(search, thread)
+    for number in range(items[0], items[1], items[2]):
+        item = queries.item_at(search, number, thread)
+        if wp.static(in_half_warps):
+            search_hash(search, query_grid, target_grid, item)
+        else:
+            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
+            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))

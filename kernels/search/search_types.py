@@ -1,0 +1,77 @@
+"""What a search for pairs of boxes is given: the boxes, the options of the step, a range of items, and its outputs."""
+
+import warp as wp
+
+from ..boxes.box_tree import BoxTree
+from ..step.minima import Minima
+from .collision_filter import CollisionFilter
+
+# The stage at which a search ends.
+BOXES = "boxes"  # it reports every pair whose boxes overlap
+CULL = "cull"  # it reports the pairs that the cull leaves open
+LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
+CULL_OF_BOXES = "cull_of_boxes"  # it culls pairs of trees that hold one box and not those of both ends of a step
+
+
+@wp.struct
+class TreePair:
+    """The pair kind of a search between a query tree and a target tree."""
+
+    kind: int
+    within: int  # 1: query and target are the same set
+    symmetric: int  # 1: both primitives are of one kind, and the lower index comes first
+    swapped: int  # 1: the query is the second primitive of a pair
+    num_query_corners: int
+    num_target_corners: int
+    rise: int  # of spatial hashes: the least number of levels by which the targets are above the query
+
+
+@wp.struct
+class SearchOptions:
+    """Options of a search that are the same in all its launches."""
+
+    t_end: wp.float64
+    inflation: wp.float64  # of each box on every side
+    separation: wp.float64  # minimum separation or distance, a length
+    is_euclidean: int  # 1: a distance
+    stop: wp.array[wp.int32]  # set when the host wants the search to end
+    radius: wp.array[wp.float64]  # of each vertex, for the cull; empty without (`thickness`)
+    box_radius: wp.array[wp.float64]  # by which the boxes of each vertex have grown; empty without
+
+
+@wp.struct
+class SearchRange:
+    """The items that a launch searches, and where it counts and writes the pairs."""
+
+    first: int  # item
+    stride: int
+    level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
+    row: int  # of the counts
+    first_key: int  # of a search without the cull, which writes to a part of the keys
+    capacity: int  # of that part, in keys; or of the list of candidates
+    marks_overflow: int  # 1: no caller checks the count, so the toi of a pair beyond the capacity becomes 0
+
+
+@wp.struct
+class Search:
+    """The arguments of a search, which its kernel gathers once for all functions below it."""
+
+    part: SearchRange
+    query: BoxTree
+    target: BoxTree
+    tree_pair: TreePair
+    options: SearchOptions
+    collision_filter: CollisionFilter
+    vertices_t0: wp.array[wp.vec3d]
+    vertices_t1: wp.array[wp.vec3d]
+    counts: wp.array2d[wp.int64]
+    keys: wp.array[wp.int64]  # of pairs; or of candidates, of a search that lists them
+    minima: Minima
+
+
+@wp.func
+def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
+    """Whether the target is the first primitive of a pair: of two of one kind, whatever is searched, the lower one."""
+    if tree_pair.symmetric != 0:
+        return target < query
+    return tree_pair.swapped != 0
