@@ -19,7 +19,8 @@ from emulated.comparison import shared
 from emulated.device import emulation
 
 import ccd_warp as ccd
-from ccd_warp._engine.grids import Grid, fill_grids
+from ccd_warp._engine.box_sets import Layout
+from ccd_warp._engine.grids import Grid
 from ccd_warp._engine.topology import PrimitiveSet
 from ccd_warp._engine.trees import search_range
 from ccd_warp._input.options import Options
@@ -153,9 +154,10 @@ def hash_of(lower, upper, cell):
     aabbs[:, :3], aabbs[:, 4:7] = lower, -upper
     corners = np.repeat(np.arange(count), 3).reshape(-1, 3)
     grid = Grid(PrimitiveSet("box", "moving", 1, array(np.arange(count), wp.int32), array(corners, wp.vec3i)))
-    grid.lay_out(1, cell, lambda _name, size, dtype: wp.empty(size, dtype=dtype, device="cpu"))
+    layout = Layout(1, lambda _, size, dtype: wp.empty(size, dtype=dtype, device="cpu"), lambda _: None, lambda: cell)
+    grid.lay_out(layout)
     with emulation(shared().emulated):
-        fill_grids([grid], array(aabbs.ravel(), wp.float32), Execution(wp.get_device("cpu"), 1))
+        Grid.fill([grid], array(aabbs.ravel(), wp.float32), Execution(wp.get_device("cpu"), 1))
     return grid
 
 

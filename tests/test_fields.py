@@ -58,7 +58,6 @@ READ = {
     "benchmarks/fuzz.py": "gap parameters primitives",
     "benchmarks/gpu_check/cases.py": "primitives",
     "benchmarks/virtual_mesh.py": "bodies primitives",
-    "docs/architecture.md": "primitives",
     "docs/choosing.md": "distance touching",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "bodies gap primitives",

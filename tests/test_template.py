@@ -44,5 +44,5 @@ def test_a_plain_import_shares_its_code_with_specialisations():
 
 
 def test_a_parameter_that_is_not_known_is_refused():
-    with pytest.raises(ValueError, match="pair.patch is asked for with breadth; expected parameters"):
+    with pytest.raises(ValueError, match=r"pair\.patch is asked for with breadth; expected parameters"):
         specialised("pair.patch", breadth=8)
