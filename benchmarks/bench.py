@@ -13,7 +13,6 @@ import numpy as np
 from ccd_warp.benchmarks import broad_phases, many_worlds, scaling, small_scenes, whole_step
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
-from ccd_warp.benchmarks.journal import Journal, fingerprint
 from ccd_warp.benchmarks.machine import machine
 from ccd_warp.benchmarks.methods import KINDS, Method, all_methods
 from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE
@@ -22,6 +21,8 @@ from ccd_warp.benchmarks.raw_file import merged, write_raw
 from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
 from ccd_warp.benchmarks.scenes import small_scenes as all_small_scenes
 from tqdm import tqdm
+
+from ccd_warp._files.journal import Journal, fingerprint
 
 SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "broad", "worlds", "small", "pairs", "growth")
 JOURNAL = "bench.journal"
@@ -277,7 +278,7 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | N
         the first figure; then nothing is written.
     """
     about = machine()
-    mark = fingerprint(asdict(settings), about, None if settings.data is None else Path(settings.data))
+    mark = fingerprint(asdict(settings), about, settings.data and Path(settings.data), Path(__file__).parent)
     journal = Journal(folder / JOURNAL, mark)
 
     def say(line: str) -> None:

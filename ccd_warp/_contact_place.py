@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._contact_corners import contact_corners, contact_vertices
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.contact_corners import contact_corners, contact_vertices
-from ccd_warp._engine.planes import unit_normals
+from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
 

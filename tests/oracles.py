@@ -7,7 +7,7 @@ import numpy as np
 from ccd_warp.benchmarks.oracle import exact_tois
 
 import ccd_warp as ccd
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._contact_corners import contact_vertices
 
 
 def corners_of(mesh, kind, pairs):

@@ -37,12 +37,13 @@ from ccd_warp.benchmarks import (
 )
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
-from ccd_warp.benchmarks.journal import Journal
 from ccd_warp.benchmarks.memory import PeakMemory
 from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method, all_methods
 from ccd_warp.benchmarks.numbers import bound
 from ccd_warp.benchmarks.peers import Peer
 from ccd_warp.benchmarks.query_sets import make_set
+
+from ccd_warp._files.journal import Journal
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

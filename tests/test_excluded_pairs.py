@@ -10,7 +10,7 @@ from oracles import brute_force, check_candidates, exact_pairs, rows
 from scenes import cables_and_particles, crowd_of_all_kinds, single, stacked
 
 import ccd_warp as ccd
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._contact_corners import contact_vertices
 
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point")
 PAIR_KEYS = KEYS[2:]

@@ -92,6 +92,29 @@ def test_the_longest_chain_of_imports_has_ten_levels():
     assert len(chain) <= MOST_LEVELS, " imports ".join(chain)
 
 
+# From the bottom; what is not named here is above them all.
+LAYERS = [
+    ["kernels"],
+    ["_runtime", "_status", "_version", "_display", "_quiet"],
+    ["_input", "_half_space"],
+    ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_contact_corners"]
+    + ["_intersections", "_proximities", "_device_results", "_device_proximities"],
+    ["_engine", "_files"],
+]
+
+
+def layer_of(module: str) -> int:
+    part = f"{module}.".split(".")[1]
+    return next((k for k, parts in enumerate(LAYERS) if part in parts), len(LAYERS))
+
+
+def test_no_module_imports_from_a_layer_above_it():
+    found = [f"{m} imports {t}" for m, targets in graph().items() for t in targets if layer_of(t) > layer_of(m)]
+    assert not found
+    parts = {f"{module}.".split(".")[1] for module in graph()}
+    assert {part for layer in LAYERS for part in layer} <= parts
+
+
 def test_kernels_import_nothing_of_the_package_above_them():
     kernels = PACKAGES["kernels"]
     for module, path in module_files().items():

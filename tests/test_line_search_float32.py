@@ -8,7 +8,7 @@ from oracles import num_touching
 from scenes import FACE, TRIANGLE, with_static_at_rest
 
 import ccd_warp as ccd
-from ccd_warp._engine.contact_corners import contact_vertices
+from ccd_warp._contact_corners import contact_vertices
 
 every_per = pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
 LENGTH = 0.1  # of the wished steps

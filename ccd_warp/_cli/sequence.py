@@ -29,6 +29,7 @@ from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_p
 from ccd_warp._cli.sequence_report import format_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
 from ccd_warp._files.frames import InputError
+from ccd_warp._files.journal import Journal, fingerprint
 from ccd_warp._files.opened import Stamp, noted_files, stamp
 from ccd_warp._files.series import find_series
 from ccd_warp._frames import static_bodies
@@ -37,7 +38,6 @@ from ccd_warp._input.messages import printable
 from ccd_warp._input.options import Options
 from ccd_warp._sequence import FrameSequence
 from ccd_warp._version import __version__
-from ccd_warp.benchmarks.journal import Journal, fingerprint
 
 JOURNAL, CSV, PLOT = "sequence.journal", "steps.csv", "steps.png"
 
@@ -158,7 +158,7 @@ def _journal(
     }
     about = {"version": __version__, "device": wp.get_device(options.device).name}
     try:
-        return Journal(folder / JOURNAL, fingerprint(settings, about, None))
+        return Journal(folder / JOURNAL, fingerprint(settings, about))
     except OSError as error:
         raise InputError(f"--output {folder}: cannot be written ({error.strerror or error})") from error
 

@@ -7,9 +7,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_bodies, contact_vertices
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.contact_corners import contact_bodies, contact_vertices
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh

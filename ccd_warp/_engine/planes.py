@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.lengths import next_above
+from ccd_warp._half_space import unit_normals
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -59,13 +60,6 @@ def scaled_planes(mesh: "CollisionMesh") -> ScaledPlanes:
         np.array([math.hypot(*n) for n in normal.tolist()]) * _LENGTH_UP,
         np.array([math.fsum(map(abs, n)) for n in normal.tolist()]) * _LENGTH_UP,
     )
-
-
-def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors along normals of any length, shape [H, 3] or [H, 2]."""
-    largest = np.abs(normals).max(axis=1, keepdims=True, initial=0.0)
-    scaled = np.ldexp(normals, 1 - np.frexp(largest)[1])  # so that squares neither overflow nor vanish
-    return scaled / np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
 
 
 def meets(mesh: "CollisionMesh") -> NDArray[np.bool_]:

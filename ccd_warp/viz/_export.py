@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_bodies
 from ccd_warp._contact_place import points_at_toi
-from ccd_warp._engine.contact_corners import contact_bodies
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import HostLaunchResult, MeshResult

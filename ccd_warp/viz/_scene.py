@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._contact_corners import contact_corners
 from ccd_warp._contact_place import points_at_toi
 from ccd_warp._display import listed, shortened
-from ccd_warp._engine.contact_corners import contact_corners
-from ccd_warp._engine.planes import unit_normals
+from ccd_warp._half_space import unit_normals
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Contacts, HostLaunchResult, MeshResult

@@ -8,17 +8,25 @@ import os
 from pathlib import Path
 from typing import Any
 
-import ccd_warp
+import ccd_warp.kernels
 
 
-def fingerprint(settings: dict, about: dict, data: Path | None) -> str:
-    """Fingerprint of what must agree for a run to be continued: settings, machine, versions, package code, data."""
+def fingerprint(settings: dict, about: dict, data: Path | None = None, code: Path | None = None) -> str:
+    """Fingerprint of what must agree for a run to be continued: settings, machine, versions, code of the package, data.
+
+    Args:
+        settings: What was asked for.
+        about: The machine and the versions.
+        data: Folder of the data.
+        code: Folder of further code.
+    """
     digest = hashlib.sha256(json.dumps([settings, {**about, "date": ""}], sort_keys=True).encode())
-    for path in sorted(data.rglob("*")) if data is not None else ():
-        if path.is_file():
+    for path in sorted(data.rglob("*")) if data else ():
+        if data and path.is_file():
             digest.update(f"{path.relative_to(data)} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
-    for package in (ccd_warp.__path__[0], ccd_warp.kernels.__path__[0], Path(__file__).parent):
-        for path in sorted(Path(package).rglob("*.py")):
+    folders = [Path(__file__).parents[1], Path(ccd_warp.kernels.__path__[0])]
+    for folder in (*folders, *([code] if code else [])):
+        for path in sorted(folder.rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
