@@ -57,7 +57,7 @@ def places_ahead(raw: dict) -> list[tuple[str, str, str]]:
 
 
 def ahead(raw: dict) -> list[str]:
-    """The same as a list, one line for each place and kind of figure."""
+    """Where a peer is ahead, one line for each place and kind of figure."""
     groups: dict[tuple[str, str], list[str]] = {}
     for place, figure, text in places_ahead(raw):
         groups.setdefault((place, figure), []).append(text)

@@ -104,7 +104,7 @@ def measure_threads(batch: int, rounds: int) -> list[dict]:
 
 
 def measure_mesh_threads(scene, rounds: int) -> list[dict]:
-    """The same of ``mesh_ccd`` on a scene."""
+    """Speed-up of ``mesh_ccd`` on a scene by threads on the CPU, medians of the ratios of interleaved rounds."""
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipelines = {n: ccd.CollisionPipeline(mesh, device="cpu", num_threads=n) for n in thread_counts()}

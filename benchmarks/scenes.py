@@ -242,7 +242,7 @@ def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[],
         lambda: long_step(20_000),
         lambda: long_step(50_000),  # thirteen million candidates
         lambda: crumpled_cloth(50_000),  # the narrow phase is most of the step
-        lambda: bodies_through_each_other(300, 100),  # likewise
+        lambda: bodies_through_each_other(300, 100),  # and here
         lambda: cloth_over_sphere(1_000_000),
     ]
     names = (

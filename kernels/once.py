@@ -17,7 +17,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
-    """Like :func:`functools.cache`, but safe among threads and after an exception."""
+    """Keep what a function returns for its arguments, made by one thread at a time, and not kept after an exception."""
     made: dict[tuple[Any, ...], Any] = {}
     defaults = make.__defaults__ or ()
     num_required = make.__code__.co_argcount - len(defaults)

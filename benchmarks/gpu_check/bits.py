@@ -166,7 +166,7 @@ def totals(rows: list[dict]) -> dict[str, int]:
 
 
 def totals_said(rows: list[dict]) -> str:
-    """The same in words."""
+    """The totals in words."""
     said = "{cases} calls, {arrays:,} arrays, {values:,} values: {different} calls differ, {failed} fail"
     return said.format(**totals(rows))
 

@@ -27,7 +27,7 @@ class Step:
         return {"max_pairs": max(1 << 12, 64 * len(self.start)), "max_contacts": max(1 << 12, 8 * len(self.start))}
 
     def named(self, name: str) -> Step:
-        """The same with another name."""
+        """This step with another name."""
         return Step(name, self.mesh, self.start, self.end)
 
 

@@ -52,7 +52,7 @@ def bodies_near_boxes(
     inflation: float,
     execution: Execution,
 ) -> NDArray[np.bool_]:
-    """The same, given the bodies with vertices, the boxes around their motion, and the largest radius of each."""
+    """Which bodies come near another, given those with vertices, their boxes, and the largest radius of each."""
     mesh = topology.mesh
     near = (mesh.self_collision | mesh.kinematic) & ~mesh.static
     is_query = ~mesh.static[filled] & ~near[filled]

@@ -37,7 +37,7 @@ class Buffers:
         return array[: len(array) // width * width].reshape((-1, width))
 
     def grown(self, name: str, used: int, count: int, dtype: Any) -> wp.array:
-        """Like :meth:`get`, keeping the first ``used`` elements."""
+        """The array of a name with at least ``count`` elements, of which the first ``used`` are kept."""
         array = self._arrays.get(name)
         if array is None or len(array) >= count or used == 0:
             return self.get(name, count, dtype)

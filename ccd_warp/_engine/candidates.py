@@ -39,7 +39,8 @@ class Candidates:
         edge_edge: Edge indices, first < second, int32, shape [k, 2].
         point_segment: Vertex indices of codimensional points and edge indices of codimensional edges, int32, shape
             [n, 2]; empty where the mesh has none. Of a mesh in the plane, indices of any vertices and edges.
-        point_point: Vertex indices of codimensional points, first < second, int32, shape [l, 2]; likewise.
+        point_point: Vertex indices of codimensional points, first < second, int32, shape [l, 2]; empty where the mesh
+            has none.
         vertex_plane: Indices of vertices and of planes of ``mesh.planes``, in lexicographic order, int32, shape [h, 2].
     """
 
@@ -54,7 +55,7 @@ class Candidates:
         return f"Candidates({', '.join(counts) or 'none'})"
 
     def sorted(self) -> "Candidates":
-        """The same pairs in lexicographic order, in new arrays."""
+        """The pairs in lexicographic order, in new arrays."""
         return Candidates(*map(_sorted_pairs, vars(self).values()))
 
 

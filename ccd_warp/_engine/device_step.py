@@ -233,7 +233,7 @@ class DeviceStep:
         )
         kinds = dict.fromkeys(tree_pair.kind for tree_pair in tree_pairs)
         has_planes = PairKind.VERTEX_PLANE in possible_kinds(mesh, options)
-        _ = topology.planes if has_planes else None  # likewise
+        _ = topology.planes if has_planes else None  # made now, not in a capture
         max_candidates = CANDIDATES_EACH * capacities.max_pairs if execution.is_cuda else 0
         self._stages = Stages(
             topology,
@@ -407,7 +407,7 @@ class DeviceStep:
         return self.contact_arrays.points("points", last)
 
     def contact_points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
-        """The same at given positions, which are as for a launch with a start position for every vertex."""
+        """Points of the contacts at given positions, those at the start of every vertex, as for a launch otherwise."""
         mesh, device = self._mesh, self.topology.device
         every = {mesh.num_vertices: "one a vertex"}
         moving = {len(mesh.moving_vertices): "one a moving vertex"}

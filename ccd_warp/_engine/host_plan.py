@@ -75,7 +75,7 @@ class _Part:
         return len(self.items) * WIDTH**self.level
 
     def split(self, count: int) -> "list[_Part]":
-        """The same items in at least ``count`` parts, as far as that is possible."""
+        """These items in at least ``count`` parts, as far as that is possible."""
         if len(self.items) == 1 and self.level == 1:
             first = WIDTH * self.items[0]
             queries = range(first, min(first + WIDTH, self.tree_pair.query.primitives.count))
@@ -231,7 +231,7 @@ class HostPlan:
         return self._play_planes("planes", lambda stages, recording: stages.meet_planes(recording))
 
     def bound_by_planes(self) -> int:
-        """The same, for the least toi alone."""
+        """Let vertices meet planes, for the least toi alone; returns the number of pairs that touch."""
         return self._play_planes("planes", lambda stages, recording: stages.bound_by_planes(recording))
 
     def _play_planes(self, section: str, record: Callable[[Stages, Recording], None]) -> int:

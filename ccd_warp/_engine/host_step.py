@@ -90,7 +90,7 @@ class Step:
         workspace.progress.show = show
 
     def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
-        """The same step, in which what starts within its distance may part and slide.
+        """This step, in which what starts within its distance may part and slide.
 
         Args:
             hold: How near each vertex was to anything at the start (`HoldStep`); None as long as it is not known that a

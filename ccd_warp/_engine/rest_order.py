@@ -35,7 +35,7 @@ def rest_order(topology: Topology, primitives: PrimitiveSet, execution: Executio
 def order_at(
     topology: Topology, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
 ) -> tuple[wp.array, wp.array]:
-    """The same for the mesh at other positions, computed anew."""
+    """The order of a set at other positions of the mesh, and the vertices of its blocks, computed anew."""
     mesh, device = topology.mesh, topology.device
     positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=device)
     quantization = choose_quantization(topology, (vertices, vertices), 1)

@@ -107,7 +107,7 @@ class Stages:
         return list(self.keys)
 
     def with_values(self, values: dict[str, Any]) -> "Stages":
-        """The same stages with values in place of slots, for an `Execution`."""
+        """Stages with values in place of slots, for an `Execution`."""
 
         def value(of: Any) -> Any:
             if isinstance(of, dict):
@@ -308,7 +308,7 @@ class Stages:
             launcher: Where to launch, or to record.
             active: The bodies whose vertices do; all by default.
             only_moving: As for :meth:`solve`.
-            gaps_moved: Likewise.
+            gaps_moved: As for :meth:`solve`, too.
         """
         inputs = [active, self.vertices_t0, self.vertices_t1]
         inputs += [int(only_moving), float(gaps_moved)]

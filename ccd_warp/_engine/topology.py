@@ -149,7 +149,7 @@ class Topology:
         return place_worlds(self.mesh)
 
     def _make_worlds(self) -> Any:
-        """The same as the struct of the kernels, without arrays for a single world."""
+        """The places of worlds as the struct of the kernels, without arrays for a single world."""
         places = self.world_places
         num_worlds = len(places.unit)
         cells = np.concatenate([world_lattice(num_worlds), places.unit[:, None].astype(np.float32)], axis=1)

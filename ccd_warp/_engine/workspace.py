@@ -110,7 +110,7 @@ class Workspace:
         return self._packed[key]
 
     def plane_query(self, options: Options, length_scale: float, *, holds: bool = False) -> Any:
-        """What vertices and planes are asked for, as a struct of the kernels, packed once likewise."""
+        """What vertices and planes are asked for, as a struct of the kernels, packed once for options and scale."""
         key = ("planes", options, length_scale, holds)
         if key not in self._packed:
             if len(self._packed) >= _MOST_OPTIONS:

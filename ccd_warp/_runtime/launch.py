@@ -116,7 +116,8 @@ class Execution:
             parts_per_thread: Parts for each thread.
             num_needed: Called on the CPU outside a capture: how many of the parts, from the first on, have anything to
                 do.
-            is_long: Called likewise: whether items may take long, in which case the kernel reads the stop flag.
+            is_long: Called on the CPU outside a capture: whether items may take long, in which case the kernel reads the
+                stop flag.
         """
         if count == 0:
             return
@@ -143,7 +144,7 @@ class Execution:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """As for a recording; launches that run now do so one after another."""
+        """A group of launches that may run beside each other; those that run now do so one after another."""
         yield
 
     @property

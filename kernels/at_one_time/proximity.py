@@ -173,7 +173,7 @@ def reset_bounds(
     # out
     minima: Minima,
 ):
-    """Set the bound of each vertex to the largest; to 0 if it is static, or of a world with a coordinate that is none.
+    """Set the bound of each vertex to the largest; to 0 if it is static, or its world has a bad coordinate.
 
     Runs after all input is read.
     """

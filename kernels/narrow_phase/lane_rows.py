@@ -121,7 +121,7 @@ def rows_of(list: Rows, first: int, count: int) -> Index:
 
 @wp.func_native(numbers_of_snippet)
 def numbers_of(list: Numbers, first: int, count: int) -> simd.Lanes:
-    """Numbers of a list, likewise."""
+    """Numbers of a list, one in each lane; those beyond ``count`` repeat the first."""
     ...
 
 

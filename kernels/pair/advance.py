@@ -81,7 +81,7 @@ def advance_facets(patch: Patch, problem: Problem, facet: Facet, t_start: real, 
 def advance_facets_on_warp(
     patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
 ) -> real:
-    """The same by the threads of a warp, which share the facets; one clip in the source keeps the kernel small."""
+    """Clip with facets by the threads of a warp, which share them; one clip in the source keeps the kernel small."""
     t = t_start
     number = facet.number
     count = int(0)  # of those that are tried after the widest

@@ -138,7 +138,7 @@ def turn_of_side(number: int, later: Corners, ahead: Vec3, is_face: bool) -> Tur
 
 @simd.func
 def turn_along(c: Corners, d: Vec3, later: Corners, ahead: Vec3, is_face: bool) -> Turn:
-    """The same about the side to which d is most nearly orthogonal."""
+    """The turn to ``ahead`` at the later corners, about the side to which d is most nearly orthogonal."""
     turn = Turn()
     turn.is_face = is_face
     turn.number = spread(zero)

@@ -78,7 +78,7 @@ def closest_in_triangle(a: Vec3, ab: Vec3, ac: Vec3):
 
 @simd.func
 def closest_in_parallelogram(a: Vec3, ab: Vec3, ac: Vec3):
-    """The same for weights along both sides, as of the closest points of two segments (Ericson 2005, 5.1.9)."""
+    """Weights v and u along both sides of the closest point, and whether it lies inside (Ericson 2005, 5.1.9)."""
     nothing = spread(zero)
     bb = dot(ab, ab)
     cc = dot(ac, ac)

@@ -396,5 +396,5 @@ def func(f: Callable, inline: bool | None = None) -> Any:
 
 
 def rare(f: Callable) -> Any:
-    """The same for a function that is seldom called, and therefore kept out of line."""
+    """`func` for a function that is seldom called, and therefore kept out of line."""
     return func(f, inline=False)

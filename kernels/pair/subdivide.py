@@ -26,7 +26,7 @@ def length_u(patch: Patch) -> real:
 
 @wp.func
 def length_v(patch: Patch) -> real:
-    """The same along v."""
+    """Largest length (L∞) of the patch along v, on both sides and at both ends of the step."""
     at_u0 = wp.max(wp.max(wp.abs(patch.t0.w01 - patch.t0.w00)), wp.max(wp.abs(patch.t1.w01 - patch.t1.w00)))
     at_u1 = wp.max(wp.max(wp.abs(patch.t0.w11 - patch.t0.w10)), wp.max(wp.abs(patch.t1.w11 - patch.t1.w10)))
     return wp.max(at_u0, at_u1)

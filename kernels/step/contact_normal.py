@@ -27,7 +27,7 @@ from ..pair.single_points import Points, corners, largest, points_of
 from ..pair_kind import EDGE_EDGE, VERTEX_FACE
 from .contacts import position
 
-# Roundings of the largest corners up to which a gap is none.
+# Roundings of the largest corners up to which a gap counts as zero.
 NOISE = 32.0
 # Sine below which two sides count as parallel, so that their cross product is not used as a direction.
 _PARALLEL = wp.constant(wp.float64(1.0e-12))

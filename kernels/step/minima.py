@@ -21,7 +21,7 @@ CANDIDATES = wp.constant(2)
 QUEUED = wp.constant(3)
 # in the first row alone: those in the column `OPEN` of all kinds
 ANY_OPEN = wp.constant(5)
-# likewise, on CUDA: the kinds that had more candidates than their list could take
+# in the first row alone, on CUDA: the kinds that had more candidates than their list could take
 ANY_UNLISTED = wp.constant(6)
 NUM_COUNTS = 8
 
