@@ -116,8 +116,8 @@ class Execution:
             parts_per_thread: Parts for each thread.
             num_needed: Called on the CPU outside a capture: how many of the parts, from the first on, have anything to
                 do.
-            is_long: Called on the CPU outside a capture: whether items may take long, in which case the kernel reads the
-                stop flag.
+            is_long: Called on the CPU outside a capture: whether items may take long, in which case the kernel reads
+                the stop flag.
         """
         if count == 0:
             return
