@@ -87,7 +87,7 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
 
     monkeypatch.setattr(ccd._pair_ccd.Execution, "launch", watched)
     # more than the few of NumPy that are copied to where a launch has been recorded
-    start, end = (library.array(np.repeat(points, 300, axis=0)) for points in PAIR)
+    start, end = (library.array(np.repeat(points, 600, axis=0)) for points in PAIR)
     result = ccd.vertex_face_ccd(start, end, device="cpu")
     assert [x.ptr for x in seen[0]] == [library.pointer(start), library.pointer(end)]
     if library.name == "numpy":
