@@ -81,9 +81,9 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
     seen = []
     launch = ccd._pair_ccd.Execution.launch
 
-    def watched(execution, kernel, count, inputs, *arguments, **options):
-        seen.append(inputs[3:5])
-        launch(execution, kernel, count, inputs, *arguments, **options)
+    def watched(execution, kernel, count, inputs, outputs, **options):
+        seen.append([outputs[0].points_t0, outputs[0].points_t1])
+        launch(execution, kernel, count, inputs, outputs, **options)
 
     monkeypatch.setattr(ccd._pair_ccd.Execution, "launch", watched)
     # more than the few of NumPy that are copied to where a launch has been recorded
