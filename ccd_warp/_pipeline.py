@@ -741,7 +741,7 @@ class CollisionPipeline:
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""
         separation = self._options.separation(length_scale_of(self.mesh, self._options))
-        if isinstance(self._options.start_gap_fraction, float) or not (separation > 0.0 or self.mesh.is_thick):
+        if self._options.start_gap_share > 0.0 or not (separation > 0.0 or self.mesh.is_thick):
             return False  # what is within its distance may come closer, or there is none
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
         found = DistanceInEdges.of(self._topology, start, separation)

@@ -44,7 +44,7 @@ class BoxSet:
 
     Attributes:
         walk: Name of the kernel that searches two such sets for pairs, and of its file.
-        parts: Names of the structs that make up a set for kernels, the first of which is a ``kernels.BoxTree``.
+        parts: Names of the structs that make up a set for kernels, the first of which is a ``box_tree.BoxTree``.
         is_sorted_when_filled: Whether the boxes are brought into a good order whenever they are computed.
         primitives: The set of primitives.
         levels: Number of blocks of each level of boxes; there are at least two levels.
@@ -66,7 +66,7 @@ class BoxSet:
 
     @property
     def arrays(self) -> Any:
-        """The boxes and their order, a ``kernels.BoxTree``."""
+        """The boxes and their order, a ``box_tree.BoxTree``."""
         return self.structs[0]
 
     def num_floats(self, num_aabbs: int) -> int:

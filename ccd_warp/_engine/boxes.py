@@ -125,11 +125,10 @@ class StepBoxes:
 
     def _lay_out(self, each: BoxSet, layout: Layout) -> None:
         """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
-        if each.name not in self._rest:
+        is_new = each.name not in self._rest
+        if is_new:
             each.lay_out(layout)
-            self._rest[each.name] = each.structs
-            self._filled.discard(each.name)
-        elif each.adapt(layout):
+        if is_new or each.adapt(layout):
             self._rest[each.name] = each.structs
             self._filled.discard(each.name)
         if not each.primitives.is_static:

@@ -76,10 +76,10 @@ def first_lanes(count: int) -> wp.uint32:
 def write(rows: Index, count: int, answer: LaneAnswer, t_max: wp.float64, table: Table):
     """Write `outcome_of` of the first lanes, all at once."""
     nothing = simd64.spread(wp.float64(0.0))
-    hit = simd64.bit_and(simd64.mask_of(answer.contact), simd64.is_at_most(answer.t, simd64.spread(t_max)))
+    hit = simd64.mask_of(answer.contact) & simd64.is_at_most(answer.t, t_max)
     how = simd64.select(simd64.is_at_most(answer.t, nothing), simd64.spread(at_start), simd64.spread(within))
-    put(table.toi, rows, simd64.select(hit, answer.t, simd64.spread(unbounded)), count)
-    put(table.status, rows, simd64.select(hit, how, simd64.spread(none)), count)
+    put(table.toi, rows, simd64.select(hit, answer.t, unbounded), count)
+    put(table.status, rows, simd64.select(hit, how, none), count)
     u = simd64.select(hit, answer.u, nothing)
     put_vec2(table.parameters, rows, u, simd64.select(hit, answer.v, nothing), count)
     put(table.gap, rows, simd64.select(hit, answer.gap, nothing), count)
