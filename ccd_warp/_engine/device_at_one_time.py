@@ -192,7 +192,7 @@ class DeviceDisplacementStep(DeviceAtOneTime):
             kernels.reset_bounds,
             self._mesh.num_vertices,
             inputs=[Slot("largest"), self.topology.body_static],
-            outputs=[stages.minima],
+            outputs=[stages.step.minima],
         )
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:

@@ -85,20 +85,22 @@ class DeviceHold:
         """Record the launches that look for worlds in which the first pass has found a contact that may start close."""
         topology, moving = self._topology, self._topology.moving_vertices
         listed = self._contacts.count, self._contacts.kind, self._contacts.primitives
+        start, minima = stages.step.vertices_t0, stages.step.minima
         recording.launch(
             specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
             len(self._contacts.kind),
-            inputs=[*listed, *corners_by_kind(topology), stages.vertices_t0, self._of_start["reach"], stages.minima],
+            inputs=[*listed, *corners_by_kind(topology), start, self._of_start["reach"], minima],
             outputs=[self._world_near],
         )
-        inputs = [moving, self._world_near, stages.minima]
+        inputs = [moving, self._world_near, stages.step.minima]
         recording.launch(kernels.note_near_bodies, len(moving), inputs=inputs, outputs=[self._near, self.is_near])
 
     def record_holds(
         self, recording: Recording, stages: Stages, record_search: Callable[[Stages, wp.array], None]
     ) -> None:
         """Record the launches that find the holds, after a reset; ``record_search`` records those of a search."""
-        of_start = replace(stages, vertices_t1=stages.vertices_t0, **self._of_start)
+        start = stages.step.vertices_t0
+        of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
         of_start.lower_holds(recording, self._norm)
-        recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.minima], outputs=[self._hold])
+        recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.step.minima], outputs=[self._hold])

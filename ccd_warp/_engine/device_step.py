@@ -21,7 +21,7 @@ from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES
-from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
+from ccd_warp._engine.stages import CANDIDATES_EACH, Stages, StepFields
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, vector_of, without_worlds
@@ -240,9 +240,7 @@ class DeviceStep:
             tree_pairs,
             _NUM_AABBS,
             narrow_phase_on(topology.device, options.real, norm) if self._has_narrow_phase else None,
-            self._counts,
-            vertices_t0=self._start,
-            vertices_t1=self._end,
+            StepFields(self._counts, self._start, self._end, minima, new_contact_list(vars(result.contacts))),
             vertex_aabbs=self._empty(mesh.num_vertices * _NUM_AABBS * VERTEX_AABB_FLOATS, wp.float32),
             boxes={tree.name: tree.structs for tree in trees},
             keys={kind: self._empty(capacities.max_pairs, wp.int64) for kind in kinds},
@@ -254,8 +252,6 @@ class DeviceStep:
             is_thick=radius is not None,
             search_options=search_options(options.t_max, inflation, separation, norm, self._flag, radii),
             options=options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
-            minima=minima,
-            contacts=new_contact_list(vars(result.contacts)),
             queue=new_queue(capacities.max_pairs, topology.device)
             if execution.is_cuda and self._has_narrow_phase
             else None,
@@ -480,7 +476,7 @@ class DeviceStep:
                         int(form.t1_by_vertex),
                         _PER[per],
                         share,
-                        self._stages.minima,
+                        self._stages.step.minima,
                     ],
                     outputs=[Slot("vertices_t1")],
                 )
@@ -509,7 +505,7 @@ class DeviceStep:
         """Record which bodies are searched again: a world found free stays so until something in it is shortened."""
         moving, touched = self.topology.moving_vertices, [self._touched, self._is_any_touched]
         recording.launch(device_step.set_active, self._mesh.num_bodies, inputs=[0], outputs=touched)
-        inputs = [moving, by_scene, self._stages.minima]
+        inputs = [moving, by_scene, self._stages.step.minima]
         recording.launch(device_step.keep_touched, len(moving), inputs=inputs, outputs=touched)
 
     def _record_reset_of_pass(self, recording: Recording) -> None:
@@ -536,10 +532,10 @@ class DeviceStep:
             stages = self._with_hold(stages)
         if stages.plane_query is not None:
             active = self._touched if is_line_search else self._active
-            stages.meet_planes(recording, active, only_moving=is_line_search, gaps_moved=gaps_moved)
-        stages.solve(recording, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
+            stages.meet_planes(recording, CONTACTS, active, only_moving=is_line_search, gaps_moved=gaps_moved)
+        stages.solve(recording, CONTACTS, is_second=False, only_moving=is_line_search, gaps_moved=gaps_moved)
         with recording.only_if(self._is_open):
-            stages.solve(recording, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
+            stages.solve(recording, CONTACTS, is_second=True, only_moving=is_line_search, gaps_moved=gaps_moved)
         return stages
 
     def _with_hold(self, stages: Stages) -> Stages:
@@ -564,7 +560,7 @@ class DeviceStep:
             if len(self._start) == 0:
                 self._start, self._end = (self._empty(mesh.num_vertices, wp.vec3d) for _ in range(2))
             start, end = self._start, self._end
-        stages = replace(self._stages, vertices_t0=start, vertices_t1=end)
+        stages = self._stages.between(start, end)
         self._record_input(recording, form, stages, is_copied, is_first)
         self._record_search(recording, stages, self._active if form.line_search is None else self._touched)
         return stages
@@ -586,7 +582,7 @@ class DeviceStep:
 
     def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
         """Record the launches that read positions and, in the first pass, reset the vertices."""
-        topology, minima = self.topology, stages.minima
+        topology, minima = self.topology, stages.step.minima
         read = specialised("step.input_rows", real=form.real, dimension=self._mesh.dimension)
         if is_first and form.t0_by_vertex and self._has_static:
             recording.launch(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
-from ccd_warp._engine.stages import CANDIDATES_EACH, Stages
+from ccd_warp._engine.stages import CANDIDATES_EACH, Stages, StepFields
 from ccd_warp._engine.topology import WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, sampled_pairs_of, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.lanes import narrow_phase_on
@@ -46,6 +46,7 @@ _COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
 _NUM_ALL_COUNTS = len(PairKind) * int(NUM_COUNTS)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
+_OF_STEP = (*_POSITIONS, "contacts")  # fields of the struct of a step that are slots
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,7 @@ class HostPlan:
             self._norm = EUCLIDEAN_NORM
         self._search_values: tuple[float, ...] | None = None
         self._are_copied = topology.device.is_cuda or mesh.num_vertices <= MOST_COPIED
+        self._sink = int(BOUND if goal == "bound" else CONTACTS)  # of the narrow phase
         self._keeps_toi = goal == "bound"
         self._has_queue = self.execution.is_cuda and has_narrow_phase
         self.has_planes = PairKind.VERTEX_PLANE in self.kinds
@@ -151,32 +153,45 @@ class HostPlan:
         self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
         self.begin_counts()
 
-        names = [*_POSITIONS, "vertex_aabbs", "quantization", "t_end", "inflation"]
-        names += ["search options", "options", "contacts", "queue", "plane query", "reach", "proximities"]
+        names = ["vertex_aabbs", "quantization", "t_end", "inflation"]
+        names += ["search options", "options", "queue", "plane query", "reach", "proximities"]
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         keys = {kind: Slot(f"{kind.name} keys") for kind in self._searched_kinds}
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
         slots = [*itertools.chain(*boxes.values()), *keys.values(), *candidates.values(), *open_toi.values()]
-        self._recording = Recording(self.execution, dict.fromkeys([*names, *(slot.name for slot in slots)]))
+        self._recording = Recording(self.execution, dict.fromkeys([*_OF_STEP, *names, *(slot.name for slot in slots)]))
         self._stages = Stages(
             topology,
             self.tree_pairs,
             self._num_aabbs,
             narrow_phase_on(topology.device, options.real, self._norm) if has_narrow_phase else None,
-            self._counts,
+            StepFields(
+                self._counts,
+                Slot("vertices_t0"),
+                Slot("vertices_t1"),
+                self._minima(goal),
+                Slot("contacts"),
+                self._least_bits,
+            ),
             **{name.replace(" ", "_"): Slot(name) for name in names},
             box_radius=topology.box_radius,
             is_thick=topology.is_thick,
             boxes=boxes,
             keys=keys,
             candidates=candidates,
-            minima=workspace.contacts.minima if goal in ("contacts", *_AT_ONE_TIME) else Minima(),
-            least_bits=self._least_bits,
             open_toi=open_toi,
         )
         if has_narrow_phase and self.tree_pairs:
-            self._stages.load(self.execution, CONTACTS if goal == "contacts" else BOUND)
+            self._stages.load(self.execution, self._sink)
+
+    def _minima(self, goal: Goal) -> Any:
+        """The minima that calls with a goal lower; of the others only which vertex is in which world is read."""
+        if goal in ("contacts", *_AT_ONE_TIME):
+            return self._workspace.contacts.minima
+        minima = Minima()
+        minima.vertex_world = self._topology.vertex_world
+        return minima
 
     @property
     def key_bytes(self) -> int:
@@ -227,12 +242,8 @@ class HostPlan:
         self._recording.bind("plane query", query)
 
     def meet_planes(self) -> int:
-        """Let vertices meet planes, with all contacts; returns the number of pairs that touch."""
-        return self._play_planes("planes", lambda stages, recording: stages.meet_planes(recording))
-
-    def bound_by_planes(self) -> int:
-        """Let vertices meet planes, for the least toi alone; returns the number of pairs that touch."""
-        return self._play_planes("planes", lambda stages, recording: stages.bound_by_planes(recording))
+        """Let vertices meet planes; returns the number of pairs that touch."""
+        return self._play_planes("planes", lambda stages, recording: stages.meet_planes(recording, self._sink))
 
     def _play_planes(self, section: str, record: Callable[[Stages, Recording], None]) -> int:
         self._clear_counts()
@@ -513,14 +524,9 @@ class HostPlan:
             self._recording.bind(f"{kind.name} open toi", toi)
 
     def solve(self, *, is_second: bool) -> None:
-        """A round of the narrow phase on the pairs of a batch, with all contacts."""
+        """A round of the narrow phase on the pairs of a batch."""
         section = "narrow phase, second round" if is_second else "narrow phase"
-        self.play(section, lambda stages, recording: stages.solve(recording, is_second=is_second))
-
-    def bound(self, *, is_second: bool) -> None:
-        """A round of the narrow phase on the pairs of a batch, for the least toi alone."""
-        section = "narrow phase, second round" if is_second else "narrow phase"
-        self.play(section, lambda stages, recording: stages.bound(recording, is_second=is_second))
+        self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
 
     def list_near_planes(self) -> int:
         """List the planes that are near vertices; returns the number of pairs."""

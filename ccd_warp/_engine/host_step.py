@@ -268,7 +268,7 @@ class Step:
             with self.timed("planes"):
                 plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
                 plan.set_least(best)
-                plan.bound_by_planes()
+                plan.meet_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
             if best <= 0.0 or (any_suffices and best < np.inf):
                 searches = ()
@@ -287,13 +287,13 @@ class Step:
                 # most queries have a partner within the distance, so a few of them show a toi of 0
                 for _ in self.timed_batches(plan.few_batches(capacity)):
                     with self.timed("narrow phase"):
-                        plan.bound(is_second=False)
+                        plan.solve(is_second=False)
                 least = plan.least()
             is_known = least <= 0.0 or (any_suffices and least < np.inf)
             batches = iter(()) if is_known else plan.batches(capacity, of_sample=of_sample)
             for batch in self.timed_batches(batches):
                 with self.timed("narrow phase"):
-                    plan.bound(is_second=False)
+                    plan.solve(is_second=False)
                     for kind in plan.num_open():
                         open_pairs.setdefault(kind, []).append(plan.open_pairs(kind, batch.found[kind]))
                 if plan.least() <= 0.0 or (any_suffices and plan.least() < np.inf):
@@ -335,7 +335,7 @@ class Step:
             plan.set_open_pairs(kind, keys, num_open[kind])
             if not is_on_device:
                 plan.set_least(bound)
-            plan.bound(is_second=True)
+            plan.solve(is_second=True)
             is_on_device = True
         return plan.least() if is_on_device else bound
 

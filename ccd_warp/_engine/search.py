@@ -17,7 +17,8 @@ from ccd_warp._runtime.lanes import search_on
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.search.search_types import BOXES, SearchRange
-from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS, Minima
+from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS
+from ccd_warp.kernels.step.step import Step
 
 _FOUND = int(FOUND)
 _NUM_COUNTS = int(NUM_COUNTS)
@@ -132,13 +133,16 @@ class PairSearch:
         self.num_launches: Counter[PairKind] = Counter()
         self.num_batches = 0
         self._topology = topology
-        self._positions, self._options = positions, options
+        self._options = options
         assert execution.flag
         self._flag = execution.flag
         self.largest_capacity = MOST_PAIRS
         self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
         self._counts = buffers.rows("search counts", self.num_workers, _NUM_COUNTS, wp.int64)
+        self._step = Step()
+        self._step.vertices_t0, self._step.vertices_t1 = positions
+        self._step.counts = self._counts
         self._counts_view = None if execution.is_cuda else self._counts.numpy()
 
     def ranges(self, tree_pairs: list[TreePair]) -> Iterator[list[Found]]:
@@ -201,9 +205,8 @@ class PairSearch:
                 tree_pair.packed,
                 self._options,
                 self._topology.collision_filter,
-                *self._positions,
             ],
-            outputs=[self._counts, self.buffers.get("keys", 0, wp.int64), Minima()],
+            outputs=[self._step, self.buffers.get("keys", 0, wp.int64)],
             device=self.execution.device,
             record_cmd=True,
             block_dim=block_dim_of(self._kernel, self.execution.device),

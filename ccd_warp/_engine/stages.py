@@ -1,7 +1,7 @@
 """The stages of a step, each written once: a driver gives them an `Execution`, or a `Recording` to record them in."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import warp as wp
@@ -10,7 +10,7 @@ from ccd_warp._engine.box_sets import BoxSet
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
 from ccd_warp._runtime.lanes import queued_pairs_in, search_on
-from ccd_warp._runtime.launch import Execution, Recording, Slot, load_all
+from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree, rest_order
@@ -18,7 +18,8 @@ from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, N
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
 from ccd_warp.kernels.step import contacts, device_step
-from ccd_warp.kernels.step.minima import FOUND, OPEN, Minima
+from ccd_warp.kernels.step.minima import FOUND, OPEN
+from ccd_warp.kernels.step.step import Step
 from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
@@ -42,17 +43,38 @@ _LONG_PART = 1 << 11
 
 
 @dataclass(frozen=True)
+class StepFields(StructFields):
+    """The fields of ``kernels.step.step.Step``.
+
+    Attributes:
+        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.step.minima``.
+        vertices_t0: Start positions, wp.vec3d, shape [V].
+        vertices_t1: End positions.
+        minima: The earliest toi of every part.
+        contacts: The list of contacts.
+        least_bits: The least toi as bits, where no contacts are kept, shape [1].
+    """
+
+    struct = Step
+
+    counts: wp.array
+    vertices_t0: Any
+    vertices_t1: Any
+    minima: Any
+    contacts: Any
+    least_bits: Any = None
+
+
+@dataclass(frozen=True)
 class Stages:
-    """The launches of a step. Everything from ``vertices_t0`` on may be a slot of a recording.
+    """The launches of a step. Everything from ``step`` on may be a slot of a recording, or have such fields.
 
     Attributes:
         topology: The mesh on its device.
         tree_pairs: The tree pairs to search.
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
         narrow_phase: The kernels of ``narrow_phase`` for a precision.
-        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.step.minima``.
-        vertices_t0: Start positions, wp.vec3d, shape [V].
-        vertices_t1: End positions.
+        step: The positions, and what is found of the step.
         vertex_aabbs: AABBs of the vertices.
         boxes: The structs of each tree or spatial hash, by its name.
         keys: Keys of the pairs that the search finds, by kind.
@@ -64,9 +86,6 @@ class Stages:
         is_thick: Whether each pair has a distance of its own.
         search_options: What the search is asked for.
         options: What the narrow phase is asked for.
-        minima: The earliest toi of every part.
-        contacts: The list of contacts.
-        least_bits: The least toi as bits, where no contacts are kept, shape [1].
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
         plane_query: What vertices and planes are asked for; None where there are no half-spaces.
@@ -78,9 +97,7 @@ class Stages:
     tree_pairs: list[TreePair]
     num_aabbs: int
     narrow_phase: Any
-    counts: wp.array
-    vertices_t0: Any
-    vertices_t1: Any
+    step: StepFields
     vertex_aabbs: Any
     boxes: dict[str, tuple[Any, ...]]
     keys: dict[PairKind, Any]
@@ -92,10 +109,7 @@ class Stages:
     is_thick: bool
     search_options: Any
     options: Any
-    minima: Any
-    contacts: Any
-    least_bits: Any = None
-    open_toi: dict[PairKind, Any] | None = None
+    open_toi: dict[PairKind, Any] = field(default_factory=dict)
     queue: Any = None
     plane_query: Any = None
     reach: Any = None
@@ -106,6 +120,10 @@ class Stages:
         """The kinds of pairs that are searched."""
         return list(self.keys)
 
+    def between(self, vertices_t0: Any, vertices_t1: Any) -> "Stages":
+        """These stages, of a step between other positions."""
+        return replace(self, step=replace(self.step, vertices_t0=vertices_t0, vertices_t1=vertices_t1))
+
     def with_values(self, values: dict[str, Any]) -> "Stages":
         """Stages with values in place of slots, for an `Execution`."""
 
@@ -114,9 +132,11 @@ class Stages:
                 return {name: value(each) for name, each in of.items()}
             if isinstance(of, tuple):
                 return tuple(map(value, of))
+            if isinstance(of, StructFields):
+                return of.packed(values)
             return values[of.name] if isinstance(of, Slot) else of
 
-        return replace(self, **{field.name: value(getattr(self, field.name)) for field in fields(self)})
+        return replace(self, **{each.name: value(getattr(self, each.name)) for each in fields(self)})
 
     def load(self, launcher: Launcher, sink: int) -> None:
         """Load what a step with a narrow phase launches, side by side where it has to be compiled."""
@@ -140,8 +160,8 @@ class Stages:
             inputs=[
                 vertices,
                 *self.topology.of_vertices(active),
-                self.vertices_t0,
-                self.vertices_t1,
+                self.step.vertices_t0,
+                self.step.vertices_t1,
                 self.t_end,
                 self.inflation,
                 self.box_radius,
@@ -171,13 +191,13 @@ class Stages:
             device_step.reset,
             max(mesh.num_bodies, mesh.num_worlds),
             inputs=[kept_flags, int(keeps_toi)],
-            outputs=[self.minima, self.counts, num_contacts, stop],
+            outputs=[self.step.minima, self.step.counts, num_contacts, stop],
         )
 
     def reset_vertices(self, launcher: Launcher) -> None:
         """Set the toi of every vertex to infinity, or to 0 in a world with a coordinate that is not finite."""
         mesh = self.topology.mesh
-        launcher.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[self.minima])
+        launcher.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[self.step.minima])
 
     def search(
         self,
@@ -224,7 +244,7 @@ class Stages:
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
                 *self._searched(tree_pair),
             ],
-            outputs=[self.counts, self.keys[tree_pair.kind], self.minima],
+            outputs=[self.step, self.keys[tree_pair.kind]],
             grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,
             num_needed=None if is_needed is None else lambda: count if is_needed() else 0,  # no more parts than items
@@ -244,8 +264,6 @@ class Stages:
             tree_pair.packed,
             self.search_options,
             self.topology.collision_filter,
-            self.vertices_t0,
-            self.vertices_t1,
         ]
 
     def _search_in_half_warps(
@@ -256,7 +274,7 @@ class Stages:
             self._search_on(tree_pair, end, is_cuda=True),
             num_queries * WIDTH,
             inputs=[part, *self._searched(tree_pair)],
-            outputs=[self.counts, keys, self.minima],
+            outputs=[self.step, keys],
         )
 
     def cull(
@@ -284,11 +302,9 @@ class Stages:
                 int(only_if_complete),
                 candidates,
                 *(self.topology.corners[name] for name in self.topology.corner_arrays(kind)),
-                self.vertices_t0,
-                self.vertices_t1,
                 self.search_options,
             ],
-            outputs=[self.counts, self.keys[kind], self.minima],
+            outputs=[self.step, self.keys[kind]],
         )
 
     def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair, *, marks_overflow: bool = False) -> None:
@@ -300,70 +316,81 @@ class Stages:
         self._search_in_half_warps(launcher, tree_pair, part, num_groups, CULL, self.keys[kind])
 
     def meet_planes(
-        self, launcher: Launcher, active: Any = None, *, only_moving: bool = False, gaps_moved: float = 0.0
+        self,
+        launcher: Launcher,
+        sink: int,
+        active: Any = None,
+        *,
+        only_moving: bool = False,
+        gaps_moved: float = 0.0,
     ) -> None:
-        """Let vertices meet planes: lower the minima, and list the contacts; nothing is left open.
+        """Let vertices meet planes: as in :meth:`solve`, but that nothing is left open.
 
         Args:
             launcher: Where to launch, or to record.
+            sink: Where what is found goes: `CONTACTS` or `BOUND`.
             active: The bodies whose vertices do; all by default.
             only_moving: As for :meth:`solve`.
             gaps_moved: As for :meth:`solve`, too.
         """
-        inputs = [active, self.vertices_t0, self.vertices_t1]
-        inputs += [int(only_moving), float(gaps_moved)]
-        self._meet_planes(launcher, CONTACTS, inputs, [self.minima, self.contacts, None])
-
-    def bound_by_planes(self, launcher: Launcher) -> None:
-        """Let vertices meet planes, and lower the least toi alone."""
-        worlds = Minima()
-        worlds.vertex_world = self.topology.vertex_world
-        inputs = [None, self.vertices_t0, self.vertices_t1, 0, 0.0]
-        self._meet_planes(launcher, BOUND, inputs, [worlds, contacts.ContactList(), self.least_bits])
-
-    def _meet_planes(self, launcher: Launcher, sink: int, inputs: list[Any], outputs: list[Any]) -> None:
         from ccd_warp.kernels.narrow_phase.meet_planes import meet_planes  # not before a scene needs it
 
         topology = self.topology
         met = [sink, topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
-        launcher.launch(meet_planes, len(topology.plane_vertices), [*met, *inputs], [self.counts, *outputs])
+        inputs = [*met, active, int(only_moving), float(gaps_moved)]
+        launcher.launch(meet_planes, len(topology.plane_vertices), inputs=inputs, outputs=[self.step])
 
-    def solve(self, launcher: Launcher, *, is_second: bool, only_moving: bool = False, gaps_moved: float = 0.0) -> None:
-        """A round of the narrow phase: lower the minima, and list the contacts.
+    def solve(
+        self,
+        launcher: Launcher,
+        sink: int,
+        *,
+        is_second: bool,
+        only_moving: bool = False,
+        gaps_moved: float = 0.0,
+    ) -> None:
+        """A round of the narrow phase, for the pairs of each kind that the search has found.
 
         Args:
             launcher: Where to launch, or to record.
+            sink: Where what is found goes: with `CONTACTS` the minima are lowered, and the contacts listed; with
+                `BOUND` the least toi alone is lowered.
             is_second: Whether it is the second round, of the pairs that the first has left open.
             only_moving: Whether stationary pairs are ignored.
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
-        goes_to = [self.minima, self.contacts, None, None]
-        self._narrow_phase(launcher, CONTACTS, is_second, lambda kind: goes_to, int(only_moving), float(gaps_moved))
-
-    def bound(self, launcher: Launcher, *, is_second: bool) -> None:
-        """A round of the narrow phase that lowers the least toi alone."""
-        assert self.open_toi is not None
-        open_toi = self.open_toi
-        none = [Minima(), contacts.ContactList()]
-        self._narrow_phase(launcher, BOUND, is_second, lambda kind: [*none, self.least_bits, open_toi[kind]])
+        chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
+        table = Table()
+        with launcher.at_once():
+            for kind, keys in self.keys.items():
+                inputs = [*self._pairs(kind), self.options, int(is_second), int(only_moving), float(gaps_moved), 0]
+                outputs = [self.step, table, self.open_toi[kind] if sink == BOUND else None]
+                if launcher.is_cuda:
+                    kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
+                    most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
+                    launch_queued(launcher, kernels, most_pairs, [*inputs, self.queue], outputs)
+                    continue
+                inputs.insert(1, sink)
+                kernel = self.narrow_phase.solve_pairs
+                self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
     def list_proximities(self, launcher: Launcher) -> None:
         """In place of the narrow phase: list the pairs that are near at the start."""
         from ccd_warp.kernels.at_one_time.proximity import list_proximities  # few programs need it
 
-        self._at_one_time(launcher, list_proximities, [], [self.minima, self.proximities])
+        self._at_one_time(launcher, list_proximities, [], [self.step.minima, self.proximities])
 
     def bound_displacements(self, launcher: Launcher) -> None:
         """In place of the narrow phase: lower the bounds, which are the minima of the vertices."""
         from ccd_warp.kernels.at_one_time.proximity import bound_displacements
 
-        self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.minima])
+        self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.step.minima])
 
     def lower_holds(self, launcher: Launcher, norm: str) -> None:
         """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
 
         self._at_one_time(
-            launcher, specialised("at_one_time.start_holds", norm=shape_of(norm)).lower_holds, [], [self.minima]
+            launcher, specialised("at_one_time.start_holds", norm=shape_of(norm)).lower_holds, [], [self.step.minima]
         )
 
     def list_near_planes(self, launcher: Launcher) -> None:
@@ -381,8 +408,8 @@ class Stages:
 
         topology = self.topology
         inputs = [sink, topology.plane_vertices, topology.vertex_body, topology.planes, self.box_radius]
-        inputs += [self.vertices_t0, self.reach]
-        outputs = [self.counts, self.minima, proximities]
+        inputs += [self.step.vertices_t0, self.reach]
+        outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
@@ -393,39 +420,14 @@ class Stages:
                 solvers = None
                 if launcher.is_cuda:
                     solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                pairs = [*self._pairs(kind), self.vertices_t0, self.reach, *inputs]
+                kind_number, *of_pairs = self._pairs(kind)
+                pairs = [kind_number, self.step.counts, *of_pairs, self.step.vertices_t0, self.reach, *inputs]
                 self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs, num_solvers=solvers)
-
-    def _narrow_phase(
-        self,
-        launcher: Launcher,
-        sink: int,
-        is_second: bool,
-        outputs_of: Callable[[PairKind], list[Any]],
-        only_moving: int = 0,
-        gaps_moved: float = 0.0,
-    ) -> None:
-        """Launch kernels for the pairs of each kind that the search has found."""
-        chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
-        table = Table()
-        with launcher.at_once():
-            for kind, keys in self.keys.items():
-                inputs = [*self._pairs(kind), self.vertices_t0, self.vertices_t1, self.options]
-                inputs += [int(is_second), only_moving, gaps_moved, 0]
-                outputs = [table, *outputs_of(kind)]
-                if launcher.is_cuda:
-                    kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
-                    most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
-                    launch_queued(launcher, kernels, most_pairs, [*inputs, self.queue], outputs)
-                    continue
-                inputs.insert(1, sink)
-                kernel = self.narrow_phase.solve_pairs
-                self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
     def _pairs(self, kind: PairKind) -> list[Any]:
         """The pairs of a kind as kernels take them."""
         corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
-        return [int(kind), self.counts, self.keys[kind], *corners]
+        return [int(kind), self.keys[kind], *corners]
 
     def _launch_solvers(
         self,
@@ -441,7 +443,7 @@ class Stages:
     ) -> None:
         """Launch solvers that share the pairs of a kind, chunk by chunk; only the device knows how many these are."""
         solvers = num_solvers or _SOLVERS_PER_THREAD * launcher.num_threads
-        found: Any = None if launcher.is_cuda else self.counts.numpy()[kind]  # a view of what the search has found
+        found: Any = None if launcher.is_cuda else self.step.counts.numpy()[kind]  # a view of what the search has found
         launcher.launch(
             kernel,
             solvers,

@@ -7,8 +7,8 @@ Every kernel launched here takes ``begin: int`` as its first parameter and works
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
 
 import warp as wp
 
@@ -177,6 +177,43 @@ class Slot:
 
 
 @dataclass(frozen=True)
+class StructFields:
+    """A struct of kernels by its fields, some of which may be slots of a recording; a subclass names both.
+
+    Attributes:
+        struct: The struct, a class of Warp.
+    """
+
+    struct: ClassVar[Any]
+
+    def packed(self, values: dict[str, Any]) -> Any:
+        """The struct, with values in place of slots; a field whose value is None is as it is in a new one."""
+        packed = self.struct()
+        for name, value in self._given():
+            value = values[value.name] if isinstance(value, Slot) else value
+            if value is not None:
+                setattr(packed, name, value)
+        return packed
+
+    def slots(self) -> list[tuple[str, str]]:
+        """The fields that are slots, and the names of these."""
+        return [(name, value.name) for name, value in self._given() if isinstance(value, Slot)]
+
+    def _given(self) -> list[tuple[str, Any]]:
+        return [(each.name, getattr(self, each.name)) for each in fields(self)]
+
+
+@dataclass
+class _PackedStruct:
+    """A struct in a recording, and the launches that have it."""
+
+    of: StructFields
+    packed: Any
+    uses: list[tuple[PackedLaunch, int]] = field(default_factory=list)
+    is_changed: bool = False  # since the launches have it
+
+
+@dataclass(frozen=True)
 class _Call:
     """A function that launches kernels of Warp's own, in place of a launch."""
 
@@ -232,6 +269,8 @@ class Recording:
         self._groups: list[_Group] = []  # of the section that is recorded
         self._is_at_once = False
         self._uses: dict[str, list[tuple[PackedLaunch, int]]] = {name: [] for name in values}
+        self._structs: list[_PackedStruct] = []
+        self._field_uses: dict[str, list[tuple[_PackedStruct, str]]] = {name: [] for name in values}
 
     @property
     def device(self) -> Any:
@@ -296,10 +335,12 @@ class Recording:
             return
         load(kernel, self.execution.device)
         arguments = [*inputs, *outputs]
+        structs = {i: self._struct_of(a) for i, a in enumerate(arguments) if isinstance(a, StructFields)}
+        values = [structs[i].packed if i in structs else a for i, a in enumerate(arguments)]
         command: Any = wp.launch(
             kernel,
             dim=count,
-            inputs=[0, *(self.values[a.name] if isinstance(a, Slot) else a for a in arguments)],
+            inputs=[0, *(self.values[a.name] if isinstance(a, Slot) else a for a in values)],
             device=self.execution.device,
             record_cmd=True,
             block_dim=block_dim_of(kernel, self.execution.device),
@@ -308,7 +349,20 @@ class Recording:
         for index, argument in enumerate(arguments):
             if isinstance(argument, Slot):
                 self._uses[argument.name].append((packed, index + 1))
+        for index, struct in structs.items():
+            struct.uses.append((packed, index + 1))
         self._add(_Launch(packed, count >= grain > 1, num_needed, is_long))
+
+    def _struct_of(self, of: StructFields) -> _PackedStruct:
+        """The struct with these fields: one for all launches that are given the same object."""
+        for known in self._structs:
+            if known.of is of:
+                return known
+        struct = _PackedStruct(of, of.packed(self.values))
+        self._structs.append(struct)
+        for name, slot in of.slots():
+            self._field_uses[slot].append((struct, name))
+        return struct
 
     def call(self, function: Callable[[], None]) -> None:
         """Record a call of a function that launches kernels of Warp's own."""
@@ -329,6 +383,9 @@ class Recording:
         self.values[name] = None  # no value counts as bound while only some launches have the new one
         for launch, index in self._uses[name]:
             launch.bind(index, value)
+        for struct, of_struct in self._field_uses[name]:
+            setattr(struct.packed, of_struct, value)
+            struct.is_changed = True
         self.values[name] = value
 
     def release(self, name: str) -> None:
@@ -337,6 +394,11 @@ class Recording:
 
     def play(self, section: str) -> None:
         """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
+        for struct in self._structs:
+            if struct.is_changed:
+                for launch, index in struct.uses:
+                    launch.bind(index, struct.packed)
+                struct.is_changed = False
         self._play_groups(section, self._sections[section])
 
     def _play_groups(self, section: str, groups: list[_Group]) -> None:

@@ -47,14 +47,14 @@ if is_thick:
     @wp.func
     def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
         """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
-        box = thick_box(box_corners(search.query, q), search.vertices_t0, search.vertices_t1, search.options)
+        box = thick_box(box_corners(search.query, q), search.step.vertices_t0, search.step.vertices_t1, search.options)
         mask = wp.uint32(0)
         left = wp.uint32(tied)
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)
             corners = box_corners(search.target, block * WIDTH + lane)
-            if are_apart(box, thick_box(corners, search.vertices_t0, search.vertices_t1, search.options)):
+            if are_apart(box, thick_box(corners, search.step.vertices_t0, search.step.vertices_t1, search.options)):
                 mask = mask | (_ONE << wp.uint32(lane))
         return mask
 
@@ -64,8 +64,8 @@ else:
     def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
         """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
         return separated_mask(
-            search.vertices_t0,
-            search.vertices_t1,
+            search.step.vertices_t0,
+            search.step.vertices_t1,
             search.options.inflation,
             search.target.corners,
             block,

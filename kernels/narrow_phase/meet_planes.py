@@ -17,6 +17,7 @@ from ..step.minima import (
     lower_primitive,
     world_of,
 )
+from ..step.step import Step
 from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
 from .sinks import BOUND
 
@@ -55,15 +56,10 @@ def meet_planes(
     vertex_body: wp.array[wp.int32],
     box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
     active: wp.array[wp.int32],  # by body: 0, its vertices are left out; empty, none is
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
     only_moving: int,  # 1: a vertex that does not move is left out, so it may touch; planes that move strike it
     gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the vertex moves by this many gaps
-    # out
-    counts: wp.array2d[wp.int64],
-    minima: Minima,
-    contacts: ContactList,
-    least_bits: wp.array[wp.int64],
+    # in and out
+    step: Step,
 ):
     """Meet every plane with a vertex that is free; lower the minima and list the contacts, or lower the least toi.
 
@@ -74,27 +70,27 @@ def meet_planes(
     if active.shape[0] > 0:
         if active[body] == 0:
             return
-    x0 = vertices_t0[v]
-    x1 = vertices_t1[v]
+    x0 = step.vertices_t0[v]
+    x1 = step.vertices_t1[v]
     is_struck = only_moving != 0 and x0 == x1
     if is_struck and planes.vertex.shape[0] == 0:
         return
     radius = _ZERO
     if box_radius.shape[0] > 0:
         radius = box_radius[v]
-    world = world_of(minima, v)
+    world = world_of(step.minima, v)
     for i in range(first_plane(planes, world), end_of_planes(planes, world)):
         k = nth_plane(planes, i)
-        p0 = point_of(planes, k, vertices_t0)
-        p1 = point_of(planes, k, vertices_t1)
+        p0 = point_of(planes, k, step.vertices_t0)
+        p1 = point_of(planes, k, step.vertices_t1)
         if planes.meets[k, body] != wp.uint8(0) and not (is_struck and p0 == p1):
             meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
-                    claim(counts, VERTEX_PLANE, FOUND, 1)
+                    claim(step.counts, VERTEX_PLANE, FOUND, 1)
                     toi = meeting.toi
                     if sink == BOUND:
-                        atomic_min_int64(least_bits, 0, wp.cast(toi, wp.int64))
+                        atomic_min_int64(step.least_bits, 0, wp.cast(toi, wp.int64))
                         continue
                     if gaps_moved > _ZERO and toi < _LOST_TOI:
                         motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
@@ -102,30 +98,30 @@ def meet_planes(
                             toi = wp.max(toi, gaps_moved * meeting.gap / motion)
                     bits = wp.cast(toi, wp.int64)
                     if is_struck:
-                        flag_world(minima, v, STRUCK)
+                        flag_world(step.minima, v, STRUCK)
                     else:
-                        lower_primitive(minima, wp.vec3i(v, v, v), bits)
-                        atomic_min_int64(minima.body, planes.body[k], bits)
-                        atomic_min_int64(minima.world, world, bits)
-                        atomic_min_int64(minima.scene, 0, bits)
+                        lower_primitive(step.minima, wp.vec3i(v, v, v), bits)
+                        atomic_min_int64(step.minima.body, planes.body[k], bits)
+                        atomic_min_int64(step.minima.world, world, bits)
+                        atomic_min_int64(step.minima.scene, 0, bits)
                     status = STATUS_COLLISION
                     if meeting.toi == _ZERO:
                         status = STATUS_INITIAL_CONTACT
                         if meeting.gap > query.most_gap:
                             status = STATUS_ROUNDING_LIMIT
-                            flag_world(minima, v, ROUNDING_LIMIT)
-                    n = claim_int(contacts.count, 0)
-                    if n < contacts.toi.shape[0]:
-                        contacts.kind[n] = VERTEX_PLANE
-                        contacts.primitives[n] = wp.vec2i(v, k)
-                        contacts.toi[n] = meeting.toi
-                        contacts.status[n] = status
-                        contacts.parameters[n] = wp.vec2d(_ZERO, _ZERO)
-                        contacts.gap[n] = meeting.gap
-                        contacts.width[n] = _ZERO
-                        contacts.normal[n] = planes.unit[k]
+                            flag_world(step.minima, v, ROUNDING_LIMIT)
+                    n = claim_int(step.contacts.count, 0)
+                    if n < step.contacts.toi.shape[0]:
+                        step.contacts.kind[n] = VERTEX_PLANE
+                        step.contacts.primitives[n] = wp.vec2i(v, k)
+                        step.contacts.toi[n] = meeting.toi
+                        step.contacts.status[n] = status
+                        step.contacts.parameters[n] = wp.vec2d(_ZERO, _ZERO)
+                        step.contacts.gap[n] = meeting.gap
+                        step.contacts.width[n] = _ZERO
+                        step.contacts.normal[n] = planes.unit[k]
                     else:
-                        flag_world(minima, v, CONTACTS_OVERFLOW)
+                        flag_world(step.minima, v, CONTACTS_OVERFLOW)
 
 
 @wp.kernel

@@ -16,6 +16,7 @@ from ..pair_key import pair_key, pair_of
 from ..pair_kind import EDGE_EDGE, VERTEX_FACE
 from ..parameters import is_thick
 from ..step.minima import ANY_UNLISTED, CANDIDATES, FOUND, Minima, mark_overflow
+from ..step.step import Step
 from ..template import specialised
 from .search_types import SearchOptions, SearchRange
 
@@ -58,14 +59,13 @@ def is_discarded(
     kind: int,
     a: wp.vec3i,  # vertices of the first primitive
     b: wp.vec3i,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
+    step: Step,
     options: SearchOptions,
 ) -> bool:
     """Whether a test of the cull proves that a candidate does not touch in the step."""
     if has_volume(kind):
-        c0 = corners(kind, points_of(kind, a, b, vertices_t0))
-        c1 = corners(kind, points_of(kind, a, b, vertices_t1))
+        c0 = corners(kind, points_of(kind, a, b, step.vertices_t0))
+        c1 = corners(kind, points_of(kind, a, b, step.vertices_t1))
         if wp.static(is_thick):
             distance = distance_of(options.separation, options.radius, a, b)
             return free_lanes(kind, c0, c1, distance, options.is_euclidean, options.t_end, _ONE) != _NONE
@@ -83,35 +83,33 @@ def cull_candidates(
     candidates: wp.array[wp.int64],
     first_corners: wp.array[wp.vec3i],
     second_corners: wp.array[wp.vec3i],
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
     options: SearchOptions,
+    # in and out
+    step: Step,
     # out
-    counts: wp.array2d[wp.int64],
     keys: wp.array[wp.int64],
-    minima: Minima,
 ):
     """Cull the candidates of a kind, the row of the counts: those of a thread are ``num_threads`` apart."""
     thread = begin + wp.tid()
     first_of_thread = first_lane(thread)
     end = end_lane(thread)
     kind = part.row
-    if only_if_complete != 0 and counts[kind, CANDIDATES] > wp.int64(candidates.shape[0]):
+    if only_if_complete != 0 and step.counts[kind, CANDIDATES] > wp.int64(candidates.shape[0]):
         if thread == 0:
-            claim(counts, 0, ANY_UNLISTED, 1)
+            claim(step.counts, 0, ANY_UNLISTED, 1)
         return
-    count = wp.int32(wp.min(counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))
+    count = wp.int32(wp.min(step.counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))
     for n in range(thread - thread % HALF_WARP, count, num_threads):
         lanes = wp.uint32(0)
         for lane in range(first_of_thread, wp.min(end, count - n)):
             pair = pair_of(candidates[n + lane])
             a = first_corners[pair[0]]
             b = second_corners[pair[1]]
-            if not is_discarded(kind, a, b, vertices_t0, vertices_t1, options):
+            if not is_discarded(kind, a, b, step, options):
                 lanes = lanes | (_ONE << wp.uint32(lane))
         every = united(lanes)
         if every != _NONE:
-            place = claim_together(counts, kind, FOUND, every)
+            place = claim_together(step.counts, kind, FOUND, every)
             while lanes != _NONE:
                 lane = lowest_bit(lanes)
                 lanes = lanes & (lanes - _ONE)
@@ -119,4 +117,4 @@ def cull_candidates(
                 a = first_corners[pair[0]]
                 b = second_corners[pair[1]]
                 at = place + wp.int64(number_before(every, lane))
-                write_pair(pair[0], pair[1], a, b, at, part, keys, minima)
+                write_pair(pair[0], pair[1], a, b, at, part, keys, step.minima)

@@ -65,8 +65,8 @@ if width > 1:
         options = search.options
         left = (wp.uint32(1) << wp.uint32(count)) - wp.uint32(1)
         if has_volume(kind):
-            c0 = corners_of_lanes(kind, points_at(search.vertices_t0, collected, begin, capacity))
-            c1 = corners_of_lanes(kind, points_at(search.vertices_t1, collected, begin, capacity))
+            c0 = corners_of_lanes(kind, points_at(search.step.vertices_t0, collected, begin, capacity))
+            c1 = corners_of_lanes(kind, points_at(search.step.vertices_t1, collected, begin, capacity))
             if wp.static(is_thick):
                 own = distances(kind, options, collected, begin)
                 left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
@@ -74,13 +74,13 @@ if width > 1:
                 separation = options.separation
                 left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)
         if left != _NONE:
-            n = claim(search.counts, search.part.row, FOUND, number_of_bits(left))
+            n = claim(search.step.counts, search.part.row, FOUND, number_of_bits(left))
             while left != _NONE:
                 k = begin + lowest_bit(left)
                 left = left & (left - wp.uint32(1))
                 a, b = corners_of(kind, collected, k)
                 first, second = collected[k + 4 * capacity], collected[k + 5 * capacity]
-                write_pair(first, second, a, b, n, search.part, search.keys, search.minima)
+                write_pair(first, second, a, b, n, search.part, search.keys, search.step.minima)
                 n += wp.int64(1)
 
     @wp.func
@@ -129,9 +129,9 @@ else:
             if is_turned(search.tree_pair, i, j):
                 a, b = b, a
                 i, j = j, i
-            if not is_discarded(search.tree_pair.kind, a, b, search.vertices_t0, search.vertices_t1, search.options):
-                n = claim(search.counts, search.part.row, FOUND, 1)
-                write_pair(i, j, a, b, n, search.part, search.keys, search.minima)
+            if not is_discarded(search.tree_pair.kind, a, b, search.step, search.options):
+                n = claim(search.step.counts, search.part.row, FOUND, 1)
+                write_pair(i, j, a, b, n, search.part, search.keys, search.step.minima)
 
     @wp.func
     def cull_rest(search: Search, collected: wp.array[wp.int32]):

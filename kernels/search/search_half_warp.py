@@ -128,7 +128,7 @@ def items_of(search: Search, thread: int) -> wp.vec3i:
     items = wp.vec3i(0, 0, 1)
     if end_lane(thread) > 0:
         if wp.static(is_second):
-            if search.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):
+            if search.step.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):
                 items = wp.vec3i(thread / HALF_WARP, search.query.num_boxes, search.part.stride)
         else:
             item = search.part.first + thread / HALF_WARP * search.part.stride
@@ -192,7 +192,7 @@ def is_partner(search: Search, q: int, p: int, a: wp.vec3i) -> bool:
         turned = is_turned(search.tree_pair, search.query.primitive[q], search.target.primitive[p])
         c = wp.where(turned, b, a)
         d = wp.where(turned, a, b)
-        return not is_discarded(search.tree_pair.kind, c, d, search.vertices_t0, search.vertices_t1, search.options)
+        return not is_discarded(search.tree_pair.kind, c, d, search.step, search.options)
     return True
 
 
@@ -214,7 +214,7 @@ def write(search: Search, q: int, p: int, n: wp.int64):
         a = box_corners(search.query, q)
         b = box_corners(search.target, p)
         c = wp.where(turned, b, a)
-        write_pair(first, second, c, wp.where(turned, a, b), n, search.part, search.keys, search.minima)
+        write_pair(first, second, c, wp.where(turned, a, b), n, search.part, search.keys, search.step.minima)
 
 
 @wp.func
@@ -241,7 +241,7 @@ def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32) -> i
             lanes = lanes & ~boxes_apart(search, item.first, block, tied)
     every = united(lanes)
     if every != _NONE:
-        begin = claim_together(search.counts, search.part.row, column, every)
+        begin = claim_together(search.step.counts, search.part.row, column, every)
         while lanes != _NONE:
             lane = lowest_bit(lanes)
             lanes = lanes & (lanes - _ONE)

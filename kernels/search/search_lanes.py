@@ -150,7 +150,7 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, tied: wp.uint3
         block,
         mask,
         wp.where(search.tree_pair.symmetric != 0, 2, search.tree_pair.swapped),
-        search.counts,
+        search.step.counts,
         search.part.row,
         FOUND,
         search.part.capacity,
@@ -203,4 +203,4 @@ def finish(search: Search, item: Item, num_candidates: int):
     if wp.static(with_cull):
         cull_rest(search, item.collected)
     if num_candidates > 0:
-        claim(search.counts, search.part.row, CANDIDATES, num_candidates)
+        claim(search.step.counts, search.part.row, CANDIDATES, num_candidates)

@@ -26,7 +26,7 @@ from ..boxes.half_warp import united
 from ..boxes.lanes import lanes_after, lowest_bit
 from ..interrupts import is_stopped
 from ..parameters import in_half_warps
-from ..step.minima import Minima
+from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
@@ -120,17 +120,13 @@ def search_trees(
     tree_pair: TreePair,
     options: SearchOptions,
     collision_filter: CollisionFilter,
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
+    # in and out
+    step: Step,
     # out
-    counts: wp.array2d[wp.int64],
     keys: wp.array[wp.int64],
-    minima: Minima,
 ):
     """Find the pairs of the items of a thread."""
-    search = Search(
-        part, query, target, tree_pair, options, collision_filter, vertices_t0, vertices_t1, counts, keys, minima
-    )
+    search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
     thread = begin + wp.tid()
     items = queries.items_of(search, thread)
     for number in range(items[0], items[1], items[2]):

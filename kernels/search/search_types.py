@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..boxes.box_tree import BoxTree
-from ..step.minima import Minima
+from ..step.step import Step
 from .collision_filter import CollisionFilter
 
 # The stage at which a search ends.
@@ -62,11 +62,8 @@ class Search:
     tree_pair: TreePair
     options: SearchOptions
     collision_filter: CollisionFilter
-    vertices_t0: wp.array[wp.vec3d]
-    vertices_t1: wp.array[wp.vec3d]
-    counts: wp.array2d[wp.int64]
+    step: Step
     keys: wp.array[wp.int64]  # of pairs; or of candidates, of a search that lists them
-    minima: Minima
 
 
 @wp.func
