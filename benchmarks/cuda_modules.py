@@ -22,11 +22,11 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     """The modules of the files, and those of templates for a precision, a dimension or an end of the search.
 
     With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii, or line
-    searches in which something starts within its distance; of these the narrow phase in one precision, as nothing else
-    distinguishes the two from those without radii, or as there is no other.
+    searches in which something starts within its distance; of the latter the narrow phase in one precision, as there is
+    no other.
     """
     from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
-    from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM, THICK_NORM
+    from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM
     from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
     from ccd_warp.kernels.template import specialised
 
@@ -42,7 +42,7 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
             modules[f"contact_points {name}"] = specialised("step.contact_points", **parameters).fill_points.module
         norms = [MAXIMUM_NORM]
         if with_distances:
-            norms += [EUCLIDEAN_NORM, THICK_NORM, OWN_BOX_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]
+            norms += [EUCLIDEAN_NORM, OWN_BOX_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]
         for norm in norms:
             of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
             queued = specialised("narrow_phase.queued_pairs", real=real, norm=norm)

@@ -67,9 +67,8 @@ def output(request):
     return "".join(process.communicate()[0] for process in processes)
 
 
-# Of the kernels for radii, which all run emulated, those that take the distances of pairs each in another way.
-_OF_RADII = ["queued_pairs solve_pairs later float64 thick", "candidate_cull thick"]
-_OF_RADII += ["search_trees boxes False thick"]
+# Of the searches for radii, which all run emulated, those that take the distances of pairs each in another way.
+_OF_RADII = ["candidate_cull thick", "search_trees boxes False thick"]
 NAMES = [name for name in cuda_modules(with_distances=True) if not name.endswith("thick") or name in _OF_RADII]
 
 

@@ -584,3 +584,16 @@ def test_scene_without_radii_compiles_nothing_of_them(monkeypatch):
         mesh, start, end = two_sheets(1.0, radius)
         ccd.mesh_ccd(mesh, start, end, device="cpu")
     assert set(norms) == {"maximum"}
+
+
+def test_radius_counts_where_a_difference_of_coordinates_is_beyond_the_largest_number():
+    reach, radius, start, end = 1.2e308, 1e301, 1e303, 1e300
+    no_faces, edge = np.zeros((0, 3), int), np.array([[0, 1]])
+    below = np.array([[-reach, 0.0, 0.0], [reach, 0.0, 0.0]])
+    above = np.array([[-reach, -1e307, end], [reach, 1e307, end]])  # crosses it far below twice the radius
+    mesh = ccd.CollisionMesh.from_arrays([(below, no_faces, edge), (above, no_faces, edge)], radius=radius)
+    vertices_t0 = mesh.vertices.copy()
+    vertices_t0[2:, 2] = start
+    exact = (start - 2.0 * radius) / (start - end)
+    toi = ccd.mesh_ccd(mesh, vertices_t0, mesh.vertices).toi
+    assert 0.99 * exact < toi <= exact  # the tolerance is a share of the length of the edges

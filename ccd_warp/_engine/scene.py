@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.pair.norm import OWN_BOX_NORM, THICK_NORM, is_ball
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -38,7 +38,7 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
 
 
 def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False, is_held: bool = False) -> str:
-    """The norm of separations (``kernels.pair.norm``): with radii each pair has a distance of its own.
+    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
 
     Args:
         mesh: The bodies.
@@ -50,12 +50,10 @@ def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = Fal
         ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
     """
     if mesh.radius is None or not (may_change or mesh.is_thick):
-        if not is_held:
-            return options.norm
-        return THICK_NORM if is_ball(options.norm) else OWN_BOX_NORM
+        return OWN_BOX_NORM if is_held and not is_ball(options.norm) else options.norm
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
             f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
         )
-    return THICK_NORM
+    return EUCLIDEAN_NORM

@@ -17,7 +17,7 @@ and no other pair at all.
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim
-from ..pair.norm import MAXIMUM_NORM, is_by_pair
+from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, is_by_pair
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import is_stationary, row_points
@@ -219,7 +219,9 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if wp.static(is_bound):
                     least = wp.cast(step.least_bits[0], wp.float64)
                 answer = lane_solver.LaneAnswer()
-                if wp.static(is_initial):
+                if wp.static(is_initial and has_own):
+                    pass  # all pairs have skipped the first rounds
+                elif wp.static(is_initial):
                     answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
                 elif wp.static(is_table):
                     answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
@@ -291,7 +293,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     return solve_pairs
 
 
-points_toi = [] if has_own else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+points_toi = [] if norm == OWN_BOX_NORM else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
 solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

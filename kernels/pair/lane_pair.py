@@ -44,6 +44,8 @@ def _power_of_two(width: int) -> str:
 is_euclidean = is_ball(norm)
 has_own = is_by_pair(norm)
 simd64 = specialised("pair.simd", width=width)
+if has_own:
+    without_margin = specialised("pair.pair_options", real=real, width=width, norm=norm).without_margin
 Corners64 = specialised("pair.patch", width=width).Corners
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
@@ -215,18 +217,16 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         n.is_valid = n.is_valid & simd64.bits_of(simd64.is_at_most(scale, LARGEST))
     limit = simd64.spread(LARGEST)
     delta_length = simd64.least(options.tolerance * scale, limit)
-    if wp.static(has_own):
-        separation_length = simd64.least(options.minimum_separation, limit)  # one in each lane
-    else:
-        separation_length = simd64.least(options.minimum_separation * scale, limit)
     m = simd64.greatest(largest(c0), largest(c1))
     most = simd64.greatest(m.x, simd64.greatest(m.y, m.z))
     if wp.static(has_own):
-        separation_length = simd64.greatest(separation_length - options.margin * most, wp.float64(0.0))
+        # a length in each lane
+        separation_length = simd64.least(options.minimum_separation, limit)
+        separation_length = without_margin(separation_length, most, options)
+    else:
+        separation_length = simd64.least(options.minimum_separation * scale, limit)
     if wp.static(is_euclidean):
-        # a length, and one scale for all axes, so that the ball stays a ball
-        if wp.static(not has_own):
-            separation_length = simd64.least(options.minimum_separation, limit)
+        # one scale for all axes, so that the ball stays a ball
         shared = inverse_power_of_two(simd64.greatest(most, delta_length))
         return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation_length, delta_length)
     # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance

@@ -51,18 +51,12 @@ class LaneAnswer:
     iterations: simd64.Lanes
 
 
-if has_own:
-
-    @wp.func
-    def has_distance(options: Options) -> bool:
-        """Whether a pair may have a separation: the distance of any of them may be above 0."""
+@wp.func
+def has_distance(options: Options) -> bool:
+    """Whether a pair may have a separation; where each has its own, that of any of them may be above 0."""
+    if wp.static(has_own):
         return True
-
-else:
-
-    @wp.func
-    def has_distance(options: Options) -> bool:
-        """Whether the pairs have a separation."""
+    else:
         return options.minimum_separation > wp.float64(0.0)
 
 

@@ -3,27 +3,25 @@
 In the maximum norm the separation is a box, in the Euclidean norm a ball. Both are convex, so the inclusion test along
 a direction d has the support of the shape for its offset: Σ|d_k|·separation_k of the box, separation·|d| of the ball.
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
-the three components of its separation are equal. Where each pair has a separation of its own (`pair_options`), that is
-a norm of its own here. Kernels are made for one norm, so that a scene without Euclidean distances, or without radii,
-compiles nothing of them.
+the three components of its separation are equal. There each pair has a separation of its own (`pair_options`), as radii
+and holds ask for; in the maximum norm only what is held has, which is a norm of its own here. Kernels are made for one
+norm, so that a scene without Euclidean distances compiles nothing of them.
 """
 
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
-# Each pair has a separation of its own: a ball, for meshes with radii and for what starts within its distance
-# (`thickness`, `hold`); or a box, for the latter.
-THICK_NORM = "thick"
+# A box for each pair, where something starts within its distance (`hold`).
 OWN_BOX_NORM = "own_box"
 
 
 def is_ball(norm: str) -> bool:
     """Whether the separation is a ball."""
-    return norm in (EUCLIDEAN_NORM, THICK_NORM)
+    return norm == EUCLIDEAN_NORM
 
 
 def is_by_pair(norm: str) -> bool:
-    """Whether each pair has a separation of its own."""
-    return norm in (THICK_NORM, OWN_BOX_NORM)
+    """Whether each pair has a separation of its own, which may be above 0."""
+    return norm != MAXIMUM_NORM
 
 
 def shape_of(norm: str) -> str:

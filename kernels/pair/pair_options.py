@@ -1,6 +1,7 @@
 """The options of single pairs: with radii, and where pairs are held, each has a distance of its own.
 
-Otherwise they are those of the query.
+Otherwise they are those of the query. In the maximum norm pairs have a distance of their own only where the norm says
+so; in the Euclidean norm the arrays of radii and holds decide, which are empty where there are none.
 """
 
 import warp as wp
@@ -13,7 +14,8 @@ from .hold import MARGIN, held_at
 from .norm import is_ball, is_by_pair
 from .query import Options
 
-Lanes = specialised("pair.simd", width=width).Lanes
+simd = specialised("pair.simd", width=width)
+Lanes = simd.Lanes
 Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
 lanes = wp.constant(width)
 infinite = wp.constant(wp.float64(float("inf")))
@@ -58,8 +60,20 @@ else:
         pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
         return options_of_pair(options, first_corners[pair[0]], second_corners[pair[1]])
 
+    @wp.func
+    def are_equal(options: Options) -> bool:
+        """Whether all pairs have the options of the query, as where they are not those of a mesh."""
+        return options.radius.shape[0] == 0 and options.hold.shape[0] == 0
+
     if width == 1:
         LaneOptions = Options
+
+        @wp.func
+        def without_margin(separation: wp.float64, size: wp.float64, options: LaneOptions) -> wp.float64:
+            """A separation less the margin of a held pair of a size."""
+            if options.margin > wp.float64(0.0):
+                return wp.max(separation - options.margin * size, wp.float64(0.0))
+            return separation
 
         @wp.func
         def options_of_rows(
@@ -70,6 +84,8 @@ else:
             second_corners: wp.array[wp.vec3i],
         ) -> LaneOptions:
             """The options of a pair, given by its place in the list of keys."""
+            if are_equal(options):
+                return options
             return of_key(pairs[row], first_corners, second_corners, options)
 
     else:
@@ -80,11 +96,19 @@ else:
 
             tolerance: wp.float64
             minimum_separation: Lanes
-            margin: Lanes
+            held: wp.uint32  # bits of the lanes whose pairs are held
             start_gap_fraction: wp.float64
             length_scale: wp.float64
             t_end: real
             method: int
+
+        @simd.func
+        def without_margin(separation: Lanes, size: Lanes, options: LaneOptions) -> Lanes:
+            """A separation less the margin of a held pair of a size, in each lane."""
+            if options.held != wp.uint32(0):
+                less = simd.greatest(separation - margin * size, wp.float64(0.0))
+                return simd.select(simd.mask_of(options.held), less, separation)
+            return separation
 
         @wp.func
         def options_of_rows(
@@ -97,14 +121,16 @@ else:
             """The options of the pair in each lane, given by its place in the list of keys."""
             own = LaneOptions()
             own.tolerance = options.tolerance
-            distances = Lanes()
-            margins = Lanes()
-            for k in range(lanes):
-                of_pair = of_key(pairs[rows[k]], first_corners, second_corners, options)
-                distances[k] = of_pair.minimum_separation
-                margins[k] = of_pair.margin
+            distances = simd.spread(options.minimum_separation)
+            held = wp.uint32(0)
+            if not are_equal(options):
+                for k in range(lanes):
+                    of_pair = of_key(pairs[rows[k]], first_corners, second_corners, options)
+                    distances[k] = of_pair.minimum_separation
+                    if of_pair.margin > wp.float64(0.0):
+                        held = held | (wp.uint32(1) << wp.uint32(k))
             own.minimum_separation = distances
-            own.margin = margins
+            own.held = held
             own.start_gap_fraction = options.start_gap_fraction
             own.length_scale = options.length_scale
             own.t_end = options.t_end

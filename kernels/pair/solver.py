@@ -130,13 +130,13 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         m = wp.max(largest(c0), largest(c1))
         reach = m  # what fits into a normalised unit
         if wp.static(is_euclidean):
-            # a length, and one scale for all axes, so that the ball stays a ball
-            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+            # one scale for all axes, so that the ball stays a ball
             reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
         if wp.static(has_own):
-            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
-            size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
-            separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
+            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)  # a length
+            if options.margin > wp.float64(0.0):
+                size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
+                separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
         s = vec3d()
         is_cut = bool(False)
         for k in range(3):

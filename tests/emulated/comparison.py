@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
 
 from emulated import calls
 from emulated.device import Emulation, emulation
@@ -95,11 +94,6 @@ CPU_ALONE = {
 # Of modules for distances, ends of the names of those that are not run, and the ones that run what is theirs.
 RUN_ELSEWHERE = {
     "float32 euclidean": "those of float64",
-    **{
-        f"{name} {stage} float64 euclidean": "those for radii, which take their distance from the pair, not the options"
-        for name in ("solve_pairs", "pairs_bound")
-        for stage in STAGES
-    },
     "own_box": "boxes are those of the maximum norm, and a separation of each pair is that of radii",
     "holds box": "that of a ball, but for the distance of a pair",
     "search_trees boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",

@@ -181,7 +181,7 @@ STEPS = {
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
 }
-# Meshes with radii, for which kernels of their own are compiled: by the calls that need each of these, and no others.
+# Meshes with radii, for which the Euclidean kernels are compiled: by the calls that need each of these, and no others.
 THICK = {
     "radii": StepCase(_thick, {"minimum_distance": 0.004}),
     "radii, spatial hash, excluded pairs": StepCase(
