@@ -342,12 +342,11 @@ def _launch(
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
     execution = Execution(device, options.threads, stop)
-    table = out.with_points(points_t0, points_t1)
+    outputs = table_outputs(out.with_points(points_t0, points_t1))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
-        inputs = [int(kind), *table_inputs(packed, count), new_queue(count, device)]
-        kernels = queued_pairs_in(options.real, options.norm).points_toi
-        launch_queued(execution, kernels, count, inputs, table_outputs(table, counts))
+        inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]
+        launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)
     kernel, chunk = narrow_phase.solve_pairs, narrow_phase.chunk_of_table
@@ -355,7 +354,7 @@ def _launch(
         kernel,
         -(-count // chunk),
         inputs=[MANY_SOLVERS, chunk, int(kind), TABLE, *table_inputs(packed, count)],
-        outputs=table_outputs(table),
+        outputs=outputs,
         grain=max(1, _WORTH_A_THREAD // chunk) if is_first else 1,
         is_long=lambda: is_long,
     )

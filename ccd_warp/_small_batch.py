@@ -18,7 +18,8 @@ from ccd_warp._runtime.launch import load
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
-from ccd_warp.kernels.step.step import Step
+from ccd_warp.kernels.step.contacts import ContactList
+from ccd_warp.kernels.step.minima import Minima
 
 CAPACITY = 512  # pairs, some 240 bytes each; beyond it solving takes longer than launching, and threads share it
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
@@ -31,25 +32,22 @@ _OUTPUTS = {
     "iterations": wp.int32,
 }
 # Positions among the kernel's parameters.
-_OPTIONS, _COUNT = 8, 12
+_OPTIONS, _COUNT = 11, 15
 # So many that each takes one chunk of the pairs.
 MANY_SOLVERS = 1 << 30
 
 _idle: dict[tuple[PairKind, Any, str], list["SmallBatch"]] = {}
 
 
-def table_inputs(packed: Any, count: int) -> list[Any]:
-    """The inputs of the narrow phase from the keys on, where pairs are given by their points."""
-    of_mesh = [None] * 3  # keys and corners
-    return [*of_mesh, packed, 0, 0, 0.0, count]
+def table_inputs(packed: Any, count: int, counts: wp.array | None = None) -> list[Any]:
+    """The inputs of the narrow phase from the counts on, where pairs are given by their points."""
+    of_mesh = [None] * 5  # keys, corners and vertices
+    return [counts, *of_mesh, packed, 0, 0, 0.0, count]
 
 
-def table_outputs(table: Any, counts: wp.array | None = None) -> list[Any]:
-    """Its outputs; only CUDA has counts, of its queue."""
-    step = Step()
-    if counts is not None:
-        step.counts = counts
-    return [step, table, None]
+def table_outputs(table: Any) -> list[Any]:
+    """Its outputs."""
+    return [table, Minima(), ContactList(), None, None]
 
 
 class SmallBatch:

@@ -18,7 +18,7 @@ from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, N
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
 from ccd_warp.kernels.step import contacts, device_step
-from ccd_warp.kernels.step.minima import FOUND, OPEN
+from ccd_warp.kernels.step.minima import FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import Step
 from ccd_warp.kernels.template import specialised
 
@@ -360,11 +360,16 @@ class Stages:
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
+        step, found = self.step, [self.step.minima, self.step.contacts, self.step.least_bits]
+        if sink == BOUND:
+            found[:2] = Minima(), contacts.ContactList()
         table = Table()
         with launcher.at_once():
             for kind, keys in self.keys.items():
-                inputs = [*self._pairs(kind), self.options, int(is_second), int(only_moving), float(gaps_moved), 0]
-                outputs = [self.step, table, self.open_toi[kind] if sink == BOUND else None]
+                # no struct of the step: with one the solver takes 3 to 8 % longer
+                inputs = [*self._pairs(kind), step.vertices_t0, step.vertices_t1, self.options]
+                inputs += [int(is_second), int(only_moving), float(gaps_moved), 0]
+                outputs = [table, *found, self.open_toi[kind] if sink == BOUND else None]
                 if launcher.is_cuda:
                     kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
@@ -420,14 +425,13 @@ class Stages:
                 solvers = None
                 if launcher.is_cuda:
                     solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                kind_number, *of_pairs = self._pairs(kind)
-                pairs = [kind_number, self.step.counts, *of_pairs, self.step.vertices_t0, self.reach, *inputs]
+                pairs = [*self._pairs(kind), self.step.vertices_t0, self.reach, *inputs]
                 self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs, num_solvers=solvers)
 
     def _pairs(self, kind: PairKind) -> list[Any]:
         """The pairs of a kind as kernels take them."""
         corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
-        return [int(kind), self.keys[kind], *corners]
+        return [int(kind), self.step.counts, self.keys[kind], *corners]
 
     def _launch_solvers(
         self,

@@ -20,8 +20,8 @@ from ..pair.single_points import is_stationary, points_of, row_points
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from ..pair_key import pair_of
 from ..parameters import norm, real, width
-from ..step.minima import ANY_OPEN, FOUND, OPEN
-from ..step.step import Step
+from ..step.contacts import ContactList
+from ..step.minima import ANY_OPEN, FOUND, OPEN, Minima
 from ..template import specialised
 from . import lane_rows
 from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, row_of, rows_from, rows_of
@@ -124,18 +124,22 @@ def solve_pairs(
     chunk: int,
     kind: int,
     sink: int,
+    counts: wp.array2d[wp.int64],
     pairs: wp.array[wp.int64],
     first_corners: wp.array[wp.vec3i],
     second_corners: wp.array[wp.vec3i],
+    vertices_t0: wp.array[vec3d],
+    vertices_t1: wp.array[vec3d],
     options: Options,
     is_second: int,  # 1: the second round, of the pairs that the first has marked as open
     only_moving: int,  # 1: a stationary pair is not solved, so it may touch
     gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
     num_rows: int,  # of the table
-    # in and out
-    step: Step,
     # out
     table: Table,
+    minima: Minima,
+    contacts: ContactList,
+    least_bits: wp.array[wp.int64],
     open_toi: wp.array[wp.float64],
 ):
     """Solve the pairs of a solver, which are every ``num_solvers``-th chunk.
@@ -151,8 +155,8 @@ def solve_pairs(
     count = wp.int64(num_rows)
     cap = options.max_iterations
     if sink != TABLE:
-        count = wp.min(step.counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = cap_of_round(options, is_second, step.counts[kind, OPEN])
+        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
+        cap = cap_of_round(options, is_second, counts[kind, OPEN])
         if cap == 0:
             return
     following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
@@ -176,9 +180,9 @@ def solve_pairs(
                     continue  # in the second round a block is one pair, and this one is not open
         least = unbounded
         if sink == BOUND:
-            if step.least_bits[0] == wp.int64(0):
+            if least_bits[0] == wp.int64(0):
                 return  # no toi is less
-            least = wp.cast(step.least_bits[0], wp.float64)
+            least = wp.cast(least_bits[0], wp.float64)
         points_a = Points()
         points_b = Points()
         if sink == TABLE:
@@ -186,7 +190,7 @@ def solve_pairs(
             points_b = points_of_rows(table.points_t1, rows)
         else:
             points_a, points_b = points_of_pairs(
-                kind, pairs, rows, first_corners, second_corners, step.vertices_t0, step.vertices_t1
+                kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
             )
         answer = LaneAnswer()
         is_later = is_packed or skips_first
@@ -213,7 +217,7 @@ def solve_pairs(
             t_reached = simd64.lane_of(answer.t, lane)
             if sink == BOUND:
                 # a pair that is free up to the least toi cannot lower it
-                if wp.cast(t_reached, wp.int64) >= step.least_bits[0]:
+                if wp.cast(t_reached, wp.int64) >= least_bits[0]:
                     continue
             k = row_of(rows, lane)
             is_contact = is_set(answer.contact, lane)
@@ -236,8 +240,8 @@ def solve_pairs(
             first = first_corners[pair[0]]
             second = second_corners[pair[1]]
             if not is_contact or only_moving != 0:
-                a = points_of(kind, first, second, step.vertices_t0)
-                b = points_of(kind, first, second, step.vertices_t1)
+                a = points_of(kind, first, second, vertices_t0)
+                b = points_of(kind, first, second, vertices_t1)
                 if only_moving != 0:
                     if is_stationary(a, b):
                         continue
@@ -247,12 +251,12 @@ def solve_pairs(
                     outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key
-                claim(step.counts, kind, OPEN, 1)
-                claim(step.counts, 0, ANY_OPEN, 1)
+                claim(counts, kind, OPEN, 1)
+                claim(counts, 0, ANY_OPEN, 1)
                 if sink == BOUND:
                     open_toi[k] = outcome.toi
             elif sink == BOUND:
-                atomic_min_int64(step.least_bits, 0, wp.cast(outcome.toi, wp.int64))
+                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
             elif outcome.status != STATUS_NO_COLLISION:
                 record_contact(
                     kind,
@@ -260,11 +264,11 @@ def solve_pairs(
                     first,
                     second,
                     outcome,
-                    step.vertices_t0,
-                    step.vertices_t1,
+                    vertices_t0,
+                    vertices_t1,
                     options,
                     only_moving,
                     gaps_moved,
-                    step.minima,
-                    step.contacts,
+                    minima,
+                    contacts,
                 )

@@ -24,8 +24,8 @@ from ..pair.single_points import is_stationary, row_points
 from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from ..pair_key import pair_of
 from ..parameters import norm, real
-from ..step.minima import ANY_OPEN, FOUND, OPEN, QUEUED
-from ..step.step import Step
+from ..step.contacts import ContactList
+from ..step.minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
 from ..template import specialised
 from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp
@@ -131,19 +131,23 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         # in
         num_solvers: int,
         kind: int,
+        counts: wp.array2d[wp.int64],
         pairs: wp.array[wp.int64],
         first_corners: wp.array[wp.vec3i],
         second_corners: wp.array[wp.vec3i],
+        vertices_t0: wp.array[vec3d],
+        vertices_t1: wp.array[vec3d],
         options: Options,
         is_second: int,
         only_moving: int,
         gaps_moved: wp.float64,
         num_rows: int,
         queue: Queue,
-        # in and out
-        step: Step,
         # out
         table: Table,
+        minima: Minima,
+        contacts: ContactList,
+        least_bits: wp.array[wp.int64],
         open_toi: wp.array[wp.float64],
     ):
         """A stage of ``solve_pairs`` of `narrow_phase` for a sink; the queue of a table is counted in the first row."""
@@ -153,13 +157,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         if wp.static(is_table):
             row = 0
         else:
-            cap = pair_outcome.cap_of_round(options, is_second, step.counts[kind, OPEN])
+            cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
             if cap == 0:
                 return
-            last = wp.int32(wp.min(step.counts[kind, FOUND], wp.int64(pairs.shape[0])))
+            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
-            last = wp.int32(step.counts[row, QUEUED + is_second])
+            last = wp.int32(counts[row, QUEUED + is_second])
         turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
         following = turns.first
         while following < last:
@@ -173,7 +177,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     if is_second != 0 and pairs[k] >= wp.int64(0):
                         continue  # the second round is of the pairs that the first has left open
                 if skips_first:
-                    enqueue(queue, step.counts, row, QUEUED + is_second, k, t, used)
+                    enqueue(queue, counts, row, QUEUED + is_second, k, t, used)
                     continue
             else:
                 k = queue.rows[n]
@@ -182,7 +186,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 is_done = k == _SETTLED
                 if wp.static(is_bound):
                     # a pair that is free up to the least toi cannot lower it
-                    is_done = is_done or wp.cast(t, wp.int64) >= step.least_bits[0]
+                    is_done = is_done or wp.cast(t, wp.int64) >= least_bits[0]
                     if turns.are_shared:
                         is_done = agreed(is_done)
                 if is_done:
@@ -199,8 +203,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 a = row_points(table.points_t0, k)
                 b = row_points(table.points_t1, k)
             else:
-                t0, t1 = step.vertices_t0, step.vertices_t1
-                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, t0, t1)
+                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
             is_needed = bool(True)
             if wp.static(is_listed):
                 is_needed = only_moving == 0 or not is_stationary(a, b)
@@ -217,7 +220,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             else:
                 least = unbounded
                 if wp.static(is_bound):
-                    least = wp.cast(step.least_bits[0], wp.float64)
+                    least = wp.cast(least_bits[0], wp.float64)
                 answer = lane_solver.LaneAnswer()
                 if wp.static(is_initial and has_own):
                     pass  # all pairs have skipped the first rounds
@@ -234,7 +237,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if is_open:
                     used = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        enqueue(queue, step.counts, row, QUEUED + is_second, k, answer.t, used)
+                        enqueue(queue, counts, row, QUEUED + is_second, k, answer.t, used)
                     else:
                         queue.t[n] = answer.t
                         queue.used[n] = wp.int8(used)
@@ -263,11 +266,11 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                         pairs[k] = ~pairs[k]
                         if wp.static(is_bound):
                             open_toi[k] = outcome.toi
-                        claim(step.counts, kind, OPEN, 1)
-                        claim(step.counts, 0, ANY_OPEN, 1)
+                        claim(counts, kind, OPEN, 1)
+                        claim(counts, 0, ANY_OPEN, 1)
                         continue
                 if wp.static(is_bound):
-                    atomic_min_int64(step.least_bits, 0, wp.cast(outcome.toi, wp.int64))
+                    atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
                 else:
                     key = pairs[k]
                     if is_second != 0:
@@ -281,13 +284,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                         first,
                         second,
                         outcome,
-                        step.vertices_t0,
-                        step.vertices_t1,
+                        vertices_t0,
+                        vertices_t1,
                         options,
                         only_moving,
                         gaps_moved,
-                        step.minima,
-                        step.contacts,
+                        minima,
+                        contacts,
                     )
 
     return solve_pairs

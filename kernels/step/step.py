@@ -1,4 +1,4 @@
-"""A step as the kernels of its search and narrow phase take it: positions at both ends, and what is found so far."""
+"""A step as the kernels of its search and of half-spaces take it: positions at both ends, and what is found so far."""
 
 import warp as wp
 
