@@ -14,7 +14,8 @@ both precisions, for every finite input.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
+from ccd_warp._device_pairs import DeviceContacts, DeviceDisplacements, DeviceProximities
+from ccd_warp._device_results import HostLaunchResult, LaunchResult
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
@@ -45,7 +46,7 @@ from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
-from ccd_warp._results import Contact, Contacts, Counts, DeviceContacts, HostLaunchResult, LaunchResult, MeshResult
+from ccd_warp._results import Contact, Contacts, Counts, MeshResult
 from ccd_warp._sequence import FrameSequence, read_sequence
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._version import __version__

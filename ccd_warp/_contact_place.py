@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_corners import contact_corners, contact_vertices
 from ccd_warp._contacts import Contacts
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pairs import pair_corners
 from ccd_warp._status import PairKind
 
 # Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
@@ -30,8 +30,6 @@ class ContactPlace:
         frames: Positions at both ends of the step, of which nobody else holds the arrays; None if not needed or known.
         points: Points of the contacts, once they are computed.
         vertices: Vertices of the contacts, once they are computed.
-
-    Threads that ask at once may compute the same twice.
     """
 
     mesh: CollisionMesh
@@ -59,12 +57,6 @@ class ContactPlace:
             self.points = points_at_toi(self.mesh, *self.frames, contacts)
         return self.points
 
-    def vertices_of(self, contacts: Contacts) -> NDArray[np.int32]:
-        """Their vertices, shape [m, 4]."""
-        if self.vertices is None:
-            self.vertices = contact_vertices(self.mesh, contacts)
-        return self.vertices
-
 
 def located(
     contacts: Contacts,
@@ -90,7 +82,7 @@ def located(
             place.frames = start.copy(), end.copy()
         else:
             place.points = points_at_toi(mesh, start, end, contacts)
-    return contacts._placed(place)
+    return Contacts(**vars(contacts))._of(place)
 
 
 def joined(parts: Sequence[Contacts]) -> Contacts:
@@ -99,7 +91,7 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     places: list[ContactPlace | None] = [part._place for part in parts]
     if places[0] is None or not all(place is not None and place.has_points for place in places):
         return contacts
-    return contacts._placed(ContactPlace(places[0].mesh, points=np.concatenate([part.points for part in parts])))
+    return contacts._of(ContactPlace(places[0].mesh, points=np.concatenate([part.points for part in parts])))
 
 
 def points_at_toi(
@@ -119,7 +111,7 @@ def points_at_toi(
             chosen: Any = of_kind[k : k + _CHUNK]
             if chosen[-1] - chosen[0] == len(chosen) - 1:
                 chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
-            corners = contact_corners(mesh, kind, contacts.primitives[chosen])
+            corners = pair_corners(mesh, kind, contacts.primitives[chosen])
             toi, parameters = contacts.toi[chosen, None], contacts.parameters[chosen]
             if kind == PairKind.VERTEX_PLANE:
                 points[chosen] = _at_planes(mesh, contacts.primitives[chosen], start, end, toi)

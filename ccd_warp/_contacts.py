@@ -2,28 +2,23 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._display import MOST_ROWS, counted, html_table, point_text, shortened
+from ccd_warp._display import MOST_ROWS, counted, html_table, kind_name, point_text, shortened
+from ccd_warp._pairs import ClosePairs, pair_corners
 from ccd_warp._status import CCDStatus, PairKind
 
-# Number of vertices of a pair of each kind; where it is less than four, `Contacts.vertices` repeats some.
-_CORNERS = {
-    PairKind.VERTEX_FACE: (0, 1, 2, 3),
-    PairKind.EDGE_EDGE: (0, 1, 2, 3),
-    PairKind.POINT_SEGMENT: (0, 2, 3),
-    PairKind.POINT_POINT: (0, 2),
-    PairKind.VERTEX_PLANE: (0,),
-}
+if TYPE_CHECKING:
+    from ccd_warp._mesh import CollisionMesh
 
 
 class Placed:
-    """Keeps what contacts know beside their arrays in a slot, so that ``vars()`` gives the arrays alone.
+    """Keeps what a table knows beside its arrays in a slot, so that ``vars()`` gives the arrays alone.
 
-    It is a ``ContactPlace`` of `ccd_warp._contact_place`, or of contacts on a device a ``DeviceStep``. These modules
+    It is a ``ContactPlace`` of `ccd_warp._contact_place`, or of pairs on a device a ``DeviceStep``. These modules
     import this one and know the types.
     """
 
@@ -33,9 +28,14 @@ class Placed:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_place", None)
 
+    def _of(self, place: Any) -> Self:
+        """The same table, which knows this place from now on."""
+        object.__setattr__(self, "_place", place)
+        return self
+
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Contacts(Placed):
+class Contacts(Placed, ClosePairs):
     """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
 
     ``contacts[k]`` is a :class:`ccd_warp.Contact`, and so is each item of an iteration; ``contacts[chosen]``, with a
@@ -63,8 +63,6 @@ class Contacts(Placed):
             shape [m].
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int32]
     toi: NDArray[np.float64]
     parameters: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -72,10 +70,7 @@ class Contacts(Placed):
     gap: NDArray[np.float64]
     width: NDArray[np.float64]
 
-    def __len__(self) -> int:
-        return len(self.toi)
-
-    @overload
+    @overload  # type: ignore[override]  # the other tables have no rows of their own
     def __getitem__(self, index: int | np.integer[Any]) -> "Contact": ...
 
     @overload
@@ -86,11 +81,12 @@ class Contacts(Placed):
             if not -len(self) <= index < len(self):
                 raise IndexError(f"index is {index}; expected one of {len(self)} contacts")
             k = int(index) % len(self)
-            return Contact(self[k : k + 1], k)
-        if isinstance(index, (list, tuple)):
-            index = np.asarray(index, dtype=bool if index and isinstance(index[0], bool) else np.int64)
-        chosen = Contacts(**{name: values[index] for name, values in vars(self).items()})
-        return chosen if self._place is None else chosen._placed(self._place.chosen(index))
+            return Contact(self._chosen(slice(k, k + 1)), k)
+        return self._chosen(index)
+
+    def _chosen(self, index: Any) -> "Contacts":
+        chosen = super()._chosen(index)
+        return chosen if self._place is None else chosen._of(self._place.chosen(index))
 
     def __iter__(self) -> Iterator["Contact"]:
         if self._place is not None and len(self):  # for all at once, and not for each
@@ -135,40 +131,6 @@ class Contacts(Placed):
             )
         return points
 
-    @property
-    def vertices(self) -> NDArray[np.int32]:
-        """Vertices of each contact, int32, shape [m, 4].
-
-        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or of a vertex and a plane v, v, v, v.
-        Columns repeat the vertex of a point so that there are always four.
-        """
-        vertices: NDArray[np.int32] = self._known().vertices_of(self)
-        return vertices
-
-    @property
-    def weights(self) -> NDArray[np.float64]:
-        """Weights of the four ``vertices`` in the difference of the closest points at toi, float64, shape [m, 4].
-
-        Those of the first primitive add up to 1, those of the second to -1, and a column that repeats a vertex has
-        weight 0. A push along ``normal`` moves each vertex by its weight of that.
-        """
-        return pair_weights(self.kind, self.parameters)
-
-    @property
-    def bodies(self) -> NDArray[np.int32]:
-        """Bodies of the first and the second primitive of each contact, int32, shape [m, 2]."""
-        mesh = self._known().mesh
-        bodies: NDArray[np.int32] = mesh.vertex_body[self.vertices[:, [0, 3]]]
-        is_plane = self.kind == int(PairKind.VERTEX_PLANE)
-        bodies[is_plane, 1] = mesh.planes.bodies[self.primitives[is_plane, 1]]
-        return bodies
-
-    @property
-    def world(self) -> NDArray[np.int32]:
-        """World of each contact, int32, shape [m]."""
-        world: NDArray[np.int32] = self._known().mesh.vertex_world[self.vertices[:, 0]]
-        return world
-
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.
 
@@ -176,11 +138,15 @@ class Contacts(Placed):
         """
         return self[np.argsort(self.toi, kind="stable")]
 
-    def _placed(self, place: Any) -> "Contacts":
-        """The contacts with this place."""
-        same = Contacts(**vars(self))
-        object.__setattr__(same, "_place", place)
-        return same
+    def _known_mesh(self) -> "CollisionMesh":
+        mesh: CollisionMesh = self._known().mesh
+        return mesh
+
+    def _fields(self) -> dict[str, Any]:
+        return vars(self)
+
+    def _kept(self) -> dict[str, Any]:
+        return {} if self._place is None else vars(self._place)
 
     def _known(self) -> Any:
         """The place of the contacts, or a ValueError."""
@@ -259,7 +225,7 @@ class Contact:
 
         ``positions[contact.vertices]`` are their positions.
         """
-        return self._row.vertices[0, list(_CORNERS[self.kind])]
+        return np.hstack(pair_corners(self._row._known_mesh(), self.kind, self._row.primitives))[0]
 
     @property
     def bodies(self) -> NDArray[np.int32]:
@@ -269,13 +235,13 @@ class Contact:
     @property
     def body_names(self) -> tuple[str, str]:
         """Names of these bodies."""
-        names, (a, b) = self._row._known().mesh.names, self.bodies.tolist()
+        names, (a, b) = self._row._known_mesh().names, self.bodies.tolist()
         return names[a], names[b]
 
     @property
     def world(self) -> int:
         """World of the contact."""
-        return int(self._row._known().mesh.vertex_world[self._row.vertices[0, 0]])
+        return int(self._row.world[0])
 
     def __repr__(self) -> str:
         return f"Contact({self._described()}, toi={self.toi!r})"
@@ -283,7 +249,7 @@ class Contact:
     def _described(self) -> str:
         """What touches what and where, as far as it is known."""
         place = self._row._place
-        text = _kind_name(self.kind)
+        text = kind_name(self.kind)
         if place is None:
             return text
         a, b = map(shortened, self.body_names)
@@ -294,39 +260,13 @@ class Contact:
         """The cells of a table that holds this contact."""
         known = self._row._known()
         point = point_text(self.point) if known.has_points else ""
-        return _kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
-
-
-def pair_weights(kind: NDArray[np.int32], parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the four vertices of each pair in the difference of its closest points, from its kind and (u, v).
-
-    Those of the first primitive add up to 1, those of the second to -1; a column that repeats a vertex has weight 0.
-    Shape [m, 4].
-    """
-    u, v = parameters.T
-    one, zero = np.ones(len(kind)), np.zeros(len(kind))
-    by_kind: dict[PairKind, tuple[Any, ...]] = {
-        PairKind.VERTEX_FACE: (one, u + v - 1.0, -u, -v),
-        PairKind.EDGE_EDGE: (1.0 - u, u, v - 1.0, -v),
-        PairKind.POINT_SEGMENT: (one, zero, u - 1.0, -u),
-        PairKind.POINT_POINT: (one, zero, -one, zero),
-        PairKind.VERTEX_PLANE: (one, zero, zero, zero),
-    }
-    weights = np.empty((len(kind), 4))
-    for of_kind, columns in by_kind.items():
-        rows = kind == int(of_kind)
-        weights[rows] = np.stack(columns, axis=1)[rows]
-    return weights
-
-
-def _kind_name(kind: PairKind) -> str:
-    return kind.name.lower().replace("_", "-")
+        return kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
 
 
 def _by_kind(kinds: NDArray[np.int32]) -> str:
     """How many contacts there are of each kind, where there are any."""
     counts = np.bincount(kinds, minlength=len(PairKind)) if len(kinds) else np.zeros(len(PairKind), dtype=np.int64)
-    parts = [f"{counts[kind]:,} {_kind_name(kind)}" for kind in PairKind if counts[kind]]
+    parts = [f"{counts[kind]:,} {kind_name(kind)}" for kind in PairKind if counts[kind]]
     return f": {', '.join(parts)}" if parts else ""
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from enum import Enum
 from html import escape
 from typing import Any
 
@@ -17,6 +18,11 @@ _MOST_PAIRS = 5  # pairs of bodies that a sentence names
 def counted(count: int, singular: str, plural: str) -> str:
     """A number and what it counts: "1 body", "2 bodies"."""
     return f"{count:,} {singular if count == 1 else plural}"
+
+
+def kind_name(kind: Enum) -> str:
+    """The name of a kind of pair in a text: "vertex-face"."""
+    return kind.name.lower().replace("_", "-")
 
 
 def shown_range(name: str, values: NDArray[np.float64]) -> str:

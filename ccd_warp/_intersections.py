@@ -3,29 +3,45 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._display import counted, html_table, named_counts, pairs_of_bodies, point_text
+from ccd_warp._display import counted, html_table, kind_name, named_counts, pairs_of_bodies, point_text
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pairs import PairTable, bodies_of, vertices_of
 from ccd_warp._status import IntersectionKind
 
-# The two primitives of a pair of each kind.
-PRIMITIVES_OF = {
-    IntersectionKind.VERTEX_FACE: ("vertex", "face"),
-    IntersectionKind.EDGE_EDGE: ("edge", "edge"),
-    IntersectionKind.POINT_SEGMENT: ("vertex", "edge"),
-    IntersectionKind.POINT_POINT: ("vertex", "vertex"),
-    IntersectionKind.EDGE_FACE: ("edge", "face"),
-    IntersectionKind.VERTEX_PLANE: ("vertex", "plane"),
-}
-_FIELDS = ("kind", "primitives", "parameters", "edge_parameter", "points", "vertices", "bodies", "world")
+
+class Crossings:
+    """Which pairs of a table pass through each other, and which touch."""
+
+    kind: NDArray[np.int32]
+    points: NDArray[np.float64]
+
+    @property
+    def is_crossing(self) -> NDArray[np.bool_]:
+        """Whether the pair passes through each other, bool, shape [m]; otherwise it touches, and CCD has it at toi 0.
+
+        Edges through faces, and in the plane edges that cross, are what :func:`ccd_warp.mesh_ccd` does not see.
+        """
+        crossing = IntersectionKind.EDGE_FACE if self.points.shape[1] == 3 else IntersectionKind.EDGE_EDGE
+        is_crossing: NDArray[np.bool_] = self.kind == int(crossing)
+        return is_crossing
+
+    @property
+    def num_crossing(self) -> int:
+        """Number of pairs that pass through each other."""
+        return int(self.is_crossing.sum())
+
+    @property
+    def num_touching(self) -> int:
+        """Number of pairs that touch."""
+        return len(self.kind) - self.num_crossing
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Intersections:
+class Intersections(Crossings, PairTable):
     """Pairs of primitives that touch or pass through each other at one time: :func:`ccd_warp.find_intersections`.
 
     They are ordered by :class:`ccd_warp.IntersectionKind` and then lexicographically by primitives.
@@ -50,8 +66,6 @@ class Intersections:
         mesh: The mesh.
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int32]
     parameters: NDArray[np.float64]
     edge_parameter: NDArray[np.float64]
     points: NDArray[np.float64]
@@ -59,33 +73,6 @@ class Intersections:
     bodies: NDArray[np.int32]
     world: NDArray[np.int32]
     mesh: CollisionMesh
-
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    def __getitem__(self, index: slice | NDArray[Any] | list[int] | list[bool]) -> "Intersections":
-        if isinstance(index, (int, np.integer)):
-            raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
-        chosen = index if isinstance(index, slice) or len(index) else np.zeros(0, dtype=np.int64)
-        return Intersections(**{name: getattr(self, name)[chosen] for name in _FIELDS}, mesh=self.mesh)
-
-    @property
-    def is_crossing(self) -> NDArray[np.bool_]:
-        """Whether the pair passes through each other, bool, shape [m]; otherwise it touches, and CCD has it at toi 0.
-
-        Edges through faces, and in the plane edges that cross, are what :func:`ccd_warp.mesh_ccd` does not see.
-        """
-        return are_crossing(self.kind, self.mesh.dimension)
-
-    @property
-    def num_crossing(self) -> int:
-        """Number of pairs that pass through each other."""
-        return int(self.is_crossing.sum())
-
-    @property
-    def num_touching(self) -> int:
-        """Number of pairs that touch."""
-        return len(self) - self.num_crossing
 
     def by_bodies(self) -> Counter[tuple[str, str]]:
         """Number of pairs by the names of their bodies, the body with the lower index first."""
@@ -112,21 +99,14 @@ class Intersections:
     def _repr_html_(self) -> str:
         names = self.mesh.names
         rows = [
-            (name.name.lower().replace("_", "-"), f"{i}, {j}", f"{names[a]}, {names[b]}", point_text(point))
-            for name, (i, j), (a, b), point in self._rows()
+            (kind_name(kind), f"{i}, {j}", f"{names[a]}, {names[b]}", point_text(point))
+            for kind, (i, j), (a, b), point in self._rows()
         ]
         return html_table(repr(self), ("kind", "primitives", "bodies", "point"), rows)
 
     def _rows(self) -> Iterator[tuple[IntersectionKind, list[int], list[int], list[float]]]:
         kinds = map(IntersectionKind, self.kind.tolist())
         return zip(kinds, self.primitives.tolist(), self.bodies.tolist(), self.points.tolist(), strict=True)
-
-
-def are_crossing(kind: NDArray[np.int32], dimension: int) -> NDArray[np.bool_]:
-    """Whether pairs of these kinds pass through each other: edges through faces, or in the plane edges that cross."""
-    crossing = IntersectionKind.EDGE_FACE if dimension == 3 else IntersectionKind.EDGE_EDGE
-    is_crossing: NDArray[np.bool_] = kind == int(crossing)
-    return is_crossing
 
 
 def located(
@@ -137,32 +117,16 @@ def located(
     parameters: NDArray[np.float64],
 ) -> Intersections:
     """The intersections of a mesh at positions x, from (u, v) and the parameter on the edge, shape [m, 3]."""
-    vertices = _vertices_of(mesh, kind, primitives)
+    vertices = vertices_of(mesh, IntersectionKind, kind, primitives, width=5)
     first, second = x[vertices[:, 0]], x[vertices[:, 1]]
     along = np.where(kind == int(IntersectionKind.EDGE_FACE), parameters[:, 2], parameters[:, 0])[:, None]
     is_edge = np.isin(kind, (int(IntersectionKind.EDGE_FACE), int(IntersectionKind.EDGE_EDGE)))[:, None]
     points = np.where(is_edge, (1.0 - along) * first + along * second, first)
-    bodies, world = mesh.vertex_body[vertices[:, [0, 4]]], mesh.vertex_world[vertices[:, 0]]
-    is_plane = kind == int(IntersectionKind.VERTEX_PLANE)
-    bodies[is_plane, 1] = mesh.planes.bodies[primitives[is_plane, 1]]
+    bodies = bodies_of(mesh, IntersectionKind, kind, primitives, vertices)
+    world = mesh.vertex_world[vertices[:, 0]]
     return Intersections(
         kind, primitives, parameters[:, :2].copy(), parameters[:, 2].copy(), points, vertices, bodies, world, mesh
     )
-
-
-def _vertices_of(mesh: CollisionMesh, kind: NDArray[np.int32], primitives: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Vertices of pairs: two columns for the first primitive, three for the second."""
-    vertices = np.empty((len(kind), 5), dtype=np.int32)
-    for side, columns in ((0, slice(0, 2)), (1, slice(2, 5))):
-        width = columns.stop - columns.start
-        for name, table in (("vertex", None), ("edge", mesh.edges), ("face", mesh.faces)):
-            of_table = np.isin(kind, [int(k) for k, sides in PRIMITIVES_OF.items() if sides[side] == name])
-            ids = primitives[of_table, side]
-            rows = ids[:, None] if table is None else table[ids]
-            vertices[of_table, columns] = rows[:, np.minimum(np.arange(width), rows.shape[1] - 1)]
-    is_plane = kind == int(IntersectionKind.VERTEX_PLANE)
-    vertices[is_plane, 2:] = primitives[is_plane, :1]
-    return vertices
 
 
 def crossing_at_start(start: Intersections | None) -> str:

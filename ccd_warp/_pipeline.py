@@ -14,7 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
+from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
+from ccd_warp._device_results import LaunchResult
 from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_step import (
     MOST_CONTACTS,
@@ -47,7 +48,7 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
-from ccd_warp._results import Contacts, Counts, LaunchResult, MeshResult
+from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 
 DEFAULT_NUM_ROUNDS = 8

@@ -2,34 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import pair_weights
-from ccd_warp._display import counted, html_table, named_counts, pairs_of_bodies
+from ccd_warp._display import counted, html_table, kind_name, named_counts, pairs_of_bodies
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pairs import ClosePairs
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 
-_FIELDS = ("kind", "primitives", "parameters", "distance", "direction", "features")
 # Bits of `features`, one for each column of `vertices`; what spans the inside of a face, or of both edges.
 _BITS = np.array([1, 2, 4, 8], dtype=np.int32)
 _ALL = 15
 _NONE = np.iinfo(np.int32).max
-# The columns of `Proximities.vertices` that hold the vertices of both primitives, and their tables.
-_COLUMNS: dict[PairKind, tuple[tuple[str, list[int]], tuple[str, list[int]]]] = {
-    PairKind.VERTEX_FACE: (("vertex", [0]), ("face", [1, 2, 3])),
-    PairKind.EDGE_EDGE: (("edge", [0, 1]), ("edge", [2, 3])),
-    PairKind.POINT_SEGMENT: (("vertex", [0, 1]), ("edge", [2, 3])),
-    PairKind.POINT_POINT: (("vertex", [0, 1]), ("vertex", [2, 3])),
-    PairKind.VERTEX_PLANE: (("vertex", [0, 1, 2, 3]), ("plane", [])),
-}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Proximities:
+class Proximities(ClosePairs):
     """Pairs of primitives that are near at one time: :func:`ccd_warp.find_proximity`.
 
     They are ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives. ``proximities[chosen]``,
@@ -56,8 +46,6 @@ class Proximities:
         positions: Positions of all vertices, float64, shape [V, 3], or [V, 2] in the plane.
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int32]
     parameters: NDArray[np.float64]
     distance: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -65,42 +53,8 @@ class Proximities:
     mesh: CollisionMesh
     positions: NDArray[np.float64]
 
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    def __getitem__(self, index: slice | NDArray[Any] | list[int] | list[bool]) -> "Proximities":
-        if isinstance(index, (int, np.integer)):
-            raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
-        chosen = index if isinstance(index, slice) or len(index) else np.zeros(0, dtype=np.int64)
-        arrays = {name: getattr(self, name)[chosen] for name in _FIELDS}
-        return Proximities(**arrays, mesh=self.mesh, positions=self.positions)
-
-    @lazy_property
-    def vertices(self) -> NDArray[np.int32]:
-        """Vertices of each pair, int32, shape [m, 4].
-
-        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or of a vertex and a plane v, v, v, v, as
-        those of :class:`ccd_warp.Contacts`.
-        """
-        vertices = np.empty((len(self), 4), dtype=np.int32)
-        for kind, sides in _COLUMNS.items():
-            rows = np.flatnonzero(self.kind == int(kind))
-            for (name, columns), ids in zip(sides, self.primitives[rows].T, strict=True):
-                if name == "plane":
-                    continue  # it has no vertices
-                table = {"face": self.mesh.faces, "edge": self.mesh.edges}.get(name)
-                vertices[rows[:, None], columns] = ids[:, None] if table is None else table[ids]
-        return vertices
-
-    @lazy_property
-    def weights(self) -> NDArray[np.float64]:
-        """Weights of the four ``vertices`` in the difference of the closest points, float64, shape [m, 4].
-
-        Those of the first primitive add up to 1, those of the second to -1, and a column that repeats a vertex has
-        weight 0. ``direction`` times the weight of a vertex is the derivative of ``distance`` by its position, so a
-        force of magnitude f that pushes the two apart is f times that on each vertex.
-        """
-        return pair_weights(self.kind, self.parameters)
+    def _known_mesh(self) -> CollisionMesh:
+        return self.mesh
 
     @lazy_property
     def points(self) -> NDArray[np.float64]:
@@ -118,20 +72,6 @@ class Proximities:
         of_plane = self.kind == int(PairKind.VERTEX_PLANE)
         points[of_plane, 1] = points[of_plane, 0] - self.distance[of_plane, None] * self.direction[of_plane]
         return points
-
-    @property
-    def bodies(self) -> NDArray[np.int32]:
-        """Bodies of the first and the second primitive, int32, shape [m, 2]."""
-        bodies: NDArray[np.int32] = self.mesh.vertex_body[self.vertices[:, [0, 3]]]
-        of_plane = self.kind == int(PairKind.VERTEX_PLANE)
-        bodies[of_plane, 1] = self.mesh.planes.bodies[self.primitives[of_plane, 1]]
-        return bodies
-
-    @property
-    def world(self) -> NDArray[np.int32]:
-        """World of each pair, int32, shape [m]."""
-        world: NDArray[np.int32] = self.mesh.vertex_world[self.vertices[:, 0]]
-        return world
 
     def unique(self) -> "Proximities":
         """Each two closest features once, by the first pair that has them.
@@ -172,4 +112,4 @@ class Proximities:
         names = self.mesh.names
         columns = (self.kind, self.primitives, self.bodies, self.distance)
         for kind, (i, j), (a, b), distance in zip(*(column.tolist() for column in columns), strict=True):
-            yield PairKind(kind).name.lower().replace("_", "-"), f"{i}, {j}", f"{names[a]}, {names[b]}", distance
+            yield kind_name(PairKind(kind)), f"{i}, {j}", f"{names[a]}, {names[b]}", distance

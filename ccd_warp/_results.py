@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contact, Contacts, outcome
-from ccd_warp._device_results import DeviceContacts, HostLaunchResult, LaunchResult
-from ccd_warp._display import counted, html_table, pairs_of_bodies, start_sentence
+from ccd_warp._display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._status import CCDStatus, PairKind
 
-__all__ = ["Contact", "Contacts", "Counts", "DeviceContacts", "HostLaunchResult", "LaunchResult", "MeshResult"]
+__all__ = ["Contact", "Contacts", "Counts", "MeshResult"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,7 +75,7 @@ class Counts:
         for each in fields(self):
             value, name = getattr(self, each.name), each.name.removeprefix("num_").replace("_", " ")
             by_kind = value.items() if isinstance(value, dict) else ()
-            rows += [(f"{kind.name.lower().replace('_', '-')} {name}", f"{count:,}") for kind, count in by_kind]
+            rows += [(f"{kind_name(kind)} {name}", f"{count:,}") for kind, count in by_kind]
             rows += [] if isinstance(value, dict) else [(name, f"{value:,}")]
         return html_table("Counts", ("", ""), rows)
 

@@ -39,6 +39,16 @@ class IntersectionKind(IntEnum):
     """A vertex is in a half-space, or on its plane."""
 
 
+# The primitives that have another name in the kind of a pair.
+_CODIMENSIONAL = {"point": "vertex", "segment": "edge"}
+
+
+def primitives_of(kind: PairKind | IntersectionKind) -> tuple[str, str]:
+    """What the two primitives of a pair of a kind are, as its name says: a vertex, an edge, a face or a plane."""
+    first, second = (_CODIMENSIONAL.get(word, word) for word in kind.name.lower().split("_"))
+    return first, second
+
+
 class CCDStatus(IntEnum):
     """How the result of a pair was obtained. Every toi is conservative, whatever the status."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from ccd_warp.benchmarks.oracle import exact_tois
 
 import ccd_warp as ccd
-from ccd_warp._contact_corners import contact_vertices
+from ccd_warp._pairs import pair_vertices
 
 
 def corners_of(mesh, kind, pairs):
@@ -152,5 +152,5 @@ def exact_contacts(mesh, start, end):
 
 def num_touching(mesh, start, end, **options):
     """Contacts of vertices that move, by `mesh_ccd` on the host."""
-    corners = contact_vertices(mesh, ccd.mesh_ccd(mesh, start, end, **options).contacts)
+    corners = pair_vertices(mesh, ccd.mesh_ccd(mesh, start, end, **options).contacts)
     return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())

@@ -177,7 +177,7 @@ def test_points_of_a_launch_can_be_those_of_positions_given_later(step):
     shifted = [0.0, 0.0, 1.0]
     contacts = result.to_host(start + shifted, end + shifted).contacts
     assert np.allclose(contacts.points, result.to_host().contacts.points + shifted, atol=1e-12)
-    with pytest.raises(TypeError, match=r"a LaunchResult cannot be copied or pickled; .* to_host\(\) returns"):
+    with pytest.raises(TypeError, match=r"LaunchResult cannot be copied or pickled; .* to_host\(\) returns"):
         pickle.dumps(result)
     with pytest.raises(TypeError, match=r"DeviceContacts cannot be copied or pickled"):
         copy.copy(result.contacts)

@@ -10,7 +10,7 @@ from oracles import brute_force, check_candidates, exact_pairs, rows
 from scenes import cables_and_particles, crowd_of_all_kinds, single, stacked
 
 import ccd_warp as ccd
-from ccd_warp._contact_corners import contact_vertices
+from ccd_warp._pairs import pair_vertices
 
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point")
 PAIR_KEYS = KEYS[2:]
@@ -74,7 +74,7 @@ def test_a_line_search_passes_through_excluded_pairs_only(device, key):
     for there in (shortened, on_the_device.numpy()):
         moved = (there != start).any(axis=1)
         contacts = ccd.mesh_ccd(fewer, start, there, device=device).contacts
-        assert not moved[contact_vertices(fewer, contacts)].any()
+        assert not moved[pair_vertices(fewer, contacts)].any()
     assert len(ccd.mesh_ccd(mesh, start, shortened, device=device).contacts)
 
 

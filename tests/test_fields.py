@@ -136,7 +136,8 @@ def test_every_field_of_a_result_is_in_one_of_the_lists():
     found = set()
     for result in RESULTS:
         found |= {field.name for field in fields(result)} if is_dataclass(result) else {*result.__slots__}
-        found |= {name for name, value in vars(result).items() if isinstance(value, (property, lazy_property))}
+        members = [member for base in result.__mro__ for member in vars(base).items()]
+        found |= {name for name, value in members if isinstance(value, (property, lazy_property))}
     assert {name for name in found if not name.startswith("_")} == MEANT | PLAIN
     assert not MEANT & PLAIN and TESTED == MEANT
 

@@ -97,8 +97,8 @@ LAYERS = [
     ["kernels"],
     ["_runtime", "_status", "_version", "_display", "_quiet"],
     ["_input", "_half_space"],
-    ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_contact_corners"]
-    + ["_intersections", "_proximities", "_device_results", "_device_proximities"],
+    ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_pairs"]
+    + ["_intersections", "_proximities", "_device_results", "_device_pairs"],
     ["_engine", "_files"],
 ]
 

@@ -8,7 +8,7 @@ from oracles import num_touching
 from scenes import FACE, TRIANGLE, with_static_at_rest
 
 import ccd_warp as ccd
-from ccd_warp._contact_corners import contact_vertices
+from ccd_warp._pairs import pair_vertices
 
 every_per = pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
 LENGTH = 0.1  # of the wished steps
@@ -88,7 +88,7 @@ def test_what_touches_stops_its_vertices_alone_and_is_named_once_in_order():
     wished[ball + 3 :] -= turn @ [0, 0, 0.5]
     step = ccd.line_search(both, both.vertices, wished, per="vertex", precision="float32")
     stopped = np.flatnonzero(step.vertex_fraction == 0)
-    corners = contact_vertices(both, step.touching)
+    corners = pair_vertices(both, step.touching)
     assert set(stopped) >= {ball + 3, ball + 6} and stopped.min() >= ball
     assert np.isin(stopped, corners).all() and corners.min() >= ball
     assert (both.vertices[corners] == step.vertices[corners]).all()
@@ -103,7 +103,7 @@ def test_a_search_without_rounds_to_shorten_says_what_stopped_it(per):
     step = ccd.line_search(mesh, start, end, per=per, precision="float32", max_rounds=3)
     assert step.fraction == 0
     stopped = np.flatnonzero(step.vertex_fraction == 0)
-    corners = contact_vertices(mesh, step.touching)
+    corners = pair_vertices(mesh, step.touching)
     assert len(corners) > 0 and np.isin(corners, stopped).any(axis=1).all()
     assert (start[corners] == step.vertices[corners]).all()
 
@@ -118,7 +118,7 @@ def test_a_step_that_is_lost_in_the_rounding_of_positions_says_what_stopped_it()
     end = with_static_at_rest(mesh, mesh.vertices, mesh.vertices - [0, 0, 1.0])
     step = ccd.line_search(mesh, mesh.vertices, end, per="vertex")
     np.testing.assert_array_equal(step.vertices[:3], mesh.vertices[:3])
-    assert set(range(3)) <= set(contact_vertices(mesh, step.touching).ravel())
+    assert set(range(3)) <= set(pair_vertices(mesh, step.touching).ravel())
 
 
 @pytest.mark.parametrize("static", [[], [1]])

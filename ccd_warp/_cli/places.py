@@ -2,15 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import Contacts
 from ccd_warp._display import point_text
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp._contacts import Contacts
 
 
 def kind_name(kind: PairKind) -> str:
@@ -28,10 +30,10 @@ class ContactTable:
     """
 
     mesh: CollisionMesh
-    contacts: Contacts
+    contacts: "Contacts"
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, contacts: Contacts, most: int | None = None) -> "ContactTable":
+    def of(cls, mesh: CollisionMesh, contacts: "Contacts", most: int | None = None) -> "ContactTable":
         """The table of contacts in any order, or of the earliest ones."""
         return cls(mesh, contacts[np.argsort(contacts.toi, kind="stable")[:most]])
 

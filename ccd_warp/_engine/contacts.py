@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,31 +18,22 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 
-CONTACT_DTYPES = {
-    "kind": wp.int32,
-    "primitives": wp.vec2i,
-    "toi": wp.float64,
-    "status": wp.int32,
-    "parameters": wp.vec2d,
-    "gap": wp.float64,
-    "width": wp.float64,
-    "normal": wp.vec3d,
-}
-# Of each of them, the type and the shape of an element in NumPy.
-_HOST_DTYPES = {
-    name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
-    for name, dtype in CONTACT_DTYPES.items()
-}
+
+def dtypes_of(struct: Any) -> dict[str, Any]:
+    """The types of the columns of a list that kernels append to, by name."""
+    return {name: field.type.dtype for name, field in struct.vars.items() if name != "count"}
+
+
+CONTACT_DTYPES = dtypes_of(kernels.ContactList)
 # The type and the shape of an element of each in NumPy.
 _ON_HOST = {
     name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
     for name, dtype in CONTACT_DTYPES.items()
 }
-_BYTES = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
 # Bytes of an entry of the list; and the most that a contact takes: an entry of the list while it is copied to one of
 # twice the size, or an entry of the list and one of the result, with its key and its position in the order.
-BYTES_PER_CONTACT = _BYTES
-BYTES_KEPT = 3 * _BYTES + 16
+BYTES_PER_CONTACT = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
+BYTES_KEPT = 3 * BYTES_PER_CONTACT + 16
 _LAST, _NO_CONTACT = int(kernels.NO_CONTACT), np.int32(-1)
 # Number of contacts above which threads share the sorting.
 _WORTH_THREADS = 1 << 15
@@ -50,8 +42,6 @@ _SAMPLES = 1 << 10
 _ALIGNMENT = 256
 # Contacts that are few: their launches are recorded for so many, whatever their number.
 _FEW = 1 << 10
-# Each of several arrays of one allocation begins at a multiple of so many bytes.
-_ALIGNMENT = 256
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
@@ -64,12 +54,15 @@ def new_minima(topology: Topology, **arrays: wp.array) -> Any:
     return minima
 
 
-def new_contact_list(arrays: Mapping[str, wp.array]) -> Any:
-    """The struct that kernels append to: the arrays of a list of contacts, and their count."""
-    contacts = kernels.ContactList()
+def new_list(struct: Any, arrays: Mapping[str, wp.array]) -> Any:
+    """A struct that kernels append to: the arrays of a list of pairs, and their count."""
+    pairs = struct()
     for name, array in arrays.items():
-        setattr(contacts, name, array)
-    return contacts
+        setattr(pairs, name, array)
+    return pairs
+
+
+new_contact_list = partial(new_list, kernels.ContactList)
 
 
 @dataclass(frozen=True)

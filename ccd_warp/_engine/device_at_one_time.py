@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._device_proximities import DeviceDisplacements, DeviceProximities
+from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
 from ccd_warp._engine.lengths import half_up, sum_up
@@ -145,8 +145,7 @@ class DeviceProximityStep(DeviceAtOneTime):
             flags=result.flags,
             world_flags=result.world_flags,
             num_pairs=result.num_pairs,
-            _step=self,
-        )
+        )._of(self)
 
     def values(self, length: float) -> _Values:
         return self._values_of(length, 0.0, 0.0)

@@ -10,6 +10,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
+from ccd_warp._contacts import Contacts
+from ccd_warp._device_pairs import DeviceContacts
+from ccd_warp._device_results import LaunchResult
 from ccd_warp._engine.box_sets import Layout
 from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.contact_arrays import ContactArrays
@@ -27,7 +30,6 @@ from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, vector_of, without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts, DeviceContacts, LaunchResult
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue

@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._contact_corners import contact_corners
 from ccd_warp._contact_place import located
 from ccd_warp._display import shortened
 from ccd_warp._engine.body_boxes import bodies_near
@@ -27,6 +26,7 @@ from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
+from ccd_warp._pairs import pair_corners
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
@@ -506,7 +506,7 @@ class Step:
             if count > 0:
                 keys = plan.some_keys(kind, count, max(1, _MOST_SAMPLED * count // total))
                 pairs = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
-                bodies = [mesh.vertex_body[corners[:, 0]] for corners in contact_corners(mesh, kind, pairs)]
+                bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
                 sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
         pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
         a, b = pairs[np.argmax(counts)].tolist()

@@ -17,8 +17,8 @@ from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.planes import vertices_in_half_spaces
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._engine.workspace import Workspace
-from ccd_warp._intersections import PRIMITIVES_OF, Intersections, located
-from ccd_warp._status import IntersectionKind, PairKind
+from ccd_warp._intersections import Intersections, located
+from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.kernels.at_one_time import intersections as kernels
 
 _APART, _FOUND, _OPEN = int(kernels.APART), int(kernels.FOUND), int(kernels.OPEN)
@@ -192,7 +192,7 @@ class IntersectionStep(Step):
         """The vertices of both primitives of each pair, side by side."""
         tables = {"edge": self.original.edges, "face": self.original.faces}
         sides = []
-        for name, ids in zip(PRIMITIVES_OF[kind], (keys >> 32, keys & _INDEX), strict=True):
+        for name, ids in zip(primitives_of(kind), (keys >> 32, keys & _INDEX), strict=True):
             sides.append(ids[:, None].astype(np.int32) if name == "vertex" else tables[name][ids])
         return np.hstack(sides)
 

@@ -7,12 +7,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_corners import contact_bodies, contact_vertices
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
 
@@ -158,7 +158,7 @@ def search_step(
         holds = found if np.isfinite(found).any() else None
     elif begins_at_rest and not mesh.kinematic.any():
         contacts = solver.strict(start, start).contacts
-        stopped = _least(contacts.toi, contact_vertices(mesh, contacts), mesh, per, everywhere) == 0
+        stopped = _least(contacts.toi, pair_vertices(mesh, contacts), mesh, per, everywhere) == 0
         if everywhere.all(bool(stopped[moves].all())):
             return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False, contacts[:0])
     driven = _Driven(mesh, start, end, lambda x, y: solver.holding(x, y, holds), everywhere)
@@ -265,7 +265,7 @@ class _Driven:
         if not self.is_any or not has_time or self._keys is not None:
             return 0
         mesh = self._mesh
-        if self._everywhere.all(not mesh.kinematic[contact_bodies(mesh, contacts)].any()):
+        if self._everywhere.all(not mesh.kinematic[pair_bodies(mesh, contacts)].any()):
             return 0
         stays = mesh._is_free[mesh.vertex_body]
         self._keys = np.sort(_keys(self._solve(self._start, np.where(stays[:, None], self._start, self._end)).contacts))
@@ -279,20 +279,20 @@ class _Driven:
             self._mesh.vertex_body[corners]
         ]
         found: NDArray[np.bool_] = is_still.all(axis=1)
-        return found & self._mesh.kinematic[contact_bodies(self._mesh, contacts)].any(axis=1)
+        return found & self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
 
     def among(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Which of the contacts are of such a pair."""
         if self._keys is None:
             return np.zeros(len(contacts), dtype=bool)
-        is_of_kinematic = self._mesh.kinematic[contact_bodies(self._mesh, contacts)].any(axis=1)
+        is_of_kinematic = self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
         found: NDArray[np.bool_] = is_of_kinematic & _is_among(_keys(contacts), self._keys)
         return found
 
 
 def _vertices_of(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
     """The vertices of each contact, shape [m, 4]; that of a kinematic half-space, which moves as others do, too."""
-    corners = contact_vertices(mesh, contacts)
+    corners = pair_vertices(mesh, contacts)
     if mesh._moves_planes:
         of_plane = np.flatnonzero(contacts.kind == int(PairKind.VERTEX_PLANE))
         point = mesh.planes.vertices[contacts.primitives[of_plane, 1]]

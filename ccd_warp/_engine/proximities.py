@@ -1,25 +1,18 @@
 """Lists of pairs that are near at one time, and what kernels are told of how near that is."""
 
-from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.contacts import sort_places
+from ccd_warp._engine.contacts import dtypes_of, new_list, sort_places
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.at_one_time import proximity as kernels
 
-PROXIMITY_DTYPES = {
-    "kind": wp.int32,
-    "primitives": wp.vec2i,
-    "parameters": wp.vec2d,
-    "distance": wp.float64,
-    "direction": wp.vec3d,
-    "features": wp.int32,
-}
+PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
 
 
@@ -30,12 +23,7 @@ def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.
     return reach
 
 
-def new_proximity_list(arrays: Mapping[str, wp.array]) -> Any:
-    """The struct that kernels append to: the arrays of a list, and its count."""
-    proximities = kernels.ProximityList()
-    for name, array in arrays.items():
-        setattr(proximities, name, array)
-    return proximities
+new_proximity_list = partial(new_list, kernels.ProximityList)
 
 
 class ProximityStore:

@@ -16,7 +16,7 @@ from ccd_warp._engine.rings import excluded_vertices
 from ccd_warp._engine.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp._status import PairKind
+from ccd_warp._status import PairKind, primitives_of
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.search.collision_filter import CollisionFilter
 
@@ -50,12 +50,7 @@ PRIMITIVES = {
 ARRAYS = {"codimensional_point": "vertex", "codimensional_edge": "edge"}
 # In the plane, where vertices and edges are what vertices and faces are in space.
 _PRIMITIVES_IN_PLANE = PRIMITIVES | {PairKind.POINT_SEGMENT: ("vertex", "edge")}
-CORNER_ARRAYS = {
-    PairKind.VERTEX_FACE: ("vertex", "face"),
-    PairKind.EDGE_EDGE: ("edge", "edge"),
-    PairKind.POINT_SEGMENT: ("vertex", "edge"),
-    PairKind.POINT_POINT: ("vertex", "vertex"),
-}
+CORNER_ARRAYS = {kind: primitives_of(kind) for kind in PRIMITIVES}
 # What the listed pairs of the collision filter are, in the order of the pair kinds, and the bodies.
 _LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._intersections import PRIMITIVES_OF, Intersections, are_crossing
-from ccd_warp.distributed._results import OnRanks, at_root, whole_pairs
-
-if TYPE_CHECKING:
-    from ccd_warp.distributed._part import Part
-    from ccd_warp.distributed._ranks import Ranks
+from ccd_warp._intersections import Crossings
+from ccd_warp.distributed._results import PairsOnRanks
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedIntersections(OnRanks):
+class DistributedIntersections(Crossings, PairsOnRanks):
     """Pairs that touch or pass through each other at one time and that this rank has found; each is on one rank.
 
     They are ordered as those of :class:`ccd_warp.Intersections`.
@@ -35,8 +30,6 @@ class DistributedIntersections(OnRanks):
         num_intersections: Number of pairs of the whole mesh, the same on all ranks.
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int64]
     parameters: NDArray[np.float64]
     edge_parameter: NDArray[np.float64]
     points: NDArray[np.float64]
@@ -45,48 +38,6 @@ class DistributedIntersections(OnRanks):
     world: NDArray[np.int32]
     num_intersections: int
 
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    @property
-    def is_crossing(self) -> NDArray[np.bool_]:
-        """Whether the pair passes through each other, bool, shape [m]; otherwise it touches, and CCD has it at toi 0.
-
-        Edges through faces, and in the plane edges that cross, are what ``mesh_ccd`` does not see.
-        """
-        return are_crossing(self.kind, self.points.shape[1])
-
-    @property
-    def num_crossing(self) -> int:
-        """Number of pairs on this rank that pass through each other."""
-        return int(self.is_crossing.sum())
-
-    @property
-    def num_touching(self) -> int:
-        """Number of pairs on this rank that touch."""
-        return len(self) - self.num_crossing
-
     def __repr__(self) -> str:
         here = f"{counted(self.num_crossing, 'crossing', 'crossings')} and {self.num_touching:,} that touch"
         return f"DistributedIntersections({here} on this rank, {self.num_intersections:,} on all)"
-
-    def to_root(self) -> DistributedIntersections | None:
-        """All pairs in order on rank 0, and None on the others; collective."""
-        gathered = at_root(self)
-        return (
-            None if gathered is None else DistributedIntersections(**gathered, num_intersections=self.num_intersections)
-        )
-
-
-def intersections_of(part: Part, found: Intersections, ranks: Ranks) -> DistributedIntersections:
-    """The intersections of a part, with the numbers and ids of the whole mesh; collective."""
-    names = ("parameters", "edge_parameter", "points", "bodies", "world")
-    result = DistributedIntersections(
-        kind=found.kind,
-        primitives=whole_pairs(part, found.kind, found.primitives, PRIMITIVES_OF),
-        vertices=part.vertex_ids[found.vertices],
-        num_intersections=int(ranks.total(np.array(len(found)))),
-        **{name: getattr(found, name) for name in names},
-    )
-    vars(result)["_ranks"] = ranks
-    return result

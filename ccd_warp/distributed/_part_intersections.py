@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.intersection_step import IntersectionStep, Keys
 from ccd_warp._engine.topology import Topology
-from ccd_warp._intersections import PRIMITIVES_OF, Intersections
-from ccd_warp._status import IntersectionKind, PairKind
+from ccd_warp._intersections import Intersections
+from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.distributed._part import Part, PartTopology
 from ccd_warp.distributed._part_step import StepOnPart
 
@@ -55,7 +55,7 @@ class PartIntersectionStep(StepOnPart, IntersectionStep):
 
     def own_keys(self, kind: IntersectionKind, keys: Keys) -> Keys:
         """The pairs, of some given by keys, that belong to this rank."""
-        topology, arrays = self.together.topology, PRIMITIVES_OF[kind]
+        topology, arrays = self.together.topology, primitives_of(kind)
         if arrays[0] == "vertex":
             # the ends of an edge that meets the region need not
             keys = keys[self.together.part.is_tested[keys >> 32]]

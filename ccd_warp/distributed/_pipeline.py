@@ -32,7 +32,7 @@ from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp.distributed._intersections import DistributedIntersections, intersections_of
+from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
@@ -47,13 +47,13 @@ from ccd_warp.distributed._planning import (
 )
 from ccd_warp.distributed._results import (
     DistributedCandidates,
+    DistributedContacts,
     DistributedLineSearch,
     DistributedProximities,
     DistributedResult,
     RankWork,
     candidates_of,
-    contacts_of,
-    proximities_of,
+    of_part,
 )
 
 # The imbalance of the measured work above which a plan is made anew: if it was made for less knowledge, so that it has
@@ -150,7 +150,7 @@ class DistributedPipeline:
             with self._timed("results"):
                 vertex_toi = self._to_local(result.vertex_toi)
                 least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
-                contacts = contacts_of(plan.part, result.contacts, self._ranks)
+                contacts = of_part(DistributedContacts, plan.part, result.contacts, self._ranks)
                 num_contacts = int(self._ranks.total(np.array(len(contacts))))
             body = 1 + self.mesh.num_bodies
             return DistributedResult(
@@ -272,7 +272,7 @@ class DistributedPipeline:
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
             plan = self._planned
             found = self._run(plan.start, plan.start, lambda step: step.proximities(distance), PartProximityStep)
-            proximities = proximities_of(plan.part, found, self._ranks)
+            proximities = of_part(DistributedProximities, plan.part, found, self._ranks)
             self._finished()
             return proximities
 
@@ -337,7 +337,8 @@ class DistributedPipeline:
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedIntersections:
             plan = self._planned
             found = self._run(plan.start, plan.start, PartIntersectionStep.intersections, PartIntersectionStep)
-            intersections = intersections_of(plan.part, found, self._ranks)
+            total = int(self._ranks.total(np.array(len(found))))
+            intersections = of_part(DistributedIntersections, plan.part, found, self._ranks, num_intersections=total)
             self._finished()
             return intersections
 
@@ -396,7 +397,9 @@ class DistributedPipeline:
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
             vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
-            touching, struck = (contacts_of(plan.part, c, self._ranks) for c in (found.touching, found.struck))
+            touching, struck = (
+                of_part(DistributedContacts, plan.part, c, self._ranks) for c in (found.touching, found.struck)
+            )
             self._finished()
             return DistributedLineSearch(
                 vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited, struck

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import Contacts
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
-from ccd_warp._engine.topology import CORNER_ARRAYS
-from ccd_warp._proximities import Proximities
+from ccd_warp._intersections import Intersections
 from ccd_warp._results import Counts
-from ccd_warp._status import PairKind
+from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 
 if TYPE_CHECKING:
     from ccd_warp.distributed._part import Part, PartTopology
     from ccd_warp.distributed._ranks import Ranks
 
-# The two primitives of a pair of each kind.
-_PRIMITIVES_OF = CORNER_ARRAYS | {PairKind.VERTEX_PLANE: ("vertex", "plane")}
+
+_PairsT = TypeVar("_PairsT", bound="PairsOnRanks")
 
 
+@dataclass(frozen=True, repr=False, eq=False)
 class OnRanks:
     """What is spread over the ranks that have found it; a copy, or what was pickled, belongs to its rank alone."""
 
@@ -34,20 +32,55 @@ class OnRanks:
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_ranks": None}
 
-    def _gathered(self) -> dict[str, Any] | None:
-        """The arrays of all ranks, one after the other, on rank 0; None on the others."""
+    def _of(self, ranks: Ranks) -> Self:
+        """The same, as what this rank has found in a call."""
+        vars(self)["_ranks"] = ranks
+        return self
+
+    def to_root(self) -> Self | None:
+        """All pairs in order on rank 0, and None on the others; collective."""
         ranks: Ranks | None = vars(self)["_ranks"]
         if ranks is None:
             raise ValueError(
                 "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
             )
         with ranks.together("to_root"):
-            arrays = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
-            return ranks.at_root(arrays)
+            columns = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+            gathered = ranks.at_root(columns)
+        return None if gathered is None else replace(self, **self._in_order(gathered))
+
+    @staticmethod
+    def _in_order(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """The columns in the order of kinds and primitives."""
+        order = np.lexsort((*columns["primitives"].T[::-1], columns["kind"]))
+        return {name: values[order] for name, values in columns.items()}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedContacts(OnRanks):
+class PairsOnRanks(OnRanks):
+    """The table of a rank, with the numbers of primitives and the ids of vertices in the whole mesh."""
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({counted(len(self), 'pair', 'pairs')} on this rank)"
+
+
+def of_part(table: type[_PairsT], part: Part, pairs: Any, ranks: Ranks, **more: Any) -> _PairsT:
+    """The pairs of a part in a table of the whole mesh, which has the columns of both, and what else is given."""
+    columns = {each.name: getattr(pairs, each.name) for each in fields(table) if each.name not in more}
+    kinds = IntersectionKind if isinstance(pairs, Intersections) else PairKind
+    columns["primitives"] = whole_pairs(part, kinds, pairs.kind, pairs.primitives)
+    columns["vertices"] = part.vertex_ids[pairs.vertices]
+    return table(**columns, **more)._of(ranks)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DistributedContacts(PairsOnRanks):
     """Contacts that this rank has found; each contact of the whole mesh is on one rank.
 
     They are ordered by kind and then by primitives, as :class:`ccd_warp.Contacts` are; primitives are indices in the
@@ -68,8 +101,6 @@ class DistributedContacts(OnRanks):
         width: Width of the time interval left open, float64, shape [m].
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int64]
     vertices: NDArray[np.int64]
     bodies: NDArray[np.int32]
     toi: NDArray[np.float64]
@@ -80,51 +111,21 @@ class DistributedContacts(OnRanks):
     gap: NDArray[np.float64]
     width: NDArray[np.float64]
 
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    def __repr__(self) -> str:
-        return f"DistributedContacts({counted(len(self), 'contact', 'contacts')} on this rank)"
-
-    def to_root(self) -> DistributedContacts | None:
-        """All contacts in order on rank 0, and None on the others; collective."""
-        gathered = at_root(self)
-        return None if gathered is None else DistributedContacts(**gathered)
-
-
-def contacts_of(part: Part, contacts: Contacts, ranks: Ranks) -> DistributedContacts:
-    """The contacts of a part, with the numbers and ids of the whole mesh."""
-    found = DistributedContacts(
-        kind=contacts.kind,
-        primitives=whole_pairs(part, contacts.kind, contacts.primitives),
-        vertices=part.vertex_ids[contacts.vertices],
-        bodies=contacts.bodies,
-        toi=contacts.toi,
-        parameters=contacts.parameters,
-        normal=contacts.normal,
-        points=contacts.points,
-        status=contacts.status,
-        gap=contacts.gap,
-        width=contacts.width,
-    )
-    vars(found)["_ranks"] = ranks
-    return found
-
 
 def whole_pairs(
     part: Part,
+    kinds: type[PairKind] | type[IntersectionKind],
     kind: NDArray[np.int32],
     pairs: NDArray[np.int32],
-    primitives_of: Mapping[Any, tuple[str, str]] = _PRIMITIVES_OF,
 ) -> NDArray[np.int64]:
-    """Pairs of primitives of a part as those of the whole mesh, given what the kinds pair."""
+    """Pairs of primitives of a part as those of the whole mesh."""
     result = np.empty(pairs.shape, dtype=np.int64)
     numbers = {"vertex": part.vertex_numbers, "edge": part.edge_numbers, "face": part.face_numbers}
     numbers["plane"] = np.arange(len(part.mesh.planes))  # all ranks have all of them
-    for of, names in primitives_of.items():
-        chosen = kind == int(of)
+    for each in kinds:
+        chosen = kind == int(each)
         if chosen.any():
-            for k, name in enumerate(names):
+            for k, name in enumerate(primitives_of(each)):
                 result[chosen, k] = numbers[name][pairs[chosen, k]]
     return result
 
@@ -215,7 +216,7 @@ class DistributedLineSearch:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class DistributedProximities(OnRanks):
+class DistributedProximities(PairsOnRanks):
     """Pairs that are near at one time and that this rank has found; each pair is on one rank.
 
     They are ordered as those of :class:`ccd_warp.Proximities`.
@@ -231,46 +232,11 @@ class DistributedProximities(OnRanks):
         features: Which of the vertices span the closest features, as there, int32, shape [m].
     """
 
-    kind: NDArray[np.int32]
-    primitives: NDArray[np.int64]
     vertices: NDArray[np.int64]
     parameters: NDArray[np.float64]
     distance: NDArray[np.float64]
     direction: NDArray[np.float64]
     features: NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    def __repr__(self) -> str:
-        return f"DistributedProximities({len(self):,} on this rank)"
-
-    def to_root(self) -> DistributedProximities | None:
-        """All pairs in order on rank 0, and None on the others; collective."""
-        gathered = at_root(self)
-        return None if gathered is None else DistributedProximities(**gathered)
-
-
-def proximities_of(part: Part, found: Proximities, ranks: Ranks) -> DistributedProximities:
-    """The proximities of a part, with the numbers and ids of the whole mesh."""
-    names = ("parameters", "distance", "direction", "features")
-    result = DistributedProximities(
-        kind=found.kind,
-        primitives=whole_pairs(part, found.kind, found.primitives),
-        vertices=part.vertex_ids[found.vertices],
-        **{name: getattr(found, name) for name in names},
-    )
-    vars(result)["_ranks"] = ranks
-    return result
-
-
-def at_root(found: OnRanks) -> dict[str, Any] | None:
-    """The arrays of all ranks on rank 0, in the order of kinds and primitives; None on the others."""
-    gathered = found._gathered()
-    if gathered is None:
-        return None
-    order = np.lexsort((*gathered["primitives"].T[::-1], gathered["kind"]))
-    return {name: values[order] for name, values in gathered.items()}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -296,12 +262,9 @@ class DistributedCandidates(OnRanks):
         total = sum(len(getattr(self, f.name)) for f in fields(self))
         return f"DistributedCandidates({total:,} on this rank)"
 
-    def to_root(self) -> DistributedCandidates | None:
-        """All candidates in lexicographic order on rank 0, and None on the others; collective."""
-        gathered = self._gathered()
-        if gathered is None:
-            return None
-        return DistributedCandidates(**{name: _in_order(pairs) for name, pairs in gathered.items()})
+    @staticmethod
+    def _in_order(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        return {name: _in_order(pairs) for name, pairs in columns.items()}
 
 
 def candidates_of(part: Part, topology: PartTopology, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
@@ -311,10 +274,9 @@ def candidates_of(part: Part, topology: PartTopology, candidates: Candidates, ra
         pairs: Any = getattr(candidates, kind.name.lower())
         if kind != PairKind.VERTEX_PLANE:  # those are asked for only where they belong
             pairs = pairs[topology.own_pairs(kind, *pairs.T)]
-        found[kind.name.lower()] = _in_order(whole_pairs(part, np.full(len(pairs), kind, dtype=np.int32), pairs))
-    result = DistributedCandidates(**found)
-    vars(result)["_ranks"] = ranks
-    return result
+        of_kind = np.full(len(pairs), kind, dtype=np.int32)
+        found[kind.name.lower()] = _in_order(whole_pairs(part, PairKind, of_kind, pairs))
+    return DistributedCandidates(**found)._of(ranks)
 
 
 def _in_order(pairs: Any) -> NDArray[np.int64]:

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_corners import contact_bodies
 from ccd_warp._contact_place import points_at_toi
+from ccd_warp._device_results import HostLaunchResult
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import HostLaunchResult, MeshResult
+from ccd_warp._pairs import pair_bodies
+from ccd_warp._results import MeshResult
 from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista
 
@@ -85,7 +86,7 @@ def to_pyvista(
             shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
             for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()
-            shape.point_data["bodies"] = contact_bodies(mesh, contacts)
+            shape.point_data["bodies"] = pair_bodies(mesh, contacts)
         blocks.append(shape, "contacts")
     return blocks
 

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_corners import contact_corners
 from ccd_warp._contact_place import points_at_toi
+from ccd_warp._device_results import HostLaunchResult
 from ccd_warp._display import listed, shortened
 from ccd_warp._half_space import unit_normals
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
+from ccd_warp._pairs import pair_corners
+from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 
 STATIC_COLOUR = "#c6c6c2"
@@ -216,7 +217,7 @@ def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
 
 def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:
     """Longest side of the smaller body of a contact."""
-    corners = contact_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
+    corners = pair_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
     bodies = {int(mesh.vertex_body[side[0, 0]]) for side in corners if side.size}
     return min(float(np.ptp(start[mesh.vertex_body == body], axis=0).max()) for body in bodies)
 

@@ -1,0 +1,188 @@
+"""Tables of pairs of primitives: what contacts, what is near and what intersects have in common."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._status import IntersectionKind, PairKind, primitives_of
+
+if TYPE_CHECKING:
+    from ccd_warp._mesh import CollisionMesh
+
+# Fields of a table that have no row for each pair.
+_OF_MESH = ("mesh", "positions")
+
+
+def pair_corners(
+    mesh: "CollisionMesh", kind: PairKind | IntersectionKind, primitives: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Vertices of both primitives of each pair of a kind, int32, shapes [m, 1 to 3], and [m, 0] of a plane.
+
+    Raises:
+        ValueError: If the mesh does not have such primitives.
+    """
+    tables: dict[str, tuple[str, int, Any]] = {
+        "vertex": ("vertices", mesh.num_vertices, None),
+        "edge": ("edges", mesh.num_edges, mesh.edges),
+        "face": ("faces", mesh.num_faces, mesh.faces),
+        "plane": ("planes", len(mesh.planes), np.zeros((len(mesh.planes), 0), dtype=np.int32)),
+    }
+    sides = []
+    for name, ids in zip(primitives_of(kind), primitives.T, strict=True):
+        names, count, table = tables[name]
+        if len(ids) and not (ids.min() >= 0 and ids.max() < count):
+            raise ValueError(
+                f"contacts.primitives holds {ids[(ids < 0) | (ids >= count)][0]}; "
+                f"expected indices of the mesh's {count} {names}"
+            )
+        sides.append(ids[:, None] if table is None else table[ids])
+    return sides[0], sides[1]
+
+
+def vertices_of(
+    mesh: "CollisionMesh",
+    kinds: type[PairKind] | type[IntersectionKind],
+    kind: NDArray[np.int32],
+    primitives: NDArray[np.int32],
+    width: int = 4,
+) -> NDArray[np.int32]:
+    """The vertices of each pair, shape [m, width]: two columns for the first primitive, or one beside a face of four.
+
+    The last vertex of a primitive that has fewer is repeated, and that of the first stands for a plane.
+    """
+    vertices = np.empty((len(kind), width), dtype=np.int32)
+    for each in kinds:
+        rows: Any = np.flatnonzero(kind == int(each))
+        if len(rows) == 0:
+            continue
+        sides = pair_corners(mesh, each, primitives[rows])
+        if rows[-1] - rows[0] == len(rows) - 1:
+            rows = slice(rows[0], rows[-1] + 1)  # tables are mostly sorted by kind
+        b = sides[1].shape[1]
+        of_first = width - max(b, width - 2) if b else width
+        for side, begin, end in zip(sides, (0, of_first), (of_first, width), strict=True):
+            for column in range(begin, end):
+                vertices[rows, column] = side[:, min(column - begin, side.shape[1] - 1)]
+    return vertices
+
+
+def bodies_of(
+    mesh: "CollisionMesh",
+    kinds: type[PairKind] | type[IntersectionKind],
+    kind: NDArray[np.int32],
+    primitives: NDArray[np.int32],
+    vertices: NDArray[np.int32],
+) -> NDArray[np.int32]:
+    """Bodies of the first and the second primitive of each pair with these vertices, shape [m, 2]."""
+    bodies: NDArray[np.int32] = mesh.vertex_body[vertices[:, [0, -1]]]
+    is_plane = kind == int(kinds.VERTEX_PLANE)
+    bodies[is_plane, 1] = mesh.planes.bodies[primitives[is_plane, 1]]
+    return bodies
+
+
+def pair_vertices(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32]:
+    """The vertices of contacts, or of what is near, shape [m, 4], as :attr:`ClosePairs.vertices` has them."""
+    return vertices_of(mesh, PairKind, pairs.kind, pairs.primitives)
+
+
+def pair_bodies(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32]:
+    """Bodies of the first and the second primitive of each of them, shape [m, 2]."""
+    return bodies_of(mesh, PairKind, pairs.kind, pairs.primitives, pair_vertices(mesh, pairs))
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class PairTable:
+    """Pairs by their kinds and primitives; subclasses add columns, and may add the mesh and its positions."""
+
+    kind: NDArray[np.int32]
+    primitives: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __getitem__(self, index: slice | NDArray[Any] | list[int] | list[bool]) -> Self:
+        if isinstance(index, (int, np.integer)):
+            raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
+        return self._chosen(index)
+
+    def _chosen(self, index: Any) -> Self:
+        """The pairs with these indices alone."""
+        if not isinstance(index, slice):
+            index = np.asarray(index) if len(index) else np.zeros(0, dtype=np.int64)
+        columns = {name: v if name in _OF_MESH else v[index] for name, v in self._fields().items()}
+        return type(self)(**columns)
+
+    def _fields(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+class ClosePairs(PairTable):
+    """Pairs of the kinds that CCD knows, with their closest points: contacts, and what is near."""
+
+    parameters: NDArray[np.float64]
+
+    def _known_mesh(self) -> "CollisionMesh":
+        """The mesh of the pairs."""
+        raise NotImplementedError
+
+    def _kept(self) -> dict[str, Any]:
+        """Where stays what has been computed of the pairs; threads that ask at once may compute the same twice."""
+        return vars(self)
+
+    def _once(self, name: str, compute: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """What stays under this name, computed if it is not there yet."""
+        kept = self._kept()
+        if kept.get(name) is None:
+            kept[name] = compute()
+        values: NDArray[Any] = kept[name]
+        return values
+
+    @property
+    def vertices(self) -> NDArray[np.int32]:
+        """Vertices of each pair, int32, shape [m, 4].
+
+        They are v, f0, f1, f2; ea0, ea1, eb0, eb1; p, p, a, b; p, p, q, q; or of a vertex and a plane v, v, v, v.
+        Columns repeat the vertex of a point so that there are always four.
+        """
+        return self._once("vertices", lambda: pair_vertices(self._known_mesh(), self))
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the four ``vertices`` in the difference of the closest points, float64, shape [m, 4].
+
+        Those of the first primitive add up to 1, those of the second to -1, and a column that repeats a vertex has
+        weight 0. The derivative of the distance by the position of a vertex is its weight times ``normal``, or
+        ``direction`` of what is near: a force of magnitude f that pushes the two apart is f times that on each vertex.
+        """
+        return self._once("weights", lambda: _weights(self.kind, self.parameters))
+
+    @property
+    def bodies(self) -> NDArray[np.int32]:
+        """Bodies of the first and the second primitive of each pair, int32, shape [m, 2]."""
+        return bodies_of(self._known_mesh(), PairKind, self.kind, self.primitives, self.vertices)
+
+    @property
+    def world(self) -> NDArray[np.int32]:
+        """World of each pair, int32, shape [m]."""
+        world: NDArray[np.int32] = self._known_mesh().vertex_world[self.vertices[:, 0]]
+        return world
+
+
+def _weights(kind: NDArray[np.int32], parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    u, v = parameters.T
+    one, zero = np.ones(len(kind)), np.zeros(len(kind))
+    by_kind: dict[PairKind, tuple[Any, ...]] = {
+        PairKind.VERTEX_FACE: (one, u + v - 1.0, -u, -v),
+        PairKind.EDGE_EDGE: (1.0 - u, u, v - 1.0, -v),
+        PairKind.POINT_SEGMENT: (one, zero, u - 1.0, -u),
+        PairKind.POINT_POINT: (one, zero, -one, zero),
+        PairKind.VERTEX_PLANE: (one, zero, zero, zero),
+    }
+    weights = np.empty((len(kind), 4))
+    for of_kind, columns in by_kind.items():
+        rows = kind == int(of_kind)
+        weights[rows] = np.stack(columns, axis=1)[rows]
+    return weights
