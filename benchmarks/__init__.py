@@ -9,6 +9,7 @@ from importlib.util import find_spec
 REQUIRED = {
     "ipctk": "ipctk",
     "matplotlib": "matplotlib",
+    "pandas": "pandas",
     "psutil": "psutil",
     "python-flint": "flint",
     "tqdm": "tqdm",

@@ -7,11 +7,11 @@ boxes, and sorts them into the hash; "pairs" searches, and culls what it finds.
 
 from __future__ import annotations
 
-import statistics
-import time
+from functools import partial
 
 from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.whole_step import ToolkitScene, disagreements, timed
+from ccd_warp.benchmarks.timing import figures, interleaved
+from ccd_warp.benchmarks.whole_step import ToolkitScene, disagreements
 
 import ccd_warp as ccd
 
@@ -25,37 +25,33 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipelines = {name: ccd.CollisionPipeline(mesh, device=device, broad_phase=name) for name in BROAD_PHASES}
-    for pipeline in pipelines.values():
-        pipeline.find_candidates(*frames)
-        pipeline.mesh_ccd(*frames)
-    peer = ToolkitScene(scene, mesh)
-    seconds: dict[str, list[float]] = {}
+    calls = {PEER: ToolkitScene(scene, mesh).build}
+    for name, pipeline in pipelines.items():
+        calls[f"{name} find_candidates"] = partial(pipeline.find_candidates, *frames)
+        calls[f"{name} mesh_ccd"] = partial(pipeline.mesh_ccd, *frames)
+    stages: dict[str, list[float]] = {f"{name} {stage}": [] for name in BROAD_PHASES for stage in STAGES}
     results = {}
-    begin = time.perf_counter()
-    while len(seconds.get(PEER, ())) < least or time.perf_counter() - begin < budget:
-        theirs, t = timed(peer.build)
-        seconds.setdefault(PEER, []).append(t)
-        for name, pipeline in pipelines.items():
-            found, t = timed(lambda p=pipeline: p.find_candidates(*frames))
-            seconds.setdefault(f"{name} find_candidates", []).append(t)
-            result, t = timed(lambda p=pipeline: p.mesh_ccd(*frames))
-            seconds.setdefault(f"{name} mesh_ccd", []).append(t)
+
+    def keep(call: str, result: object) -> None:
+        results[call] = result
+        name, _, what = call.partition(" ")
+        if what == "mesh_ccd":
             for stage in STAGES:
-                seconds.setdefault(f"{name} {stage}", []).append(pipeline.timings[stage])
-            results[name] = (found, result)
-    (tree, tree_result), (hashed, hash_result) = results.values()
-    tree = tree.sorted()
+                stages[f"{name} {stage}"].append(pipelines[name].timings[stage])
+
+    seconds = interleaved(calls, least, budget=budget, is_settled=True, after=keep)
+    tree, hashed = results["tree find_candidates"].sorted(), results["hash find_candidates"]
+    tree_result, hash_result = results["tree mesh_ccd"], results["hash mesh_ccd"]
     return {
         "scene": scene.name,
         "device": device,
         "faces": len(scene.faces),
         "rounds": len(seconds[PEER]),
-        "seconds": {name: statistics.median(values) for name, values in seconds.items()},
-        "spread": {name: [min(values), max(values)] for name, values in seconds.items()},
+        **figures(seconds | stages),
         "candidates": [len(tree.vertex_face), len(tree.edge_edge)],
         "are_equal": bool(
             all((a == b).all() for a, b in zip(vars(tree).values(), vars(hashed).values(), strict=True))
             and (tree_result.vertex_toi == hash_result.vertex_toi).all()
         ),
-        "disagreements": disagreements(scene, mesh, hashed, theirs),
+        "disagreements": disagreements(scene, mesh, hashed, results[PEER]),
     }

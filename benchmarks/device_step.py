@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from ccd_warp.benchmarks import scenes, side_figures
 from ccd_warp.benchmarks.numbers import table, time_text
+from ccd_warp.benchmarks.timing import interleaved, medians
 
 import ccd_warp as ccd
 
@@ -54,16 +55,13 @@ def measure(name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarr
         "later_toi": int((result.vertex_toi.numpy() > on_host.vertex_toi).sum()),
         "first": first,
     }
-    row["seconds"] = side_figures.interleaved(
-        {
-            "mesh_ccd": lambda: pipeline.mesh_ccd(*rounded),
-            "launch": lambda: pipeline.launch(vertices_t0, vertices_t1),
-            "replay": lambda: wp.capture_launch(capture.graph),
-            "line search": line_search,
-        },
-        ROUNDS,
-        device,
-    )
+    calls = {
+        "mesh_ccd": lambda: pipeline.mesh_ccd(*rounded),
+        "launch": lambda: pipeline.launch(vertices_t0, vertices_t1),
+        "replay": lambda: wp.capture_launch(capture.graph),
+        "line search": line_search,
+    }
+    row["seconds"] = medians(interleaved(calls, ROUNDS, wait=lambda: wp.synchronize_device(device)))
     return row
 
 

@@ -10,9 +10,11 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, time_text
+from ccd_warp.benchmarks.raw_file import frame
 from ccd_warp.benchmarks.scene_sections import scene_name
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -80,22 +82,11 @@ def _methods(raw: dict) -> list[str]:
     return [m["name"] for m in raw["methods"]]
 
 
-def _by_set(raw: dict) -> dict[str, list[dict]]:
-    result: dict[str, list[dict]] = {}
-    for unit in raw["sweep"]:
-        result.setdefault(set_name(unit), []).append(unit)
-    return result
-
-
-def _curves(raw: dict, shown: list[str]) -> dict[str, dict[str, list[tuple[float, dict]]]]:
-    """Rows by set and method, each with its tolerance."""
-    curves: dict[str, dict[str, list[tuple[float, dict]]]] = {}
-    for name, units in _by_set(raw).items():
-        for unit in units:
-            for row in unit["rows"]:
-                if row["method"] in shown:
-                    curves.setdefault(name, {}).setdefault(row["method"], []).append((unit["tolerance"], row))
-    return curves
+def _sweep(raw: dict) -> pd.DataFrame:
+    """The sweep, with the name of its set in each row."""
+    sweep = frame(raw, "sweep")
+    sweep["name"] = [set_name(row) for row in sweep.to_dict("records")]
+    return sweep
 
 
 def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
@@ -111,21 +102,19 @@ def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
 def draw_pareto(raw: dict) -> Figure:
     """Time of a query against the 99th percentile of the error; crosses where a collision is missed or late."""
     methods = [m for m in _methods(raw) if m != "both ends"]
-    curves = _curves(raw, methods)
-    figure, axes = _panels(len(curves), 4)
-    for ax, (name, by_method) in zip(axes, curves.items(), strict=True):
+    by_set = _sweep(raw).groupby("name", sort=False)
+    figure, axes = _panels(len(by_set), 4)
+    for ax, (name, rows) in zip(axes, by_set, strict=True):
+        rows = rows.assign(error=rows["error.p99"].clip(lower=_LEAST_ERROR)).dropna(subset="error")
         for method in methods:
-            points = [(max(r["error"]["p99"], _LEAST_ERROR), r) for _, r in by_method.get(method, []) if r["error"]]
-            if not points:
+            points = rows[rows.method == method]
+            if points.empty:
                 continue
-            x, y = [e for e, _ in points], [r["seconds"] for _, r in points]
-            ax.plot(x, y, label=method, markersize=4.5, **style(method, _methods(raw)))
-            cut = [(e, r["seconds"]) for e, r in points if (r["limited"] or 0) > _CUT_SHARE * r["queries"]]
-            if cut:
-                ax.plot(*zip(*cut, strict=True), "o", color="white", markersize=2.2, zorder=4)
-            bad = [(e, r["seconds"]) for e, r in points if r["missed"] or r["late"]]
-            if bad:
-                ax.plot(*zip(*bad, strict=True), "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
+            ax.plot(points.error, points.seconds, label=method, markersize=4.5, **style(method, _methods(raw)))
+            cut = points[points.limited.fillna(0) > _CUT_SHARE * points.queries]
+            ax.plot(cut.error, cut.seconds, "o", color="white", markersize=2.2, zorder=4)
+            bad = points[(points.missed > 0) | (points.late > 0)]
+            ax.plot(bad.error, bad.seconds, "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
         ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses or is late")
         ax.plot(
             [], [], "o", color="0.3", markerfacecolor="white", markersize=5, label="with a white dot: over 5 % limited"
@@ -140,18 +129,21 @@ def draw_pareto(raw: dict) -> Figure:
 def draw_phantoms(raw: dict) -> Figure:
     """Share of queries without a contact that a method reports as one, against the tolerance."""
     shown = [m for m in _methods(raw) if "threads" not in m]
-    free = {set_name(unit) for unit in raw["sweep"] for r in unit["rows"] if r["queries"] > r["contacts"]}
-    curves = {name: by_method for name, by_method in _curves(raw, shown).items() if name in free}
-    figure, axes = _panels(len(curves), 4)
-    for ax, (name, by_method) in zip(axes, curves.items(), strict=True):
+    sweep = _sweep(raw)
+    sweep["free"] = sweep.queries - sweep.contacts
+    sweep = sweep[sweep.method.isin(shown) & (sweep.free > 0)]
+    by_set = sweep.groupby("name", sort=False)
+    figure, axes = _panels(len(by_set), 4)
+    for ax, (name, rows) in zip(axes, by_set, strict=True):
         for method in shown:
-            points = [
-                (t, r["phantom"] / (r["queries"] - r["contacts"]))
-                for t, r in by_method.get(method, [])
-                if r["queries"] > r["contacts"]
-            ]
-            x, y = zip(*points, strict=True) if points else ((), ())
-            ax.plot(x, y, label=method, markersize=4.5, **style(method, _methods(raw)))
+            points = rows[rows.method == method]
+            ax.plot(
+                points.tolerance,
+                points.phantom / points.free,
+                label=method,
+                markersize=4.5,
+                **style(method, _methods(raw)),
+            )
         ax.set_yscale("symlog", linthresh=1e-3)
         ax.set(xscale="log", title=name, xlabel="tolerance", ylabel="phantoms / queries without contact")
         ax.set_ylim(-1e-4, 1.5)
@@ -163,18 +155,16 @@ def draw_phantoms(raw: dict) -> Figure:
 def draw_cases(raw: dict) -> Figure:
     """Families by methods: red with the number where a collision is missed or late, else phantoms in grey."""
     methods = [m for m in _methods(raw) if "threads" not in m]
-    families = list(dict.fromkeys(unit["family"] for unit in raw["cases"]))
-    cells: dict[tuple[int, int], dict[str, int]] = {}
-    for unit in raw["cases"]:
-        for row in unit["rows"]:
-            if row["method"] in methods:
-                cell = cells.setdefault((families.index(unit["family"]), methods.index(row["method"])), {})
-                free = {"free": row["queries"] - row["contacts"]}
-                for key, value in {
-                    **{k: row[k] or 0 for k in ("missed", "late", "phantom", "limited")},
-                    **free,
-                }.items():
-                    cell[key] = cell.get(key, 0) + value
+    cases = frame(raw, "cases")
+    cases["free"] = cases.queries - cases.contacts
+    counted = ["missed", "late", "phantom", "limited", "free"]
+    sums = cases.groupby(["family", "method"], sort=False)[counted].sum().astype(int)
+    families = list(dict.fromkeys(cases.family))
+    cells = {
+        (families.index(family), methods.index(method)): dict(zip(counted, sum_of, strict=True))
+        for (family, method), *sum_of in sums.itertuples()
+        if method in methods
+    }
     level = np.full((len(families), len(methods)), 6)  # not applicable
     for at, cell in cells.items():
         share = cell["phantom"] / max(cell["free"], 1)
@@ -223,12 +213,10 @@ def draw_scaling(raw: dict) -> Figure:
     threads.set_visible(bool(raw["threads"]))
     methods = _methods(raw)
     data = raw["batches"] or {"rows": []}
-    for method in dict.fromkeys(row["method"] for row in data["rows"]):
-        rows = [row for row in data["rows"] if row["method"] == method]
-        n, seconds = [row["count"] for row in rows], [row["seconds"] for row in rows]
-        drawn = style(method, methods)
-        rate.loglog(n, [a / b for a, b in zip(n, seconds, strict=True)], label=method, markersize=4.5, **drawn)
-        call.loglog(n, seconds, markersize=4.5, **drawn)
+    for method, rows in pd.DataFrame(data["rows"]).groupby("method", sort=False) if data["rows"] else ():
+        drawn = {"markersize": 4.5, **style(method, methods)}
+        rate.loglog(rows["count"], rows["count"] / rows.seconds, label=method, **drawn)
+        call.loglog(rows["count"], rows.seconds, **drawn)
     for unit in raw["sweep"]:
         if (unit["set"], unit["kind"], unit["tolerance"]) == ("random_colliding", "vertex-face", DEFAULT_TOLERANCE):
             for row in (row for row in unit["rows"] if is_peer(row)):
@@ -241,16 +229,12 @@ def draw_scaling(raw: dict) -> Figure:
         call.axhline(row["load"], color="0.7", linestyle=line, linewidth=1, label=f"first call, cached: {where}")
     rate.set(xlabel="queries of a call", ylabel="queries a second", title="random colliding, vertex-face")
     call.set(xlabel="queries of a call", ylabel="seconds of the call", title="launch and compile overhead")
-    for (what, marker), line in zip(
-        ((w, "osD^v"[k % 5]) for k, w in enumerate(dict.fromkeys(r["what"] for r in raw["threads"]))),
-        ("-", "--", "-.", ":", "-"),
-        strict=False,
-    ):
-        rows = [row for row in raw["threads"] if row["what"] == what]
-        xs = [row["threads"] for row in rows]
-        threads.plot(xs, [r["speedup"] for r in rows], color="black", linestyle=line, marker=marker, label=what)
     if raw["threads"]:
-        counts = sorted({row["threads"] for row in raw["threads"]})
+        speedups = frame(raw, "threads").pivot_table(index="threads", columns="what", values="speedup", sort=False)
+        for k, (what, of) in enumerate(speedups.items()):
+            drawn = {"color": "black", "linestyle": ("-", "--", "-.", ":", "-")[k % 5], "marker": "osD^v"[k % 5]}
+            threads.plot(of.index, of, label=what, **drawn)
+        counts = sorted(speedups.index)
         threads.plot(counts, counts, color="0.7", label="ideal")
         threads.set_xticks(counts)
     threads.set(xlabel="threads", ylabel="speed-up", title="threads")

@@ -6,7 +6,6 @@ threads together, so that a launch that keeps fewer threads busy is not blamed f
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 import warp as wp
 from ccd_warp.benchmarks import scenes
 from ccd_warp.benchmarks.device_step import worlds as sheets_and_balls
+from ccd_warp.benchmarks.timing import figures, interleaved
 
 import ccd_warp as ccd
 
@@ -95,21 +95,6 @@ def measure(name: str, count: int, device: str, rounds: int) -> dict:
         "are_equal": all(np.array_equal(r.vertex_toi, expected.vertex_toi) for r in results),
         "flags": max(int(r.flags) for r in launched),
     }
-    seconds = _processor_seconds(calls, rounds, device)
-    row["seconds"] = {call: statistics.median(values) for call, values in seconds.items()}
-    row["spread"] = {call: [min(values), max(values)] for call, values in seconds.items()}
-    return row
-
-
-def _processor_seconds(calls: dict[str, Callable[[], Any]], rounds: int, device: str) -> dict[str, list[float]]:
-    """Seconds of each call in each round, after one to warm up."""
     clock = time.process_time if device == "cpu" else time.perf_counter
-    seconds: dict[str, list[float]] = {call: [] for call in calls}
-    for k in range(rounds + 1):
-        for name, call in calls.items():
-            begin = clock()
-            call()
-            wp.synchronize_device(device)
-            if k:
-                seconds[name].append(clock() - begin)
-    return seconds
+    seconds = interleaved(calls, rounds, clock=clock, wait=lambda: wp.synchronize_device(device))
+    return row | figures(seconds)

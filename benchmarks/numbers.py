@@ -28,7 +28,7 @@ def count_text(value: float) -> str:
 
 
 def error_text(value: float | None) -> str:
-    return "–" if value is None else ("0" if value == 0 else f"{value:.0e}")
+    return "–" if value is None or value != value else ("0" if value == 0 else f"{value:.0e}")
 
 
 def memory_text(value: int | None) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 _KEYS = ("machine", "settings", "complete", "methods", "sets", "sweep", "cases", "batches", "start", "threads", "steps")
 
@@ -23,9 +24,9 @@ def write_raw(path: Path, raw: dict) -> None:
     new = path.with_suffix(".new")
     new.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
     os.replace(new, path)
-    for name, rows in tables(raw).items():
+    for name, rows in flat_rows(raw).items():
         if rows:
-            write_csv(path.with_name(f"{path.stem}_{name}.csv"), rows)
+            pd.DataFrame(rows, dtype=object).to_csv(path.with_name(f"{path.stem}_{name}.csv"), index=False)
 
 
 def read_raw(path: Path) -> dict:
@@ -64,7 +65,7 @@ def merged(kept: dict, new: dict, sections: tuple[str, ...]) -> dict:
     return {**kept, **parts, "measured_apart": marks, "complete": kept["complete"] and new["complete"]}
 
 
-def tables(raw: dict) -> dict[str, list[dict]]:
+def flat_rows(raw: dict) -> dict[str, list[dict]]:
     """The lists of the raw figures as flat rows."""
     result: dict[str, list[dict]] = {}
     for name in ("sweep", "cases"):
@@ -79,6 +80,11 @@ def tables(raw: dict) -> dict[str, list[dict]]:
     return result
 
 
+def frame(raw: dict, section: str) -> pd.DataFrame:
+    """A section as a table, in which a method on a set or a family has a row."""
+    return pd.DataFrame(flat_rows(raw)[section])
+
+
 def _flat(record: dict, prefix: str = "") -> dict[str, Any]:
     """Nested objects by joined names; lists of single queries are left to the JSON."""
     flat: dict[str, Any] = {}
@@ -88,15 +94,6 @@ def _flat(record: dict, prefix: str = "") -> dict[str, Any]:
         elif key != "query_seconds":
             flat[prefix + key] = value
     return flat
-
-
-def write_csv(path: Path, rows: list[dict]) -> None:
-    """Write rows under the union of their columns."""
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _plain(value: Any) -> Any:

@@ -6,11 +6,14 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE, Method
+from ccd_warp.benchmarks.timing import interleaved
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads
@@ -35,17 +38,14 @@ def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int,
             left_out.append(count)
             continue
         points = [np.ascontiguousarray(np.resize(p, (count, 4, 3))) for p in few]
-        times: dict[str, list[float]] = {m.name: [] for m in chosen}
-        for _ in range(rounds * (20 if count <= 1000 else 1)):
-            for m in chosen:
-                if m.group == "baseline" and count > 1_000_000:
-                    continue
-                begin = time.perf_counter()
-                m.solve("vertex-face", *points, 1e-6, 0.0, 1.0)
-                times[m.name].append(time.perf_counter() - begin)
+        calls = {
+            m.name: partial(m.solve, "vertex-face", *points, 1e-6, 0.0, 1.0)
+            for m in chosen
+            if m.group != "baseline" or count <= 1_000_000
+        }
+        times = interleaved(calls, rounds * (20 if count <= 1000 else 1))
         for name, seconds in times.items():
-            if seconds:
-                rows.append({"method": name, "count": count, "seconds": float(np.median(seconds[len(seconds) // 4 :]))})
+            rows.append({"method": name, "count": count, "seconds": float(np.median(seconds[len(seconds) // 4 :]))})
     return {"family": FAMILY, "rows": rows, "left_out": left_out}
 
 
@@ -86,37 +86,26 @@ def thread_counts() -> list[int]:
 
 
 def measure_threads(batch: int, rounds: int) -> list[dict]:
-    """Speed-up of a batch of pairs by threads on the CPU, medians of the ratios of interleaved rounds."""
+    """Speed-up of a batch of pairs by threads on the CPU."""
     rows = []
     for kind in ("vertex-face", "edge-edge"):
         points = [np.resize(p, (batch, 4, 3)) for p in FAMILIES[FAMILY](kind, 10_000, np.random.default_rng(5))]
         points = [np.ascontiguousarray(p) for p in points]
-        times: dict[int, list[float]] = {threads: [] for threads in thread_counts()}
-        for _ in range(rounds + 1):
-            for threads, seconds in times.items():
-                begin = time.perf_counter()
-                SOLVE[kind](*points, device="cpu", num_threads=threads)
-                seconds.append(time.perf_counter() - begin)
-        one = np.array(times[1][1:])
-        for threads, seconds in times.items():
-            rows.append({"what": kind, "threads": threads, "speedup": float(np.median(one / np.array(seconds[1:])))})
+        calls = {n: partial(SOLVE[kind], *points, device="cpu", num_threads=n) for n in thread_counts()}
+        rows += _speedups(kind, calls, rounds)
     return rows
 
 
 def measure_mesh_threads(scene, rounds: int) -> list[dict]:
-    """Speed-up of ``mesh_ccd`` on a scene by threads on the CPU, medians of the ratios of interleaved rounds."""
+    """Speed-up of ``mesh_ccd`` on a scene by threads on the CPU."""
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipelines = {n: ccd.CollisionPipeline(mesh, device="cpu", num_threads=n) for n in thread_counts()}
-    times: dict[int, list[float]] = {n: [] for n in pipelines}
-    for _ in range(rounds + 1):
-        for n, pipeline in pipelines.items():
-            pipeline.mesh_ccd(*frames)
-            begin = time.perf_counter()
-            pipeline.mesh_ccd(*frames)
-            times[n].append(time.perf_counter() - begin)
-    one = np.array(times[1][1:])
-    return [
-        {"what": f"mesh_ccd, {scene.name}", "threads": n, "speedup": float(np.median(one / np.array(seconds[1:])))}
-        for n, seconds in times.items()
-    ]
+    calls = {n: partial(pipeline.mesh_ccd, *frames) for n, pipeline in pipelines.items()}
+    return _speedups(f"mesh_ccd, {scene.name}", calls, rounds)
+
+
+def _speedups(what: str, calls: dict[int, Callable[[], Any]], rounds: int) -> list[dict]:
+    """Medians of the ratios of interleaved rounds to those of one thread, by numbers of threads."""
+    times = {n: np.array(seconds) for n, seconds in interleaved(calls, rounds, is_settled=True).items()}
+    return [{"what": what, "threads": n, "speedup": float(np.median(times[1] / times[n]))} for n in times]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pandas as pd
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE, SHORT
 from ccd_warp.benchmarks.numbers import (
@@ -21,6 +22,7 @@ from ccd_warp.benchmarks.numbers import (
     table,
     time_text,
 )
+from ccd_warp.benchmarks.raw_file import frame
 
 
 def conditions(raw: dict) -> list[str]:
@@ -158,24 +160,22 @@ def by_tolerance(raw: dict) -> list[str]:
 
 def ours_by_tolerance(raw: dict) -> list[str]:
     """Effect of tolerance and precision on ours: time, largest error, phantoms."""
-    by_set: dict[str, dict[float, dict]] = {}
-    for unit in raw["sweep"]:
-        by_set.setdefault(set_name(unit), {})[unit["tolerance"]] = rows_of(unit)
-    tolerances = [t for t in _CHOICES if all(t in units for units in by_set.values())]
-    rows = []
-    for name, units in by_set.items():
-        for precision in ("float64", "float32"):
-            found = [units[t][f"ours {precision}"] for t in tolerances]
-            cells = (
-                " / ".join(texts)
-                for texts in (
-                    (time_text(row["seconds"]) for row in found),
-                    (error_text(error_of(row, "p99")) for row in found),
-                    (error_text(error_of(row, "max")) for row in found),
-                    (str(row["phantom"]) for row in found),
-                )
-            )
-            rows.append([name, precision, *cells])
+    ours = frame(raw, "sweep")
+    ours = ours[ours.method.isin(["ours float64", "ours float32"])]
+    points = ours.groupby("tolerance").size()
+    tolerances = [t for t in _CHOICES if points.get(t) == points.max()]
+    of_methods = ours[ours.tolerance.isin(tolerances)]
+    texts = pd.DataFrame(
+        {
+            "set": [set_name(row) for row in of_methods.to_dict("records")],
+            "precision": of_methods.method.str.removeprefix("ours ").tolist(),
+            "time": of_methods.seconds.map(time_text).tolist(),
+            "99 %": of_methods["error.p99"].map(error_text).tolist(),
+            "max": of_methods["error.max"].map(error_text).tolist(),
+            "phantoms": of_methods.phantom.map(str).tolist(),
+        }
+    )
+    rows = texts.groupby(["set", "precision"], sort=False).agg(" / ".join).reset_index().values
     at = " / ".join(f"{t:.0e}" for t in tolerances)
     header = ["set", "precision", f"time of a query at {at}", "99 % of errors below", "largest error", "phantoms"]
     return table(header, rows)
@@ -202,42 +202,31 @@ def hard_cases(raw: dict) -> list[str]:
 
 def why(raw: dict) -> list[str]:
     """Why each family is hard, and which methods missed a collision there in this run."""
-    missed: dict[str, dict[str, int]] = {}
-    reasons = {}
-    for unit in raw["cases"]:
-        reasons[unit["family"]] = unit["why"]
-        found = missed.setdefault(unit["family"], {})
-        for row in unit["rows"]:
-            if row["missed"]:
-                found[row["method"]] = found.get(row["method"], 0) + row["missed"]
-    rows = [
-        [name, reason, ", ".join(f"{m} {n}" for m, n in missed[name].items()) or "none"]
-        for name, reason in reasons.items()
-    ]
+    cases = frame(raw, "cases")
+    missed = cases[cases.missed > 0].groupby(["family", "method"], sort=False).missed.sum()
+    said = (missed.index.get_level_values("method") + " " + missed.astype(str)).groupby("family").agg(", ".join)
+    reasons = cases.groupby("family", sort=False).why.first()
+    rows = ([name, reason, said.get(name, "none")] for name, reason in reasons.items())
     return table(["family", "why it is hard", "missed here"], rows)
 
 
 def fault_totals(raw: dict) -> list[str]:
     """Missed and late answers of each method over all hard cases."""
-    totals: dict[str, list[int]] = {}
-    for unit in raw["cases"]:
-        for row in unit["rows"]:
-            total = totals.setdefault(row["method"], [0] * 6)
-            for k, name in enumerate(("queries", "contacts", "missed", "late", "phantom")):
-                total[k] += row[name]
-            total[5] += bool(row["missed"] or row["late"])
-    rows = [[name, *(f"{n:,}" for n in total)] for name, total in totals.items()]
+    cases = frame(raw, "cases")
+    cases["faulty"] = cases[["missed", "late"]].any(axis=1)
+    counts = ["queries", "contacts", "missed", "late", "phantom", "faulty"]
+    totals = cases.groupby("method", sort=False)[counts].sum()
+    rows = ([name, *(f"{n:,}" for n in total)] for name, *total in totals.itertuples())
     return table(["method", "judged", "contacts", "missed", "late", "phantom", "rows with a missed or late one"], rows)
 
 
 def batches(raw: dict) -> list[str]:
     """Throughput against the size of a batch, and from which size on a call of ours is faster than a peer's calls."""
     data = raw["batches"]
-    names = list(dict.fromkeys(row["method"] for row in data["rows"]))
-    counts = sorted({row["count"] for row in data["rows"]})
-    seconds = {(row["method"], row["count"]): row["seconds"] for row in data["rows"]}
-    rows = [[f"{n:,}", *(count_text(n / seconds[m, n]) if (m, n) in seconds else "–" for m in names)] for n in counts]
-    lines = table(["queries of a call", *(f"{m}, queries/s" for m in names)], rows)
+    seconds = frame(raw, "batches").pivot_table(index="count", columns="method", values="seconds", sort=False)
+    rates = seconds.rdiv(seconds.index, axis=0).map(lambda rate: "–" if pd.isna(rate) else count_text(rate))
+    header = ["queries of a call", *(f"{m}, queries/s" for m in rates.columns)]
+    lines = table(header, ([f"{n:,}", *texts] for n, *texts in rates.itertuples()))
     if data["left_out"]:
         lines += ["", f"Left out, as memory would not hold them: {', '.join(f'{n:,}' for n in data['left_out'])}."]
     unit = next((u for u in at_default(raw) if (u["set"], u["kind"]) == (data["family"], "vertex-face")), None)
@@ -245,11 +234,11 @@ def batches(raw: dict) -> list[str]:
         by = rows_of(unit)
         for name in PEERS:
             each = by[name]["seconds"] + by[name]["call_overhead"]
-            faster = [n for n in counts if seconds[OURS, n] < n * each]
-            since = f"ours is faster from {faster[0]:,} on" if faster else "none is large enough for ours"
+            faster = seconds.index[seconds[OURS] < seconds.index * each]
+            since = f"ours is faster from {faster[0]:,} on" if len(faster) else "none is large enough for ours"
             what = f"{name}, called from Python for each of the same queries, takes {time_text(each)} a call"
             lines += ["", f"{what}: of the sizes above, {since}."]
-        lines += ["", f"A call of ours with a single query takes {time_text(seconds[OURS, counts[0]])}."]
+        lines += ["", f"A call of ours with a single query takes {time_text(seconds[OURS].iloc[0])}."]
     return lines
 
 
@@ -260,9 +249,6 @@ def first_calls(raw: dict) -> list[str]:
 
 
 def threads(raw: dict) -> list[str]:
-    counts = sorted({row["threads"] for row in raw["threads"]})
-    by: dict[str, dict[int, float]] = {}
-    for row in raw["threads"]:
-        by.setdefault(row["what"], {})[row["threads"]] = row["speedup"]
-    header = ["speed-up by threads", *map(str, counts)]
-    return table(header, ([what, *(f"{s[n]:.2f}" for n in counts)] for what, s in by.items()))
+    by = frame(raw, "threads").pivot_table(index="what", columns="threads", values="speedup", sort=False)
+    rows = ([what, *(f"{speedup:.2f}" for speedup in of)] for what, *of in by.itertuples())
+    return table(["speed-up by threads", *map(str, by.columns)], rows)

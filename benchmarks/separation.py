@@ -8,6 +8,7 @@ from __future__ import annotations
 import warp as wp
 from ccd_warp.benchmarks import scenes, side_figures
 from ccd_warp.benchmarks.numbers import table, time_text
+from ccd_warp.benchmarks.timing import interleaved, medians
 
 import ccd_warp as ccd
 
@@ -23,9 +24,8 @@ def measure(num_faces: int, separations: tuple[float, ...] = SEPARATIONS) -> lis
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipelines = {s: ccd.CollisionPipeline(mesh, minimum_separation=s, length_scale=1.0) for s in separations}
-    seconds = side_figures.interleaved(
-        {s: lambda p=pipeline: p.mesh_ccd(*frames) for s, pipeline in pipelines.items()}, ROUNDS
-    )
+    calls = {s: lambda p=pipeline: p.mesh_ccd(*frames) for s, pipeline in pipelines.items()}
+    seconds = medians(interleaved(calls, ROUNDS))
     edges = mesh.vertices[mesh.edges]
     edge_length = float(((edges[:, 0] - edges[:, 1]) ** 2).sum(axis=1).mean() ** 0.5)
     rows = []

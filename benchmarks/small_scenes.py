@@ -7,17 +7,13 @@ milliseconds, and takes the mean; medians over the rounds.
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
-from typing import Any
-
 import ipctk
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scene_sections import SMALL_PEERS
 from ccd_warp.benchmarks.scenes import Scene
+from ccd_warp.benchmarks.timing import figures, interleaved
 from ccd_warp.benchmarks.whole_step import ToolkitScene
 
 import ccd_warp as ccd
@@ -26,33 +22,6 @@ import ccd_warp as ccd
 PEER = SMALL_PEERS[1]
 PAIR_KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
 _SECONDS = 4e-3  # of a call's repetitions in a round
-_MOST_CALLS = 100
-
-
-def timed_in_turn(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
-    """Seconds of each call in each round, the mean over its repetitions; after two calls to warm up."""
-    repetitions = {}
-    for name, call in calls.items():
-        call()
-        begin = time.perf_counter()
-        call()
-        repetitions[name] = int(min(max(_SECONDS / (time.perf_counter() - begin), 1), _MOST_CALLS))
-    seconds: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            call()  # threads of the library that ran before spin for a while
-            begin = time.perf_counter()
-            for _ in range(repetitions[name]):
-                call()
-            seconds[name].append((time.perf_counter() - begin) / repetitions[name])
-    return seconds
-
-
-def _with_times(row: dict, calls: dict[str, Callable[[], Any]], rounds: int) -> dict:
-    seconds = timed_in_turn(calls, rounds)
-    row["seconds"] = {name: statistics.median(values) for name, values in seconds.items()}
-    row["spread"] = {name: [min(values), max(values)] for name, values in seconds.items()}
-    return row
 
 
 def measure(scene: Scene, device: str, rounds: int) -> dict:
@@ -92,7 +61,7 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
         "peer_step": calls[SMALL_PEERS[0]](),
         "additive_step": calls[PEER](),
     }
-    return _with_times(row, calls, rounds)
+    return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))
 
 
 def measure_pair(kind: str, device: str, rounds: int) -> dict:
@@ -105,4 +74,4 @@ def measure_pair(kind: str, device: str, rounds: int) -> dict:
     batch = [x[None] for x in points]
     calls = {PEER: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
     row = {"pair": kind, "device": device, "toi": float(calls["ours"]().toi[0])}
-    return _with_times(row, calls, rounds)
+    return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))

@@ -8,9 +8,9 @@ the mesh is not timed for either; the first call, which orders the mesh once, is
 from __future__ import annotations
 
 import json
-import statistics
 import sys
 import time
+from functools import partial
 
 import ipctk
 import numpy as np
@@ -18,19 +18,11 @@ import warp as wp
 from ccd_warp.benchmarks.memory import PeakMemory
 from ccd_warp.benchmarks.scaling import run_apart
 from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere
+from ccd_warp.benchmarks.timing import figures, interleaved, medians
 
 import ccd_warp as ccd
 
-
-def timed(function):
-    """Result and seconds of a call that is made twice in a row.
-
-    The second counts: threads of the library that ran before spin for a while, and its data is in the caches.
-    """
-    function()
-    begin = time.perf_counter()
-    result = function()
-    return result, time.perf_counter() - begin
+CALLS = ("find_candidates", "collision_free_step", "mesh_ccd")
 
 
 class ToolkitScene:
@@ -62,43 +54,36 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
     mesh = scene.mesh(ccd)
     frames = (scene.vertices_t0, scene.vertices_t1)
     pipeline = ccd.CollisionPipeline(mesh, device=device)
-    calls = {
-        "find_candidates": lambda: pipeline.find_candidates(*frames),
-        "collision_free_step": lambda: pipeline.collision_free_step(*frames),
-        "mesh_ccd": lambda: pipeline.mesh_ccd(*frames),
-    }
+    calls = {name: partial(getattr(pipeline, name), *frames) for name in CALLS}
     first = {}
     for name, call in calls.items():
         begin = time.perf_counter()
         call()
         first[name] = time.perf_counter() - begin
     peer = ToolkitScene(scene, mesh)
-    seconds: dict[str, list[float]] = {name: [] for name in ("peer build", "peer step", *calls)}
     stages: dict[str, dict[str, list[float]]] = {name: {} for name in calls}
     results = {}
-    begin = time.perf_counter()
-    while len(seconds["peer build"]) < least or time.perf_counter() - begin < budget:
-        candidates, t = timed(peer.build)
-        seconds["peer build"].append(t)
-        results["peer step"], t = timed(lambda found=candidates: peer.step(found))
-        seconds["peer step"].append(t)
-        for name, call in calls.items():
-            results[name], t = timed(call)
-            seconds[name].append(t)
-            for stage, value in pipeline.timings.items():
-                stages[name].setdefault(stage, []).append(value)
-    found, contacts = results["find_candidates"], results["mesh_ccd"]
-    middle = {name: statistics.median(values) for name, values in seconds.items()}
+
+    def keep(name: str, result: object) -> None:
+        results[name] = result
+        for stage, value in pipeline.timings.items() if name in stages else ():
+            stages[name].setdefault(stage, []).append(value)
+
+    results["peer build"] = peer.build()
+    theirs = {"peer build": peer.build, "peer step": lambda: peer.step(results["peer build"])}
+    seconds = interleaved(theirs | calls, least, budget=budget, is_settled=True, after=keep)
+    times = figures(seconds)
+    found, contacts, candidates = (results[name] for name in ("find_candidates", "mesh_ccd", "peer build"))
+    middle = times["seconds"]
     whole = middle["peer build"] + middle["peer step"]
     return {
         "scene": scene.name,
         "device": device,
         "faces": len(scene.faces),
         "rounds": len(seconds["peer build"]),
-        "seconds": middle,
-        "spread": {name: [min(values), max(values)] for name, values in seconds.items()},
+        **times,
         "first": first,
-        "stages": {name: {s: statistics.median(v) for s, v in by_stage.items()} for name, by_stage in stages.items()},
+        "stages": {name: medians(by_stage) for name, by_stage in stages.items()},
         "ratio": {
             "find_candidates": middle["peer build"] / middle["find_candidates"],
             "collision_free_step": whole / middle["collision_free_step"],
@@ -146,9 +131,7 @@ def grow(num_faces: int) -> dict:
     pipeline = ccd.CollisionPipeline(mesh)
     row: dict = {"faces": len(scene.faces), "seconds": {}}
     for name in ("collision_free_step", "mesh_ccd", "find_candidates"):
-        call = getattr(pipeline, name)
-        times = [timed(lambda call=call: call(*frames))[1] for _ in range(6)]
-        row["seconds"][name] = statistics.median(times[1:])
+        row["seconds"] |= medians(interleaved({name: partial(getattr(pipeline, name), *frames)}, 5, is_settled=True))
     row["peak_bytes_above_input"] = memory.bytes()
     return row
 

@@ -31,10 +31,11 @@ _GUIDES = [
     "docs/distributed",
     "docs/examples",
 ]
-_REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", "benchmarks/NOTES"]
+_NOTES = "benchmarks/NOTES"
+_REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", _NOTES]
 _ABOUT = ["CONTRIBUTING", "CHANGELOG"]
 _GUIDES += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - {*_GUIDES, *_REFERENCE})
-include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md"]
+include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -55,13 +56,15 @@ nitpick_ignore_regex = [
 
 
 def _with_contents(app, docname, source):
-    """Give the first page the table of contents, which a forge would show as code, and let folders be names alone."""
+    """Add the tables of contents, which a forge would show as code, and let folders be names alone."""
     folder = (_ROOT / docname).parent
     source[0] = re.sub(
         r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)",
         lambda link: link[1] if (folder / link[2]).is_dir() else link[0],
         source[0],
     )
+    if docname == _NOTES:
+        source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\nnotes/*\n```\n"
     if docname == root_doc:
         for caption, pages in (("Guides", _GUIDES), ("Reference", _REFERENCE), ("Project", _ABOUT)):
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])

@@ -33,7 +33,7 @@ from ccd_warp.benchmarks import (
     scenes,
     separation,
     small_scenes,
-    small_steps,
+    timing,
 )
 from ccd_warp.benchmarks.accuracy import ExactTimes, error_statistics, judged
 from ccd_warp.benchmarks.interleaved import Effort, measure
@@ -497,6 +497,24 @@ def test_the_parts_of_the_help_are_those_there_are():
     assert ", ".join(bench.SECTIONS) == command.SECTIONS_HELP
 
 
+# ---- Interleaved rounds ----------------------------------------------------------------------------------------------
+
+
+def test_every_round_makes_every_call_in_turn_and_times_the_one_that_counts():
+    now, made = iter(range(1000)), []
+    calls = {name: lambda name=name: made.append(name) for name in "ab"}
+    seconds = timing.interleaved(calls, 2, is_settled=True, clock=lambda: next(now), wait=lambda: made.append("-"))
+    assert "".join(made) == "ab" + 2 * "a-a-b-b-"
+    assert seconds == {"a": [1, 1], "b": [1, 1]}
+    assert timing.figures({"a": [3.0, 1.0, 2.0]}) == {"seconds": {"a": 2.0}, "spread": {"a": [1.0, 3.0]}}
+
+
+def test_a_short_call_is_repeated_and_its_mean_counts():
+    made = []
+    seconds = timing.interleaved({"a": lambda: made.append(0)}, 1, fill=1.0, clock=lambda: float(len(made)))
+    assert (len(made), seconds) == (102, {"a": [1.0]})
+
+
 # ---- Small scenes ----------------------------------------------------------------------------------------------------
 
 
@@ -516,16 +534,6 @@ def test_a_row_of_a_small_scene(monkeypatch):
     assert row["step"] == row["toi"] == pytest.approx(row["launch_toi"], abs=1e-5)
     assert 0.8 * row["toi"] < row["additive_step"] < row["toi"] > row["peer_step"] > 0.99 * row["toi"]
     assert set(row["spread"]) == set(row["seconds"]) and len(row["seconds"]) == 7
-
-
-def test_a_plate_in_the_plane_is_one_of_the_small_steps():
-    mesh, start, end = small_steps.pressed_plate()
-    assert (mesh.dimension, mesh.num_vertices, mesh.num_edges) == (2, 1680, 224)
-    calls = small_steps.calls_on(mesh, start, end)
-    results = {name: call() for name, call in calls.items()}
-    assert results[small_steps.PEER] == results["collision_free_step"] == results["one-shot step"] == 1.0
-    assert not results["mesh_ccd"].hit
-    assert all(np.isinf(results[f"launch, {library}"].toi.numpy()[0]) for library in ("NumPy", "Warp"))
 
 
 def test_a_row_of_both_broad_phases_is_told_beside_the_peer():

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
+from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.step.minima import CANDIDATES
 from emulated.build import compiler
 from emulated.comparison import PAIRS, PLAN, answer_of_cpu, shared
 from emulated.device import MULTIPROCESSORS, Emulation, emulation
-from emulated.outputs import different, outputs_of
 from launches import host, on_device
 
 import ccd_warp as ccd

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.cases import Arrays, Case, all_cases
+from ccd_warp.benchmarks.gpu_check.cases import Case, all_cases
 from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint
+from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different
 from ccd_warp.benchmarks.gpu_check.record import Record, read_json, write_json
 from ccd_warp.benchmarks.gpu_check.target import EMULATED, Target
 
-Outcome = Arrays | str
+Outcome = Outputs | str
 Answers = dict[str, tuple[str, str]]
 
 _MOST_SAID = 12  # differences that are described
@@ -29,16 +30,10 @@ _MOST_SAID = 12  # differences that are described
 def run(target: Target, record: Record, *, answers: Path | None = None, **_: Any) -> None:
     """Compare all cases, and keep a row for each: the numbers of arrays and values, and what differs or fails."""
     known = {} if answers is None else read_answers(answers, target.is_short)
-    twins: dict[str, Case] = {}
     # The emulated device is the CPU to Warp, and either that or itself: what the CPU gives is computed before.
     before = references(target, record) if target.kind == EMULATED else None
     if target.stride > 1:
         record.leave_out("most cases", f"one of {target.stride} is compared here")
-
-    def of_cpu(case: Case) -> Outcome:
-        if not twins:  # cases of their own, since a mesh keeps what it was used with
-            twins.update({each.name: each for each in all_cases(target.is_short)})
-        return outcome(twins[case.name], "cpu")
 
     with target.checked():
         for case in chosen(target):
@@ -54,7 +49,7 @@ def run(target: Target, record: Record, *, answers: Path | None = None, **_: Any
                 if is_known and not isinstance(found, str) and digest_of(found) == answer:
                     expected: Outcome = found
                 else:
-                    expected = of_cpu(case) if before is None else before[case.name]
+                    expected = outcome(case, "cpu") if before is None else before[case.name]
                 compare(record, case.name, expected, found, is_known)
     record.say(f"{totals_said(record.rows)}; {sum(row.get('carried', 0) for row in record.rows)} by carried answers")
 
@@ -96,7 +91,7 @@ def outcome(case: Case, device: str) -> Outcome:
 # --- answers that are carried ---
 
 
-def digest_of(arrays: Arrays) -> str:
+def digest_of(arrays: Outputs) -> str:
     """A digest of the names, types, shapes and bits of arrays."""
     digest = hashlib.sha256()
     for name, array in sorted(arrays.items()):
@@ -146,7 +141,7 @@ def compare(record: Record, name: str, expected: Outcome, found: Outcome, is_kno
     row: dict[str, Any] = {"arrays": len(expected), "values": sum(array.size for array in expected.values())}
     if is_known and found is expected:
         row["carried"] = 1
-    differing = differences(expected, found)
+    differing = different(found, expected)
     if differing:
         row["different"] = differing
     elif is_known and found is not expected:
@@ -169,25 +164,3 @@ def totals_said(rows: list[dict]) -> str:
     """The totals in words."""
     said = "{cases} calls, {arrays:,} arrays, {values:,} values: {different} calls differ, {failed} fail"
     return said.format(**totals(rows))
-
-
-def differences(expected: Arrays, found: Arrays) -> dict[str, str]:
-    """The arrays that are not the same bits, and how they differ."""
-    result = {}
-    for name in expected | found:
-        if name not in expected or name not in found:
-            result[name] = "only one has it"
-            continue
-        a, b = (np.ascontiguousarray(x) for x in (expected[name], found[name]))
-        if a.shape != b.shape or a.dtype != b.dtype:
-            result[name] = f"{a.dtype} {a.shape} on the CPU, {b.dtype} {b.shape} on the device"
-        elif a.tobytes() != b.tobytes():
-            is_different = bits_of(a) != bits_of(b)
-            where = tuple(int(k) for k in np.argwhere(is_different)[0])
-            result[name] = f"{int(is_different.sum())} of {a.size}, first at {where}: {a[where]!r} and {b[where]!r}"
-    return result
-
-
-def bits_of(array: np.ndarray) -> np.ndarray:
-    """An array as integers of its bits."""
-    return array.view(f"u{array.dtype.itemsize}") if array.dtype != bool else array

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.cases import PER, host
+from ccd_warp.benchmarks.gpu_check.calls import EVERY_PER
+from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different, outputs_of
 from ccd_warp.benchmarks.gpu_check.record import Record
 from ccd_warp.benchmarks.gpu_check.steps import Step, worlds
 from ccd_warp.benchmarks.gpu_check.target import Target
@@ -20,7 +21,7 @@ import ccd_warp as ccd
 
 REPLAYS = 100
 _PHASES = 2  # different motions among which the replays go round
-KINDS = ("launch", *(f"line search per {per}" for per in PER))
+KINDS = ("launch", *(f"line search per {per}" for per in EVERY_PER))
 
 
 def run(target: Target, record: Record, **_: Any) -> None:
@@ -57,17 +58,17 @@ def caller(pipeline: ccd.CollisionPipeline, kind: str) -> Callable[[Any, Any], c
     return lambda start, end: pipeline.launch_line_search(start, end, per=per)  # type: ignore[arg-type]
 
 
-def arrays_of(result: ccd.LaunchResult, end: np.ndarray) -> dict[str, np.ndarray]:
+def arrays_of(result: ccd.LaunchResult, end: wp.array) -> Outputs:
     """What a launch has written."""
-    return {name: host(getattr(result, name)).copy() for name in ("toi", "world_toi", "flags")} | {"end": end.copy()}
+    return outputs_of({name: getattr(result, name) for name in ("toi", "world_toi", "flags")} | {"end": end})
 
 
-def without_graph(step: Step, end: np.ndarray, kind: str) -> dict[str, np.ndarray]:
+def without_graph(step: Step, end: np.ndarray, kind: str) -> Outputs:
     """What the CPU gives, called directly."""
     pipeline = ccd.CollisionPipeline(step.mesh, device="cpu", **step.capacities)
     start, wished = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (step.start, end))
     result = caller(pipeline, kind)(start, wished)
-    return arrays_of(result, wished.numpy())
+    return arrays_of(result, wished)
 
 
 @contextmanager
@@ -93,7 +94,7 @@ def replay(
     record: Record,
     step: Step,
     ends: list[np.ndarray],
-    expected: list[dict[str, np.ndarray]],
+    expected: list[Outputs],
     kind: str,
     where: str,
     replays: int,
@@ -129,10 +130,7 @@ def replay(
             target.wait()
             seconds.append(time.perf_counter() - begin)
             if k < len(motions) or k >= replays - len(motions):
-                found = arrays_of(result, wished.numpy())
-                num_different += any(
-                    found[name].tobytes() != array.tobytes() for name, array in expected[k % len(motions)].items()
-                )
+                num_different += bool(different(arrays_of(result, wished), expected[k % len(motions)]))
     record.add(
         f"{kind}, {where}: {replays} replays, {num_different} differ, {statistics.median(seconds) * 1e3:.3f} ms each",
         kind=kind,

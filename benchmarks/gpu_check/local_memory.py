@@ -11,7 +11,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ccd_warp.benchmarks.gpu_check.summary import table
+from ccd_warp.benchmarks.numbers import table
 
 # Of an H100 or H200: threads that can be resident on a multiprocessor, and multiprocessors.
 THREADS, MULTIPROCESSORS = 2048, 132

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.cases import PAIRS, PRECISIONS
+from ccd_warp.benchmarks.gpu_check.cases import PRECISIONS
 from ccd_warp.benchmarks.gpu_check.record import Record
 from ccd_warp.benchmarks.gpu_check.target import Target, launched_with, middle
 from ccd_warp.benchmarks.gpu_check.variants import BLOCK_DIMS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.methods import SOLVE
 
 COLLIDING, CULLED = "colliding", "culled"
 MANY, FEW = 10_000_000, 1_000_000
@@ -89,7 +90,7 @@ def measure(
     results = []
 
     def call() -> None:
-        results[:] = [PAIRS[kind](start, end, precision=precision, length_scale=1.0)]  # type: ignore[arg-type]
+        results[:] = [SOLVE[kind](start, end, precision=precision, length_scale=1.0)]  # type: ignore[arg-type]
 
     repeats = 2 if target.is_short else _REPEATS
     with launched_with(block_dim):

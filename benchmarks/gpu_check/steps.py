@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -12,11 +13,9 @@ from ccd_warp.benchmarks.scenes import grid
 import ccd_warp as ccd
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A mesh and its positions at both ends of a step."""
 
-    name: str
     mesh: ccd.CollisionMesh
     start: np.ndarray
     end: np.ndarray
@@ -25,10 +24,6 @@ class Step:
     def capacities(self) -> dict[str, int]:
         """Capacities of a launch that suffice."""
         return {"max_pairs": max(1 << 12, 64 * len(self.start)), "max_contacts": max(1 << 12, 8 * len(self.start))}
-
-    def named(self, name: str) -> Step:
-        """This step with another name."""
-        return Step(name, self.mesh, self.start, self.end)
 
 
 def sheet_over_ball(
@@ -45,7 +40,7 @@ def sheet_over_ball(
     end[: len(sheet), 2] -= 0.35
     if not static:
         end[len(sheet) :] = ball.vertices @ trimesh.transformations.rotation_matrix(0.3, [1, 2, 3])[:3, :3].T
-    return Step("sheet over ball", mesh, start, end)
+    return Step(mesh, start, end)
 
 
 def crowd(num_faces: int, **options: Any) -> Step:
@@ -61,7 +56,7 @@ def crowd(num_faces: int, **options: Any) -> Step:
         positions.append(at)
     start = np.concatenate(positions)
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **options)
-    return Step("crowd", mesh, start, start + 0.1 * rng.standard_normal(start.shape))
+    return Step(mesh, start, start + 0.1 * rng.standard_normal(start.shape))
 
 
 def worlds(count: int) -> Step:
@@ -70,7 +65,7 @@ def worlds(count: int) -> Step:
     start = np.tile(one.start, (count, 1))
     move = np.tile(one.end - one.start, (count, 1))
     move *= np.repeat(np.linspace(0.2, 1.2, count), len(one.start))[:, None]
-    return Step(f"{count} worlds", one.mesh.replicate(count), start, start + move)
+    return Step(one.mesh.replicate(count), start, start + move)
 
 
 def polygons() -> Step:
@@ -80,25 +75,25 @@ def polygons() -> Step:
     edges = np.stack([np.arange(24), (np.arange(24) + 1) % 24], axis=1)
     mesh = ccd.CollisionMesh.from_arrays([(ring, edges), (ring + [1.7, 0.1], edges)])
     start = np.concatenate([ring, ring + [1.9, 0.1]])
-    return Step("polygons", mesh, start, np.concatenate([ring @ [[0.8, 0.6], [-0.6, 0.8]], ring + [1.4, 0.1]]))
+    return Step(mesh, start, np.concatenate([ring @ [[0.8, 0.6], [-0.6, 0.8]], ring + [1.4, 0.1]]))
 
 
-def all_steps(is_short: bool) -> list[Step]:
-    """The scenes, each small, or large enough for many blocks of threads."""
-    rows, faces = (6, 24) if is_short else (80, 600)
+def all_steps(is_short: bool) -> dict[str, Callable[[], Step]]:
+    """The scenes, each small, or large enough for many blocks of threads, and made anew at each call."""
+    rows, faces, count = (6, 24, 3) if is_short else (80, 600, 40)
     excluded = {"vertex_face": [[0, 1], [2, 20], [5, 9]], "edge_edge": [[0, 9], [3, 40]], "bodies": [[0, 0]]}
-    steps = [
-        sheet_over_ball(rows),
-        crowd(faces),
-        crowd(faces, exclude_pairs=excluded).named("crowd without some pairs"),
-        worlds(3 if is_short else 40),
-        polygons(),
-    ]
+    steps: dict[str, Callable[[], Step]] = {
+        "sheet over ball": partial(sheet_over_ball, rows),
+        "crowd": partial(crowd, faces),
+        "crowd without some pairs": partial(crowd, faces, exclude_pairs=excluded),
+        f"{count} worlds": partial(worlds, count),
+        "polygons": polygons,
+    }
     if not is_short:
         apart = np.array([[True, False], [False, True]])
-        steps += [
-            sheet_over_ball(rows, static=False, self_collision=[True, False]).named("sheet over a turning ball"),
-            crowd(faces, exclusion_rings=2).named("crowd without neighbours"),
-            crowd(faces, body_pairs=apart).named("crowd of bodies apart"),
-        ]
+        steps |= {
+            "sheet over a turning ball": partial(sheet_over_ball, rows, static=False, self_collision=[True, False]),
+            "crowd without neighbours": partial(crowd, faces, exclusion_rings=2),
+            "crowd of bodies apart": partial(crowd, faces, body_pairs=apart),
+        }
     return steps

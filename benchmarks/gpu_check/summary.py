@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from ccd_warp.benchmarks.gpu_check.bits import totals
@@ -10,6 +9,7 @@ from ccd_warp.benchmarks.gpu_check.queries import COLLIDING, CULLED
 from ccd_warp.benchmarks.gpu_check.record import DONE
 from ccd_warp.benchmarks.gpu_check.stages import NAMES
 from ccd_warp.benchmarks.gpu_check.target import CUDA
+from ccd_warp.benchmarks.numbers import table
 
 # The goals on a GPU: queries a second in float64, and seconds of a launch of a mesh of some 200,000 faces.
 GOAL_COLLIDING, GOAL_CULLED = 1e9, 5e9
@@ -17,13 +17,6 @@ GOAL_LAUNCH, GOAL_FACES = 1e-3, 190_000
 _MOST_COMPLAINTS = 30
 # Keys of a row that say what it is about.
 _NAMING = ("case", "kind", "where", "scene", "broad_phase", "tool")
-
-
-def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
-    """Lines of a Markdown table."""
-    header = list(header)
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
 
 
 def rows_of(raw: dict, stage: str, having: str) -> list[dict]:

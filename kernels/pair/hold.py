@@ -14,7 +14,7 @@ rests on a large face does not lower what all else keeps of that face.
 size, the largest corner of its patch at either end of the step. Within the bounds on rounding (`rounding`, steps 4 to
 9) nothing could be proved free. 128 u suffice in the Euclidean norm, 1024 u in the maximum norm, whose directions are
 cross products: then 99.97 and 99.1 in a hundred of the pairs that slide have their whole step, and of those that part
-nearly all (`benchmarks/hold_margin.py`). A margin only lowers what is kept, by 1.4e-14 or 1.1e-13 of the size of a
+nearly all (`benchmarks/notes/distances.md`). A margin only lowers what is kept, by 1.4e-14 or 1.1e-13 of the size of a
 pair in a search; so it is stated, and nothing depends on it. Where it is more than the hold, the pair keeps 0, and
 cannot pass.
 """

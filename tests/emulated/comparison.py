@@ -9,11 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import scenes
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.benchmarks.gpu_check import calls
+from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different
 
-from emulated import calls
 from emulated.device import Emulation, emulation
-from emulated.outputs import Outputs, different
 from emulated.steps import STEPS, THICK
 
 PRECISIONS = ("float64", "float32")
@@ -118,13 +119,14 @@ class Comparison:
         self._is_built = _KEPT is not None
 
     def of_step(self, call: str, step: str, precision: str) -> list[str]:
-        """What a call of `emulated.calls` does not return in the same bits."""
+        """What a call of `gpu_check.calls` does not return in the same bits."""
         return self._of((call, step, precision), getattr(calls, call), (STEPS | THICK)[step], precision)
 
     def of_pairs(self, kind: str, dimension: int, options: str, precision: str) -> list[str]:
         """What a pair function does not return in the same bits."""
         case = (kind, dimension, options, precision)
-        return self._of(case, calls.pairs, kind, dimension, precision, PAIR_OPTIONS[options])
+        points = scenes.random_pairs(kind, 300, seed=31, dimension=dimension)
+        return self._of(case, calls.pairs, kind, *points, precision, PAIR_OPTIONS[options])
 
     def of_everything(self) -> list[str]:
         """What any call of the plan does not return in the same bits."""

@@ -1,35 +1,18 @@
 """Steps for every part of the library: small scenes that have what a part is for, made anew for each device."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scenes
+from ccd_warp.benchmarks.gpu_check.calls import Made, StepCase
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 
 import ccd_warp as ccd
-
-Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
-
 
 # A separation without holds, whose kernels in the maximum norm are those of radii but for the norm.
 STRICT: dict[str, Any] = {"minimum_separation": 0.004, "start_gap_fraction": None}
 # Options with which needles are hard.
 _NEEDLES: dict[str, Any] = {"tolerance": 1e-15, "length_scale": 1.0}
-
-
-@dataclass(frozen=True)
-class StepCase:
-    """A step, and what is passed along with it.
-
-    Attributes:
-        make: Returns the mesh and the positions at both ends.
-        options: Options of the calls.
-    """
-
-    make: Callable[[], Made]
-    options: dict[str, Any]
 
 
 def _crowd(num_faces: int = 150, size: float = 0.1) -> Made:

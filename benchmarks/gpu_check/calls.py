@@ -1,52 +1,88 @@
-"""Every public call on a step or on pairs, and what it returns."""
+"""Every public call on a step or on pairs, and what it returns: asked of a GPU, an emulated one and the CPU alike."""
+
+from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scenes
 import warp as wp
+from ccd_warp.benchmarks.gpu_check.outputs import Outputs, outputs_of
 
 import ccd_warp as ccd
-from emulated.outputs import Outputs, outputs_of
-from emulated.steps import StepCase
+
+Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 
 EVERY_PER = ("scene", "world", "body", "vertex")
-_CAPACITIES = {"max_pairs": 10_000, "max_contacts": 10_000}
+_OF_SEARCH = ("broad_phase", "pair_kinds", "num_threads")
 _VECTORS = {("float64", 3): wp.vec3d, ("float32", 3): wp.vec3f, ("float64", 2): wp.vec2d, ("float32", 2): wp.vec2f}
 
 
-def on_the_host(case: StepCase, precision: str) -> Outputs:
-    """The calls that take and return NumPy arrays, each twice, as the second meets what the first has left."""
+@dataclass(frozen=True)
+class StepCase:
+    """A step, and what is passed along with it.
+
+    Attributes:
+        make: Returns the mesh and the positions at both ends; anew, as a mesh keeps what it was used with.
+        options: Options of the calls.
+        capacity: Pairs and contacts that a launch has space for.
+    """
+
+    make: Callable[[], Made]
+    options: dict[str, Any]
+    capacity: int = 10_000
+
+    @property
+    def capacities(self) -> dict[str, int]:
+        """The capacity as options."""
+        return {"max_pairs": self.capacity, "max_contacts": self.capacity}
+
+
+def on_the_host(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """The calls that take and return NumPy arrays."""
+    return steps(case, precision, device) | searches(case, precision, device)
+
+
+def steps(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """Whole steps, one of them twice, as the second meets what the first has left."""
     mesh, start, end = case.make()
-    options = {**case.options, "precision": precision}
+    options = {**case.options, "precision": precision, "device": device}
     found = outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
     found |= outputs_of(ccd.mesh_ccd(mesh, end, start, **options), "mesh_ccd back")
     found |= outputs_of(ccd.collision_free_step(mesh, start, end, **options), "collision_free_step")
     found |= outputs_of(ccd.is_step_collision_free(mesh, start, end, **options), "is_step_collision_free")
-    for inflation in (0.0, 0.02):
-        of_search = {name: options[name] for name in ("broad_phase", "pair_kinds", "num_threads") if name in options}
-        candidates = ccd.find_candidates(mesh, start, end, inflation, **of_search)
-        found |= outputs_of(candidates, f"find_candidates {inflation}")
-    for positions in (start, end):
-        intersections = ccd.find_intersections(mesh, positions)
-        names = ("kind", "primitives", "parameters", "edge_parameter", "points")
-        arrays = {name: getattr(intersections, name) for name in names}
-        found |= outputs_of(arrays, f"find_intersections {'at the end' if positions is end else ''}")
     pipeline = ccd.CollisionPipeline(mesh, **options)
     found |= outputs_of(pipeline.mesh_ccd(start, end[mesh.moving_vertices]), "pipeline.mesh_ccd")
     return found | outputs_of(pipeline.counts, "counts")
 
 
-def with_radii(case: StepCase, precision: str) -> Outputs:
+def searches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """Candidates of a step, and intersections at both of its ends."""
+    mesh, start, end = case.make()
+    of_search = {name: case.options[name] for name in _OF_SEARCH if name in case.options}
+    found: Outputs = {}
+    for inflation in (0.0, 0.02):
+        candidates = ccd.find_candidates(mesh, start, end, inflation, device=device, **of_search)
+        found |= outputs_of(candidates, f"find_candidates {inflation}")
+    for positions in (start, end):
+        intersections = ccd.find_intersections(mesh, positions, device=device)
+        names = ("kind", "primitives", "parameters", "edge_parameter", "points")
+        arrays = {name: getattr(intersections, name) for name in names}
+        found |= outputs_of(arrays, f"find_intersections {'at the end' if positions is end else ''}")
+    return found
+
+
+def with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """Calls on a mesh with radii, and launches between which these change, of the static body, too."""
     mesh, start, end = case.make()
-    options = {**case.options, "precision": precision}
+    options = {**case.options, "precision": precision, "device": device}
     found = outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
     found |= outputs_of(ccd.collision_free_step(mesh, start, end, **options), "collision_free_step")
-    found |= outputs_of(ccd.find_candidates(mesh, start, end), "find_candidates")
-    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, **options)
-    t0, t1 = _on_device(start, "float64"), _on_device(end, "float64")
+    found |= outputs_of(ccd.find_candidates(mesh, start, end, device=device), "find_candidates")
+    pipeline = ccd.CollisionPipeline(mesh, **case.capacities, **options)
+    t0, t1 = _on_device(start, "float64", device), _on_device(end, "float64", device)
     for share in (1.0, 0.25, 1.5):
         pipeline.radius.assign(share * mesh.radius)
         found |= outputs_of(pipeline.launch(t0, t1), f"launch with {share} of the radii")
@@ -56,26 +92,26 @@ def with_radii(case: StepCase, precision: str) -> Outputs:
     return found | _with_little_capacity(pipeline, t0, t1)
 
 
-def line_searches_with_radii(case: StepCase, precision: str) -> Outputs:
+def line_searches_with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """Line searches in which pairs start within their distances, on the host and on the device."""
     mesh, start, end = case.make()
-    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, precision=precision, **case.options)
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **case.capacities, precision=precision, **case.options)
     found: Outputs = {}
     for per in ("world", "vertex"):
         found |= outputs_of(pipeline.line_search(start, end, per=per), f"line_search {per}")
-        t0, t1 = _on_device(start, "float64"), _on_device(end, "float64")
+        t0, t1 = _on_device(start, "float64", device), _on_device(end, "float64", device)
         launched = pipeline.launch_line_search(t0, t1, per=per)
         found |= outputs_of({"positions": t1, "flags": launched.flags}, f"launch_line_search {per}")
     return found
 
 
-def searches_with_radii(case: StepCase, precision: str) -> Outputs:
+def searches_with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The searches that a mesh with radii has of its own, one of which culls where it finds."""
     mesh, start, end = case.make()
     of_search = {"broad_phase": case.options["broad_phase"]}
-    found = outputs_of(ccd.find_candidates(mesh, start, end, **of_search), "find_candidates")
-    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **case.options)
-    return found | _with_little_capacity(pipeline, _on_device(start, "float64"), _on_device(end, "float64"))
+    found = outputs_of(ccd.find_candidates(mesh, start, end, device=device, **of_search), "find_candidates")
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.options)
+    return found | _with_little_capacity(pipeline, *(_on_device(x, "float64", device) for x in (start, end)))
 
 
 def _with_little_capacity(pipeline: ccd.CollisionPipeline, t0: wp.array, t1: wp.array) -> Outputs:
@@ -87,10 +123,10 @@ def _with_little_capacity(pipeline: ccd.CollisionPipeline, t0: wp.array, t1: wp.
     return outputs_of({"num_pairs": pipeline.launch(t0, t1).num_pairs}, "launch with little capacity")
 
 
-def line_searches(case: StepCase, precision: str) -> Outputs:
+def line_searches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The line search on the host, whose fractions are those of the scene, of worlds, bodies and vertices."""
     mesh, start, end = case.make()
-    options = {**case.options, "precision": precision}
+    options = {**case.options, "precision": precision, "device": device}
     options.pop("t_max", None)
     found: Outputs = {}
     for per in EVERY_PER:
@@ -98,10 +134,10 @@ def line_searches(case: StepCase, precision: str) -> Outputs:
     return found
 
 
-def batches(case: StepCase, precision: str) -> Outputs:
+def batches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The calls on the host with as little memory as they can do with, which each device counts by itself."""
     mesh, start, end = case.make()
-    options = {**case.options, "precision": precision}
+    options = {**case.options, "precision": precision, "device": device}
     found: Outputs = {}
     for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.is_step_collision_free):
         limit, result = 1, None
@@ -115,19 +151,19 @@ def batches(case: StepCase, precision: str) -> Outputs:
     return found
 
 
-def launches(case: StepCase, precision: str) -> Outputs:
+def launches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The launches on the device, with positions of both types: whole, as displacements, of moving vertices alone."""
     mesh, start, end = case.make()
-    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **case.options)
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.capacities, **case.options)
     found: Outputs = {}
     for dtype in ("float64", "float32"):
-        t0, t1, moves = (_on_device(x, dtype) for x in (start, end, end - start))
+        t0, t1, moves = (_on_device(x, dtype, device) for x in (start, end, end - start))
         found |= outputs_of(pipeline.launch(t0, t1), f"launch {dtype}")
         found |= outputs_of(pipeline.launch(t0, displacements=moves), f"launch of displacements {dtype}")
         # a static body that is moved, and stays there
-        moved = _on_device(start + 0.01, dtype)
-        found |= outputs_of(pipeline.launch(moved, _on_device(end + 0.01, dtype)), f"launch elsewhere {dtype}")
-        own0, own1 = (_on_device(x[mesh.moving_vertices], dtype) for x in (start, end))
+        moved = _on_device(start + 0.01, dtype, device)
+        found |= outputs_of(pipeline.launch(moved, _on_device(end + 0.01, dtype, device)), f"launch elsewhere {dtype}")
+        own0, own1 = (_on_device(x[mesh.moving_vertices], dtype, device) for x in (start, end))
         found |= outputs_of(pipeline.launch(own0, t1), f"launch of moving vertices to where all are {dtype}")
         result = pipeline.launch(own0, own1)
         found |= outputs_of(result, f"launch of moving vertices {dtype}")
@@ -135,35 +171,35 @@ def launches(case: StepCase, precision: str) -> Outputs:
         found |= outputs_of(result.to_host(), f"to_host {dtype}")
     pipeline.reserve(vertices=end)
     return found | outputs_of(
-        pipeline.launch(_on_device(start, "float64"), _on_device(end, "float64")), "laid out anew"
+        pipeline.launch(_on_device(start, "float64", device), _on_device(end, "float64", device)), "laid out anew"
     )
 
 
-def launched_line_searches(case: StepCase, precision: str) -> Outputs:
+def launched_line_searches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The line searches on the device, with the positions that they leave."""
     mesh, start, end = case.make()
     options = {name: value for name, value in case.options.items() if name != "t_max"}
-    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **options)
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.capacities, **options)
     found: Outputs = {}
     for per in EVERY_PER:
         for dtype in ("float64", "float32"):
-            t0, t1 = _on_device(start, dtype), _on_device(end, dtype)
+            t0, t1 = _on_device(start, dtype, device), _on_device(end, dtype, device)
             result = pipeline.launch_line_search(t0, t1, per=per, num_rounds=5)
             found |= outputs_of(result, f"launch_line_search {per} {dtype}")
             found |= outputs_of(t1, f"launch_line_search {per} {dtype} positions")
     return found
 
 
-def at_one_time(case: StepCase, precision: str) -> Outputs:
+def at_one_time(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """What is near, and how far vertices may move, on the host and in launches, also of static bodies that moved."""
     mesh, start, end = case.make()
     of_search = {name: case.options[name] for name in ("broad_phase",) if name in case.options}
-    pipeline = ccd.CollisionPipeline(mesh, **_CAPACITIES, **of_search)
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **case.capacities, **of_search)
     found: Outputs = {}
     for k, (positions, distance) in enumerate(((start, 0.03), (end, 0.03), (start, 0.08))):
         found |= outputs_of(_rows(pipeline.find_proximity(positions, distance)), f"find_proximity {k}")
         found |= outputs_of(pipeline.displacement_bounds(positions, distance), f"displacement_bounds {k}")
-        array = _on_device(positions + 0.01 * k, precision)
+        array = _on_device(positions + 0.01 * k, precision, device)
         result = pipeline.launch_proximity(array, distance)
         found |= outputs_of([result.flags.numpy()[0], result.count.numpy()[0]], f"launch_proximity {k} counts")
         found |= outputs_of(_rows(result.to_host()), f"launch_proximity {k}")
@@ -171,16 +207,16 @@ def at_one_time(case: StepCase, precision: str) -> Outputs:
     return found
 
 
-def replays(case: StepCase, precision: str) -> Outputs:
+def replays(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """Launches that a graph holds, replayed with other positions in the same arrays."""
     mesh, start, end = case.make()
     options = {name: value for name, value in case.options.items() if name != "t_max"}
-    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **_CAPACITIES, **options)
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.capacities, **options)
     pipeline.reserve()
-    t0, t1, shortened = _on_device(start, "float64"), _on_device(end, "float64"), _on_device(end, "float64")
+    t0, t1, shortened = (_on_device(x, "float64", device) for x in (start, end, end))
     pipeline.launch(t0, t1)
     pipeline.launch_line_search(t0, shortened, per="world")
-    with wp.ScopedCapture(device="cpu") as capture:
+    with wp.ScopedCapture(device=device) as capture:
         result = pipeline.launch(t0, t1)
         points = result.contacts.count
         pipeline.launch_line_search(t0, shortened, per="world")
@@ -194,16 +230,46 @@ def replays(case: StepCase, precision: str) -> Outputs:
     return found
 
 
-def pairs(kind: str, dimension: int, precision: str, options: dict[str, Any]) -> Outputs:
+def few_pairs(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """Launches whose capacity is too small: what is certain of them whatever the order of the threads.
+
+    Which pairs find no place depends on the order; that the flag is set, that all pairs are counted, and that no toi is
+    late, does not. Contacts that find no place leave every toi as it is.
+    """
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision}
+    expected = ccd.mesh_ccd(mesh, start, end, device="cpu", **options).vertex_toi
+    t0, t1 = (_on_device(x, "float64", device) for x in (start, end))
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **{**case.capacities, "max_pairs": 4}, **options)
+    result = pipeline.launch(t0, t1)
+    found = outputs_of({"flags": result.flags, "num_pairs": result.num_pairs}, "launch with few pairs")
+    found |= outputs_of((result.vertex_toi.numpy() > expected).any(), "is late")
+    pipeline = ccd.CollisionPipeline(mesh, device=device, **{**case.capacities, "max_contacts": 2}, **options)
+    result = pipeline.launch(t0, t1)
+    return found | outputs_of({"flags": result.flags, "toi": result.vertex_toi}, "launch with few contacts")
+
+
+def not_a_number(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """A launch in which a coordinate is not a number; contacts are undefined there."""
+    mesh, start, end = case.make()
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.capacities, **case.options)
+    end = end.copy()
+    end[mesh.moving_vertices[3], 0] = np.nan
+    result = pipeline.launch(_on_device(start, "float64", device), _on_device(end, "float64", device))
+    return {name: array for name, array in outputs_of(result, "launch").items() if ".contacts" not in name}
+
+
+def pairs(
+    kind: str, start: np.ndarray, end: np.ndarray, precision: str, options: dict[str, Any], device: str = "cpu"
+) -> Outputs:
     """The pair function of a kind, with arrays of NumPy, few and many, and of Warp, with a coordinate that is none."""
     call = getattr(ccd, f"{kind}_ccd")
-    start, end = scenes.random_pairs(kind, 300, seed=31, dimension=dimension)
-    options = {**options, "precision": precision}
+    options = {**options, "precision": precision, "device": device}
     found = outputs_of(call(start, end, **options), "many") | outputs_of(call(start[:3], end[:3], **options), "few")
     start, end = start.copy(), end.copy()
-    start[5, 0, 0], end[6, -1, -1] = np.nan, np.inf
-    dtype = _VECTORS["float64", dimension]
-    result = call(*(wp.array(x, dtype=dtype, device="cpu") for x in (start, end)), **options)
+    start[-2, 0, 0], end[-1, -1, -1] = np.nan, np.inf
+    dtype = _VECTORS["float64", start.shape[2]]
+    result = call(*(wp.array(x, dtype=dtype, device=device) for x in (start, end)), **options)
     return found | outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
 
 
@@ -219,6 +285,6 @@ def _points_at(contacts: ccd.DeviceContacts, t0: wp.array, t1: wp.array) -> np.n
     return contacts.points_at(t0, t1).numpy()[:count][np.lexsort(pairs.T[::-1])]
 
 
-def _on_device(positions: np.ndarray, dtype: str) -> wp.array:
+def _on_device(positions: np.ndarray, dtype: str, device: str) -> wp.array:
     vector = _VECTORS[dtype, positions.shape[1]]
-    return wp.array(np.ascontiguousarray(positions, dtype=dtype), dtype=vector, device="cpu")
+    return wp.array(np.ascontiguousarray(positions, dtype=dtype), dtype=vector, device=device)
