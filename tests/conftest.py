@@ -10,6 +10,7 @@ from pathlib import Path
 # For the same reason, processes with `-c` or `-m` are started with `-P`.
 _ROOT = Path(__file__).resolve().parent.parent
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
+sys.path.append(str(_ROOT / "tests" / "helpers"))
 
 import pytest  # noqa: E402
 import warp as wp  # noqa: E402

@@ -28,29 +28,31 @@ class Fault(NamedTuple):
 
 
 def _step(call: str, step: str, precision: str) -> str:
-    return f"test_emulated.py::test_calls_on_a_step_return_the_bits_of_the_cpu[{call}-{step}-{precision}]"
+    return f"emulated/test_emulated.py::test_calls_on_a_step_return_the_bits_of_the_cpu[{call}-{step}-{precision}]"
 
 
 # Tests by what they look at: those of one row are run in this order, up to the first that fails.
 FINDERS = {
-    "functions": ["test_emulated_kernels.py"],
+    "functions": ["emulated/test_emulated_kernels.py"],
     "launch": [_step("launches", "every kind, one body static", "float64")],
     "host": [_step("on_the_host", "every kind, one body static", "float64")],
     "host, sheet": [_step("on_the_host", "sheet over a static ball", "float32")],
     "hash": [_step("launches", "spatial hash", "float32"), _step("on_the_host", "spatial hash", "float32")],
-    "needles": ["test_emulated.py::test_needles_that_cross_at_many_speeds"],
+    "needles": ["emulated/test_emulated.py::test_needles_that_cross_at_many_speeds"],
     "at one time": [_step("at_one_time", "worlds in one place", "float64")],
-    "counts": ["test_emulated.py::test_searches_of_so_many_boxes"],
-    "short lists": ["test_emulated.py::test_replays_with_lists_too_short_for_the_candidates"],
-    "solvers": ["test_emulated.py::test_searches_culls_and_solvers_do_not_race"],
+    "counts": ["emulated/test_emulated.py::test_searches_of_so_many_boxes"],
+    "short lists": ["emulated/test_emulated.py::test_replays_with_lists_too_short_for_the_candidates"],
+    "solvers": ["emulated/test_emulated.py::test_searches_culls_and_solvers_do_not_race"],
     "overflow": [
-        "test_emulated.py::test_pairs_beyond_the_capacity_stop_the_scene",
-        "test_emulated.py::test_contacts_beyond_the_capacity_are_missing_from_the_list_alone",
+        "emulated/test_emulated.py::test_pairs_beyond_the_capacity_stop_the_scene",
+        "emulated/test_emulated.py::test_contacts_beyond_the_capacity_are_missing_from_the_list_alone",
     ],
-    "beyond": ["test_emulated.py::test_more_candidates_than_32_bits_count"],
-    "queue": ["test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
-    "trees": ["test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
-    "pairs": ["test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"],
+    "beyond": ["emulated/test_emulated.py::test_more_candidates_than_32_bits_count"],
+    "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
+    "trees": ["kernels/boxes/test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
+    "pairs": [
+        "emulated/test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"
+    ],
     "replays": [_step("replays", "worlds", "float32")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
