@@ -56,5 +56,5 @@ def long(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none")
 def faults(session: nox.Session) -> None:
-    """Plant faults of GPU code in a copy, one by one, and let the emulated tests find each: `-- NAME` some of them."""
-    session.run("python", str(TESTS / "emulated" / "planted.py"), *session.posargs, external=True)
+    """Plant faults in a copy, one by one, and let the tests find each: `-- NAME` some of them."""
+    session.run("python", str(TESTS / "planted"), *session.posargs, external=True)

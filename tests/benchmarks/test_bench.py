@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ccd_warp.benchmarks import command, require_extra
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main

@@ -10,8 +10,9 @@ import pytest
 from ccd_warp.benchmarks.cubic_roots import ROOTS
 from ccd_warp.benchmarks.exact_toi import ExactToi
 from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS, HardCase
-from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
+from ccd_warp.benchmarks.oracle import exact_gap
 from ccd_warp.benchmarks.univariate import univariate_ccd
+from exact import exact_tois
 
 import ccd_warp as ccd
 

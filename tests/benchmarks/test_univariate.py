@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from ccd_warp.benchmarks.cubic_roots import ROOTS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_tois
 from ccd_warp.benchmarks.univariate import coplanarity_cubic, ends_ccd, univariate_ccd
+from exact import exact_tois
 
 KINDS = ("vertex-face", "edge-edge")
 every_kind = pytest.mark.parametrize("kind", KINDS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 from oracles import corners_of
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 from scenes import with_static_at_rest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 from launches import CAPACITIES, check_same
 from oracles import brute_force, check_candidates, corners_of, exact_pairs
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 from launches import CAPACITIES, check_same, on_device
 from oracles import corners_of, exact_contacts
 from scenes import FACE, crowd, sheet, single, soup, stacked

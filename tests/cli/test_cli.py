@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 from published import DATA, requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd

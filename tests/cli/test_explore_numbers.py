@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 
 import ccd_warp as ccd
 

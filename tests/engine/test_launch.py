@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from launches import CAPACITIES, check_same, host, on_device

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_tois
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
+from exact import exact_tois
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options

@@ -1,10 +1,12 @@
 """What intersects in a mesh, by linear programs in rational numbers over all pairs: no determinant and no tree."""
 
 import itertools
+import sys
 from fractions import Fraction
 from functools import cache
 
 import numpy as np
+from kept import kept
 
 import ccd_warp as ccd
 
@@ -44,7 +46,7 @@ def hulls_meet(a, b):
         basis[leave] = enter
 
 
-def all_intersections(mesh, x):
+def _all_intersections(mesh, x):
     """Every (kind, first, second) that `find_intersections` is to find, for a mesh without lists or rings."""
     points = [tuple(map(Fraction, row)) for row in np.asarray(x, dtype=np.float64).tolist()]
     faces, edges = ([tuple(row) for row in table.tolist()] for table in (mesh.faces, mesh.edges))
@@ -92,3 +94,15 @@ def all_intersections(mesh, x):
     search(kinds.POINT_POINT, vertices, vertices, meet, lambda i, j: i < j and is_point[i] and is_point[j])
     search(kinds.EDGE_FACE, edges, faces, passes)
     return sorted(found)
+
+
+def _question(mesh, x):
+    """All that the answer depends on."""
+    return (
+        x,
+        *(mesh.faces, mesh.edges, mesh.vertex_body, mesh.vertex_world, mesh.static, mesh.self_collision),
+        *(mesh.codimensional_points, mesh.codimensional_edges, mesh.dimension),
+    )
+
+
+all_intersections = kept(_all_intersections, sys.modules[__name__], question_of=_question)

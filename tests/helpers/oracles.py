@@ -4,7 +4,7 @@ import itertools
 from fractions import Fraction
 
 import numpy as np
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_tois
 
 import ccd_warp as ccd
 from ccd_warp._contact_corners import contact_vertices

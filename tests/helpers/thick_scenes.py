@@ -1,8 +1,7 @@
 """Scenes whose vertices have radii, and the exact times at which their pairs come within their distances."""
 
 import numpy as np
-from ccd_warp.benchmarks.distance_oracle import exact_distance_tois
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact import exact_distance_tois, exact_tois
 from oracles import brute_force, corners_of
 from scenes import NO_FACES
 

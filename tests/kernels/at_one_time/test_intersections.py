@@ -1,5 +1,6 @@
 """What touches or passes through another at one time, judged by linear programs in rational numbers over all pairs."""
 
+import importlib.metadata
 import itertools
 import pickle
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from exact_overlap import all_intersections
+from kept import kept
 from oracles import listing
 from scenes import sheet, sheet_over_floor, single
 
@@ -531,6 +533,14 @@ def test_faces_that_intersect_are_those_of_the_exact_kernel_of_cgal(family):
     Of 20,065 pairs in 296 scenes of the last family that one misses 5, of faces folded onto each other at an edge.
     """
     cgal = pytest.importorskip("igl.copyleft.cgal", reason="needs libigl: pip install 'ccd-warp[examples]'")
+
+    def intersecting_faces(x, faces, detect_only):
+        return cgal.remesh_self_intersections(x, faces, detect_only=detect_only)[2].tolist()
+
+    # the name and the version of the library stand for its source
+    pairs_of_cgal = kept(
+        intersecting_faces, question_of=lambda *question: (importlib.metadata.version("libigl"), question)
+    )
     rng = np.random.default_rng(5)
     total = 0
     for _ in range(80):
@@ -538,8 +548,7 @@ def test_faces_that_intersect_are_those_of_the_exact_kernel_of_cgal(family):
         if len(np.unique(x, axis=0)) < len(x) or mesh.num_faces < 2:
             continue  # CGAL takes vertices in one place for one
         faces = mesh.faces.astype(np.int64)
-        theirs = cgal.remesh_self_intersections(x, faces, detect_only=family != "last bit")[2]
-        expected = {tuple(sorted(pair)) for pair in theirs.tolist()}
+        expected = {tuple(sorted(pair)) for pair in pairs_of_cgal(x, faces, family != "last bit")}
         assert face_pairs(mesh, ccd.find_intersections(mesh, x)) == expected
         total += len(expected)
     assert total > 1000

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.distance_oracle import exact_distance, exact_distance_tois
+from ccd_warp.benchmarks.distance_oracle import exact_distance
 from ccd_warp.benchmarks.distance_queries import KINDS, check, grazing, run
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.kernels.template import specialised
+from exact import exact_distance_tois
 from oracles import brute_force, corners_of
 from scenes import NO_FACES, crowd
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_tois
 from cull_probe import KINDS, WIDTHS, culled
+from exact import exact_tois
 from scenes import crowd, sheet_over_floor
 
 import ccd_warp as ccd
