@@ -441,7 +441,7 @@ def test_gap_equals_the_separation_when_it_is_reached(family: str, kind: str, di
             if previous is not None and previous.hit:
                 assert toi.hit and toi.root.compare(previous.root) <= 0
             previous = toi
-            before = [Fraction(k, 16) for k in range(17)]
+            before = [Fraction(k, 8) for k in range(9)]
             if toi.hit:
                 before = [t for t in before if t < _fraction(toi.lo)]
                 reached = exact_gap(kind, a, b, toi.hi)

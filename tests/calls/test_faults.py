@@ -255,7 +255,7 @@ def test_call_that_fails_at_every_event_is_made_again(name):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_cell_that_is_interrupted_between_any_two_lines_is_run_again(name):
-    inject_interrupts(SCENARIOS[name], name, 12, FOLDERS).check()
+    inject_interrupts(SCENARIOS[name], name, 8, FOLDERS).check()
 
 
 # --- the harness itself ---

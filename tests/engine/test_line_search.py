@@ -384,7 +384,7 @@ def _random_scene(rng):
 def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
     rng = np.random.default_rng(EVERY_PER.index(per))
     num_moved = 0
-    for _ in range(60):
+    for _ in range(30):
         mesh, wished = _random_scene(rng)
         options = {"minimum_separation": rng.choice([0, 1e-6, 1e-3, 0.05]), "device": device}
         capacity = {"max_pairs": int(rng.choice([5, 100_000]))}
@@ -397,7 +397,7 @@ def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
         start, end = (x.numpy().astype(np.float64) for x in (vertices_t0, vertices_t1))
         assert num_touching(mesh, start, end, length_scale=1.0, **options) == 0
         num_moved += (start != end).any()
-    assert num_moved > 20
+    assert num_moved > 10
 
 
 def test_coordinates_that_are_no_numbers_stop_their_world(device):

@@ -329,9 +329,9 @@ def test_contacts_beyond_the_memory_limit_are_an_error_that_names_one_that_works
 
 
 @pytest.mark.skipif(not os.access("/proc/self/clear_refs", os.W_OK), reason="the peak of memory cannot be reset here")
-@pytest.mark.parametrize(("count", "kinds"), [(10_010, ["vertex_face"]), (3_000, None)])
+@pytest.mark.parametrize(("count", "kinds"), [(5_010, ["vertex_face"]), (1_500, None)])
 def test_stack_of_faces_within_little_memory(count, kinds):
-    """Over 200 million pairs of overlapping boxes: batches, and a peak that the limit bounds."""
+    """Over 70 million pairs of overlapping boxes, of 900 MB: batches, and a peak that the limit bounds."""
     script = f"""
         import sys
         sys.path.insert(0, {os.path.dirname(scenes.__file__)!r})
@@ -472,9 +472,9 @@ def test_body_inside_another_breaks_out():
     assert ccd.collision_free_step(mesh, start, with_static_at_rest(mesh, start, start * 1.9)) == 1.0
 
 
-def test_ten_faces_against_two_million():
-    """A small tetrahedron comes down on a sheet of 2 million faces, whose waves it meets at a known height."""
-    n = 1001
+def test_ten_faces_against_half_a_million():
+    """A small tetrahedron comes down on a sheet of half a million faces, whose waves it meets at a known height."""
+    n = 521
     x, y = np.meshgrid(np.arange(n, dtype=float), np.arange(n, dtype=float), indexing="ij")
     sheet = np.stack([x.ravel(), y.ravel(), 0.5 * ((x + y).ravel() % 2)], axis=1)
     k = np.arange(n * n).reshape(n, n)

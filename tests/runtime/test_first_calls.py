@@ -139,7 +139,7 @@ def in_own_process(*arguments, cache=None, timeout=120):
     return "" if done.returncode == 0 else f"ended with {done.returncode}: {done.stderr[-3000:]}"
 
 
-@pytest.mark.parametrize("num_threads", [2, 4, 20])
+@pytest.mark.parametrize("num_threads", [4, 20])
 def test_first_calls_of_a_process_come_from_many_threads(num_threads):
     assert in_own_process("all", num_threads) == ""
 
