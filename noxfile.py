@@ -18,7 +18,7 @@ OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "wa
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
-FEW = ["options", "mesh", "files", "read_frames", "datasets"]
+FEW = ["input/test_options", "input/test_mesh", "files/test_files", "files/test_read_frames", "datasets/test_datasets"]
 
 
 @nox.session(python=PYTHONS)
@@ -43,7 +43,7 @@ def users(session: nox.Session) -> None:
         variables["WARP_CACHE_PATH"] = kernels
         session.run("python", "-P", str(TESTS / "as_users.py"), str(OBJECTS), env=variables)
     session.install("pytest", "hypothesis")
-    session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"test_{name}.py") for name in FEW))
+    session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"{name}.py") for name in FEW))
 
 
 @nox.session(venv_backend="none")
@@ -56,5 +56,5 @@ def long(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none")
 def faults(session: nox.Session) -> None:
-    """Plant faults of GPU code in a copy, one by one, and let the emulated tests find each: `-- NAME` some of them."""
-    session.run("python", str(TESTS / "emulated" / "planted.py"), *session.posargs, external=True)
+    """Plant faults in a copy, one by one, and let the tests find each: `-- NAME` some of them."""
+    session.run("python", str(TESTS / "planted"), *session.posargs, external=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-# Modules that are files; explicit, so that `tests/test_cuda.py` fails for a file with kernels that has no place here.
+# Modules that are files; explicit, so that `tests/kernels/test_cuda.py` fails for a file with kernels that is not here.
 _FILES = [
     *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.half_warp_tree"),
     *("boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),

@@ -41,7 +41,7 @@ from ccd_warp.distributed._plan import axes_below, is_within
 RANKS = (16, 64, 256, 1024)
 LATENCY, BANDWIDTH = 2e-6, 10e9
 # Small collective operations of `mesh_ccd` with a plan that is kept, and one more where ranks have ghosts;
-# `tests/mpi_program.py` counts them.
+# `tests/distributed/mpi_program.py` counts them.
 NUM_REDUCTIONS = 15
 FACES_OF_BODY = 4_000
 _REPEATS = 3

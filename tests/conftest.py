@@ -10,6 +10,7 @@ from pathlib import Path
 # For the same reason, processes with `-c` or `-m` are started with `-P`.
 _ROOT = Path(__file__).resolve().parent.parent
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
+sys.path.append(str(_ROOT / "tests" / "helpers"))
 
 import pytest  # noqa: E402
 import warp as wp  # noqa: E402
@@ -25,9 +26,13 @@ _LONGEST = [
     "test_distributed",
     "test_cuda",
     "test_interrupts",
+    "test_broad_phase",
     "test_rounding",
     "test_damaged_files",
     "test_thickness",
+    "test_minimum_distance",
+    "test_step",
+    "test_package",
     "test_datasets",
     "test_hold",
     "test_faults",

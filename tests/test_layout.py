@@ -151,6 +151,6 @@ def test_every_form_of_import_is_seen():
 
 def test_no_test_imports_another():
     """What two of them need stands in a module of its own: scenes, oracles, launches, and the like."""
-    for path in Path(__file__).parent.glob("*.py"):
+    for path in Path(__file__).parent.rglob("*.py"):
         names = imported_names(path.stem, path.read_text("utf-8"), False)
         assert not [name for name in names if name.startswith("test_")], path.name

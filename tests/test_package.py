@@ -108,7 +108,11 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
 
 def test_tests_pass_from_the_source_distribution(distribution):
     """Those that read files of the project; all the others see no difference."""
-    names = ["test_readme.py", "test_layout.py", "test_bench.py::test_docs_are_those_of_the_raw_figures"]
+    names = [
+        "docs/test_readme.py",
+        "test_layout.py",
+        "benchmarks/test_bench.py::test_docs_are_those_of_the_raw_figures",
+    ]
     arguments = ["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in names)]
     _run(sys.executable, "-m", "pytest", *arguments, cwd=distribution)
 

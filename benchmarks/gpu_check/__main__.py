@@ -17,7 +17,7 @@ from ccd_warp.benchmarks.gpu_check.summary import complaints, summary
 from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, EMULATED, Target
 
 # Folders of a checkout, with a file by which each is known.
-_FOLDERS = {"tests": "test_gpu_check.py", "examples": "newton_cloth.py"}
+_FOLDERS = {"tests": "benchmarks/test_gpu_check.py", "examples": "newton_cloth.py"}
 _MINUTES = 8.0
 
 

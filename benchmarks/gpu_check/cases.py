@@ -116,7 +116,7 @@ def mesh_cases(is_short: bool) -> Iterator[Case]:
             return start, end, mesh.vertices, mesh.edges, mesh.faces
 
         for call, precision, name, options in calls_on(step, is_short):
-            case = calls.StepCase(make, options, _SHORT_CAPACITY if is_short else _CAPACITY)
+            case = calls.StepCase(make, options, _SHORT_CAPACITY if is_short else _CAPACITY, is_thorough=True)
             yield Case(f"{call}, {step}, {name}, {precision}", partial(getattr(calls, call), case, precision), arrays)
 
 

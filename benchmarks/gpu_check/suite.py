@@ -18,7 +18,7 @@ from ccd_warp.benchmarks.gpu_check.target import Target
 
 # Tests with the fixture `device` have "cuda:0" in their names; the emulation and the compilation to PTX need no GPU.
 _CHOSEN = "cuda and not emulated"
-_WITHOUT = ("test_cuda.py", "test_cuda_code.py", "test_gpu_check.py")
+_WITHOUT = ("kernels/test_cuda.py", "benchmarks/test_cuda_code.py", "benchmarks/test_gpu_check.py")
 _WAYS = "PASSED|FAILED|SKIPPED|ERROR|XFAIL|XPASS"
 # Of pytest itself, and of pytest-xdist, which names the process and the outcome first.
 _OUTCOME = re.compile(rf"^(\S+::.*?) ({_WAYS})\b|^\[gw\d+\] \[ *\d+%\] ({_WAYS}) (\S+::.*?) *$", re.MULTILINE)

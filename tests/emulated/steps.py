@@ -132,10 +132,10 @@ _BODY_PAIRS = ~np.eye(3, dtype=bool)
 _BODY_PAIRS[0, 1] = _BODY_PAIRS[1, 0] = False
 
 STEPS = {
-    "crowd": StepCase(_crowd, {}),
+    "crowd": StepCase(_crowd, {}, is_thorough=True),
     "sheet over a static ball": StepCase(scenes.sheet_over_ball, {}),
     "every kind of pair": StepCase(_every_kind, STRICT),
-    "every kind, one body static": StepCase(lambda: _every_kind(static=[1]), STRICT),
+    "every kind, one body static": StepCase(lambda: _every_kind(static=[1]), STRICT, is_thorough=True),
     "in the plane": StepCase(_in_plane, {"minimum_separation": 0.003}),
     "in the plane, one body static": StepCase(lambda: _in_plane(static=[0]), {}),
     "worlds": StepCase(_in_worlds, {}),

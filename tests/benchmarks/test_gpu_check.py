@@ -1,0 +1,713 @@
+"""The check for a first GPU: rehearsed from beginning to end, and when a stage fails, hangs or is resumed."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from ccd_warp.benchmarks.gpu_check import __main__ as command
+from ccd_warp.benchmarks.gpu_check import (
+    bits,
+    broad_phases,
+    cases,
+    fingerprint,
+    pack,
+    precompile,
+    runner,
+    sanitizer,
+    small_scene,
+    stages,
+    suite,
+    summary,
+    unpack,
+    variants,
+)
+from ccd_warp.benchmarks.gpu_check.emulation import emulated_device, require_emulation
+from ccd_warp.benchmarks.gpu_check.outputs import different
+from ccd_warp.benchmarks.gpu_check.record import DONE, FAILED, LEFT_OUT, STOPPED, Record, read_json
+from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_stage
+from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, Target, launched_with
+from warp._src import context
+
+TESTS = Path(__file__).resolve().parents[1]
+NEEDS_GPU = {"tests", "sanitizer"}
+
+
+def records(folder):
+    return json.loads((folder / "gpu_check.json").read_text())["stages"]
+
+
+def rehearse(folder, *more):
+    """Run the command as a user does, in this process, and return its status."""
+    return command.main(["--output", str(folder), *more])
+
+
+def require_emulation_here():
+    """Skip where the tests have no emulation, or there is no compiler for it."""
+    try:
+        require_emulation(TESTS)
+    except ValueError as error:
+        pytest.skip(str(error))
+
+
+# --- from beginning to end ---
+
+
+def check_whole(folder, kind):
+    """Every stage has said something, nothing has failed, and no bit is different."""
+    found = records(folder)
+    assert list(found) == list(stages.NAMES)
+    assert {name for name, stage in found.items() if stage["status"] == LEFT_OUT} == NEEDS_GPU
+    assert {stage["status"] for stage in found.values()} == {DONE, LEFT_OUT}
+    for name in NEEDS_GPU:
+        assert found[name]["left_out"] == [f"not on the {kind}"]
+    total = bits.totals(found["bits"]["rows"])
+    assert total["cases"] >= 8 and total["different"] == total["failed"] == 0
+    assert {row["kind"] for row in found["graphs"]["rows"] if row["different"] == 0} >= {"launch"}
+    assert all(row["different"] == 0 for row in found["graphs"]["rows"])
+    for name in ("kernels", "queries", "against", "broad phases", "reserve", "static body"):
+        assert found[name]["rows"], name
+    touching = {row["what"]: row["share_touching"] for row in found["queries"]["rows"]}
+    assert touching == {"colliding": 1.0, "culled": 0.0}
+    text = (folder / "gpu_check.md").read_text()
+    assert "This is a rehearsal" in text and "0 calls differ" in text
+    # no goal is judged by times of a CPU, or by some of the cases
+    assert text.count("| not known |") == 4 and "| missed |" not in text
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_rehearsal_on_the_cpu(tmp_path, capsys):
+    assert rehearse(tmp_path, "--device", "cpu") == 0
+    check_whole(tmp_path, "CPU")
+    said = capsys.readouterr().out
+    assert "== bits: done in" in said and "## Goals" in said
+
+
+def test_emulated_from_beginning_to_end(tmp_path, capsys):
+    require_emulation_here()
+    assert rehearse(tmp_path, "--emulated", "--tests", str(TESTS)) == 0, capsys.readouterr().out[-3000:]
+    check_whole(tmp_path, "emulation")
+
+
+# --- what goes wrong ---
+
+
+def stage(run, name="newton", **options):
+    return stages.Stage(name, "what it does", run, 1.0, **options)
+
+
+def run_in(folder, chosen, monkeypatch, *, is_anew=False, settings=None, kind=CPU, seconds=20.0, is_apart=False):
+    monkeypatch.setattr(runner, "STAGES", tuple(chosen))
+    said = []
+    journal = Journal(folder, {"kind": kind, **(settings or {"code": "1"})}, is_anew=is_anew)
+    target = Target("cpu", kind, is_short=True)
+    run_all(target, {}, journal, [each.name for each in chosen], seconds, said.append, is_apart)
+    return said, journal
+
+
+def raise_error(target, record, **_):
+    record.add("before", number=1)
+    raise RuntimeError("illegal address")
+
+
+def test_stage_that_raises_keeps_its_rows_and_the_next_one_runs(tmp_path, monkeypatch):
+    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: record.add("after", number=2), "queries")]
+    said, _ = run_in(tmp_path, chosen, monkeypatch)
+    found = records(tmp_path)
+    assert found["bits"]["status"] == FAILED and found["bits"]["rows"] == [{"number": 1}]
+    assert "RuntimeError: illegal address" in found["bits"]["error"]
+    assert found["queries"]["status"] == DONE and found["queries"]["rows"] == [{"number": 2}]
+    assert any("illegal address" in line for line in said)
+
+
+def test_second_run_keeps_what_is_done_and_repeats_what_failed(tmp_path, monkeypatch):
+    calls = []
+    good = stage(lambda target, record, **_: calls.append("good"), "queries")
+    run_in(tmp_path, [stage(raise_error, "bits"), good], monkeypatch)
+    repaired = stage(lambda target, record, **_: calls.append("repaired"), "bits")
+    _, journal = run_in(tmp_path, [repaired, good], monkeypatch)
+    assert calls == ["good", "repaired"]
+    assert "1 stages are kept" in journal.note
+    run_in(tmp_path, [repaired, good], monkeypatch, is_anew=True)
+    assert calls == ["good", "repaired", "repaired", "good"]
+
+
+def test_records_of_other_code_are_set_aside(tmp_path, monkeypatch):
+    good = stage(lambda target, record, **_: None, "queries")
+    run_in(tmp_path, [good], monkeypatch)
+    _, journal = run_in(tmp_path, [good], monkeypatch, settings={"code": "2"})
+    assert "gpu_check.old1.json" in journal.note
+    assert json.loads((tmp_path / "gpu_check.old1.json").read_text())["settings"] == {"kind": CPU, "code": "1"}
+
+
+def test_records_of_two_gpus_are_kept_apart_and_each_goes_on_with_its_own(tmp_path, monkeypatch):
+    """The first of two GPUs of one name is checked, then the second, then the first again."""
+    calls = []
+    for gpu, names in (("a", ["bits"]), ("b", ["queries"]), ("a", ["bits", "queries"])):
+        chosen = [stage(lambda target, record, gpu=gpu, **_: calls.append(gpu), name) for name in names]
+        settings = {"device": "cuda:0", "gpu": {"name": "NVIDIA H200", "uuid": gpu}}
+        run_in(tmp_path, chosen, monkeypatch, settings=settings)
+        if len(calls) == 1:  # the check ends in a case of another stage
+            cut = Record(None, 0.0, print, {"stage": "queries", "settings": {"kind": CPU, **settings}}, case="cut")
+            (tmp_path / "gpu_check.stage.json").write_text(json.dumps(cut.as_json(STOPPED)))
+        elif len(calls) == 2:
+            assert records(tmp_path)["queries"]["status"] == DONE
+            earlier = json.loads((tmp_path / "gpu_check.old1.json").read_text())["stages"]
+            assert earlier["queries"]["error"] == "the check ended in cut"
+    assert calls == ["a", "b", "a"]  # the last run keeps the first stage
+    for name, uuid, ended in (("gpu_check", "a", ["bits", "queries"]), ("gpu_check.old2", "b", ["queries"])):
+        raw = json.loads((tmp_path / f"{name}.json").read_text())
+        assert raw["settings"]["gpu"]["uuid"] == uuid and list(raw["stages"]) == ended
+
+
+# A program in the place of that of a stage: it begins a case, adds a row, starts a process, and never ends.
+_HANGS = """
+import json, subprocess, sys, time
+from pathlib import Path
+path = Path(sys.argv[-1]) / "gpu_check.stage.json"
+record = json.loads(path.read_text())
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+record |= {"cases": ["first"], "case": "second", "row": 1, "rows": [{"n": 1}, {"n": 2, "child": child.pid}]}
+path.write_text(json.dumps(record))
+time.sleep(600)
+"""
+# The check, in which this is the program of every stage.
+_CHECK = """
+import subprocess, sys
+from ccd_warp.benchmarks.gpu_check import __main__ as command, runner
+popen = subprocess.Popen
+def start(given, **options):
+    return popen([sys.executable, "-c", {program!r}, given[-1]] if "--stage" in given else given, **options)
+runner.subprocess.Popen = start
+command.main(sys.argv[1:])
+"""
+
+
+def is_running(pid):
+    """Whether there is such a process that has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def wait_until(condition, seconds=20.0):
+    """Wait until something is so; whether it is."""
+    end = time.perf_counter() + seconds
+    while not condition() and time.perf_counter() < end:
+        time.sleep(0.02)
+    return condition()
+
+
+def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows(tmp_path, monkeypatch):
+    popen = subprocess.Popen
+
+    def start(command, **options):
+        return popen([sys.executable, "-c", _HANGS, command[-1]] if "--stage" in command else command, **options)
+
+    monkeypatch.setattr(runner.subprocess, "Popen", start)
+    monkeypatch.setattr(runner, "_GRACE", 0.2)
+    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: None, "queries")]
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
+    found = records(tmp_path)["bits"]
+    assert found["status"] == STOPPED and found["rows"][:1] == [{"n": 1}] and found["cases"] == ["first"]
+    assert "was ended in second" in found["error"] and found["ended"] == ["second"]
+    assert not is_running(found["rows"][1]["child"])
+    assert not (tmp_path / "gpu_check.stage.json").exists()
+    assert "was ended in second" in (tmp_path / "gpu_check.md").read_text()
+    # the case has another try, and no third one
+    run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
+    found = records(tmp_path)["bits"]
+    assert found["cases"] == ["first", "second"] and found["rows"][-1]["case"] == "second"
+
+
+def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case_it_was_in(tmp_path, monkeypatch):
+    arguments = ["--output", str(tmp_path), "--device", "cpu", "--apart", "--only", "queries"]
+    command = [sys.executable, "-P", "-c", _CHECK.format(program=_HANGS), *arguments]
+    check = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    partial = tmp_path / "gpu_check.stage.json"
+    assert wait_until(lambda: (read_json(partial) or {}).get("case") == "second", 60.0)
+    child = read_json(partial)["rows"][1]["child"]
+    check.kill()
+    check.wait()
+    assert wait_until(lambda: not is_running(child))
+
+    begun = []
+
+    def go_on(target, record, **_):
+        begun.extend(case for case in ("first", "second", "third") if record.begins(case))
+
+    settings = read_json(tmp_path / "gpu_check.json")["settings"]
+    _, journal = run_in(tmp_path, [stage(go_on, "queries")], monkeypatch, settings=settings)
+    assert "queries: the check ended in second" in journal.note
+    assert begun == ["second", "third"] and records(tmp_path)["queries"]["rows"] == [{"n": 1}]
+
+
+def test_stage_that_fails_in_a_case_goes_on_after_it_and_what_there_was_no_time_for_is_done_in_the_next_run(
+    tmp_path, monkeypatch
+):
+    done = []
+
+    def run(target, record, **_):
+        for name, seconds in (("a", 0.0), ("b", 0.0), ("c", 0.0), ("d", 1e3)):
+            if record.begins(name, seconds if not done.count("c") > 1 else 0.0):
+                done.append(name)
+                record.add(name=name)
+                if name == "b":
+                    raise RuntimeError("illegal address")
+
+    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
+    found = records(tmp_path)["queries"]
+    assert done == ["a", "b", "c"] and found["status"] == DONE and found["is_cut"]
+    assert [row.get("name") for row in found["rows"]] == ["a", "b", None, "c"]
+    assert "illegal address" in found["rows"][2]["failed"] and found["left_out"] == ["d: no time was left"]
+    done.append("c")
+    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
+    assert done[4:] == ["d"] and not records(tmp_path)["queries"]["is_cut"]
+
+
+def test_file_that_is_not_whole_is_no_record(tmp_path):
+    (tmp_path / "gpu_check.json").write_text('{"stages": {"bits"')
+    assert read_json(tmp_path / "gpu_check.json") is None
+    assert Journal(tmp_path, {}, is_anew=False).raw["stages"] == {}
+
+
+def test_what_there_is_no_time_for_is_said():
+    said = []
+    record = Record(None, 0.0, said.append)
+    bits.run(Target("cpu", CPU, is_short=True), record)
+    assert "no time was left" in record.left_out[-1] and said
+    raw = {"settings": {"kind": CUDA}, "stages": {"bits": record.as_json(DONE)}}
+    assert "| bits as on the CPU | all | 0 arrays of 0 calls, 0 calls differ | not known |" in summary.goal_table(raw)
+
+
+def some_cases(is_short):
+    """Two calls of each of three kinds."""
+    wanted = ("point_point in 2D, defaults", "edge_edge in 3D, few", "searches, polygons")
+    return [case for case in cases.all_cases(True) if case.name.startswith(wanted)]
+
+
+@pytest.fixture
+def answers(tmp_path, monkeypatch):
+    """The file of the CPU's answers to a few cases, which are now all cases."""
+    chosen = some_cases(True)
+    monkeypatch.setattr(bits, "all_cases", lambda is_short: list(chosen))
+    bits.write_answers(tmp_path / "answers.json")
+    monkeypatch.setattr(bits, "outcome", lambda case, device: pytest.fail("asked of the CPU"))
+    monkeypatch.setattr(Target, "stride", 1)
+    return tmp_path / "answers.json"
+
+
+def test_carried_answers_are_in_place_of_the_cpu_where_code_and_input_are_the_same(answers, monkeypatch):
+    target, asked = Target("somewhere", CPU, is_short=True), []
+
+    def outcome(case, device):
+        asked.append((case.name, device))
+        found = case.call("cpu")
+        if device == "somewhere" and case.name.startswith("edge_edge in 3D, few iterations, float64"):
+            found["many.toi"] = np.nextafter(found["many.toi"], 1)
+        return found
+
+    monkeypatch.setattr(bits, "outcome", outcome)
+    record = Record(None, 60.0, lambda line: None)
+    bits.run(target, record, answers=answers)
+    found = bits.totals(record.rows)
+    assert found["cases"] == len(record.rows) == len(some_cases(True)) and found["different"] == 1
+    assert [name for name, device in asked if device == "cpu"] == ["edge_edge in 3D, few iterations, float64"]
+    wrong = next(row for row in record.rows if "different" in row)
+    (line,) = wrong["different"]
+    assert line.startswith("many.toi: 120 of 120 rows: [0] ")
+
+    # other input: what another version of NumPy may make of it; the CPU is asked here
+    raw = json.loads(answers.read_text())
+    raw["short"] = {name: ["0" * 16, answer] for name, (_, answer) in raw["short"].items()}
+    other = answers.with_name("other.json")
+    other.write_text(json.dumps(raw))
+    record, asked[:] = Record(None, 60.0, lambda line: None), []
+    bits.run(target, record, answers=other)
+    assert len(asked) == 2 * len(record.rows) and not any("carried" in row for row in record.rows)
+
+
+def test_answers_of_other_code_are_refused(answers):
+    raw = json.loads(answers.read_text())
+    answers.with_name("old.json").write_text(json.dumps(raw | {"code": "0123"}))
+    with pytest.raises(ValueError, match=r"made with code 0123; expected those of code [0-9a-f]{16}"):
+        bits.read_answers(answers.with_name("old.json"))
+    with pytest.raises(ValueError, match="expected a file that pack has written"):
+        bits.read_answers(answers.with_name("none.json"))
+
+
+def test_few_cases_are_of_all_kinds():
+    """Names are unlike, and every kind is among the first ones, as is each scene among the first of a kind."""
+    ordered = bits.in_turn(cases.all_cases(True))
+    names = [case.name for case in ordered]
+    assert len(set(names)) == len(names) == len(list(cases.all_cases(True)))
+    kinds = [name.partition(", ")[0] for name in names]
+    num_kinds = len(set(kinds))
+    assert len(set(kinds[:num_kinds])) == num_kinds
+    launches = [name.split(", ")[1] for name in names if name.startswith("launches, ")]
+    num_scenes = len(set(launches))
+    assert len(set(launches[:num_scenes])) == num_scenes
+
+
+def test_difference_in_one_bit_is_found_and_described():
+    expected = {"toi": np.array([0.5, np.inf, np.nan]), "status": np.arange(3), "only": np.zeros(1)}
+    found = {"toi": np.array([np.nextafter(0.5, 1), np.inf, np.nan]), "status": np.arange(3)}
+    only, toi = different(found, expected)
+    assert only == "only: only one has it" and toi.startswith("toi: 1 of 3 rows: [0] 0.5")
+    assert different({"a": np.zeros(1)}, {"a": np.zeros(2)}) == ["a: float64 (1,), expected float64 (2,)"]
+    assert different({"a": np.array([0.0])}, {"a": np.array([-0.0])})  # equal numbers, other bits
+
+
+def test_what_is_wrong_is_told_and_is_the_exit_status():
+    good = {
+        "status": DONE,
+        "seconds": 1.0,
+        "left_out": [],
+        "rows": [{"kind": "launch", "different": 0, "where": "here"}],
+    }
+    raw = {"settings": {"kind": CUDA}, "stages": {"graphs": good}}
+    assert summary.complaints(raw) == []
+    rows = [
+        {"kind": "launch", "where": "a second stream", "different": 3},
+        {"case": "mesh_ccd", "failed": {"on the device": "X"}},
+    ]
+    raw["stages"]["graphs"] = {**good, "rows": rows}
+    raw["stages"]["sanitizer"] = {
+        **good,
+        "rows": [{"tool": "memcheck", "status": 3, "summary": "ERROR SUMMARY: 2 errors"}],
+    }
+    raw["stages"]["queries"] = {**good, "status": FAILED, "error": "Traceback\nRuntimeError: no memory\n", "rows": []}
+    assert summary.complaints(raw) == [
+        "graphs: launch, a second stream: different: 3",
+        "graphs: mesh_ccd: failed: {'on the device': 'X'}",
+        "sanitizer: memcheck: ERROR SUMMARY: 2 errors",
+        "queries: failed, RuntimeError: no memory",
+    ]
+
+
+# --- times on a device, which is not there ---
+
+
+@pytest.fixture
+def fake_gpu(monkeypatch):
+    """A device whose stream notes what is recorded, and whose events are 2 ms apart."""
+    noted = []
+    device = SimpleNamespace(stream=SimpleNamespace(record_event=lambda event: noted.append("event")))
+    monkeypatch.setattr(wp, "get_device", lambda name: device)
+    monkeypatch.setattr(wp, "Event", lambda device, enable_timing: SimpleNamespace(enable_timing=enable_timing))
+    monkeypatch.setattr(wp, "synchronize_device", lambda name: noted.append("wait"))
+    monkeypatch.setattr(wp, "get_event_elapsed_time", lambda begin, end: 2.0)
+    return noted
+
+
+def test_calls_on_a_device_are_timed_between_events_without_waiting(fake_gpu):
+    seconds = Target("cuda:0", CUDA).seconds_on_device(lambda: fake_gpu.append("call"), 2)
+    assert seconds == [0.002, 0.002]
+    assert fake_gpu == ["call", "wait", *["event", "call", "event"] * 2, "wait"]
+
+
+def test_times_of_a_kernel_are_added_up(monkeypatch):
+    results = [("forward kernel solve", 1.0), ("memset", 0.25), ("forward kernel solve", 2.0)]
+    monkeypatch.setattr(wp, "timing_begin", lambda cuda_filter: None)
+    monkeypatch.setattr(wp, "timing_end", lambda: [SimpleNamespace(name=n, elapsed=t) for n, t in results])
+    assert Target("cuda:0", CUDA).kernel_seconds(lambda: None) == {"solve": 0.003, "memset": 0.00025}
+    assert Target("cpu", CPU).kernel_seconds(lambda: None) == {}
+
+
+# --- what other programs say ---
+
+
+def test_outcomes_of_pytest_are_counted_also_where_it_was_cut_off():
+    said = (
+        "tests/test_a.py::test_x[cuda:0-float64] PASSED [ 1%]\n"
+        "tests/test_a.py::test_y[cuda:0] FAILED [ 2%]\n"
+        "tests/test_b.py::test_z[cuda:0] SKIPPED (no) [ 3%]\n"
+        "ERROR tests/test_c.py - ModuleNotFoundError\n"
+        "tests/test_b.py::test_late[cuda:0] "
+    )
+    counts, failed = suite.outcomes(said)
+    assert counts == {"PASSED": 1, "FAILED": 1, "SKIPPED": 1, "ERROR": 1}
+    assert failed == ["tests/test_a.py::test_y[cuda:0]"]
+    said = (
+        "[gw0] [  1%] PASSED tests/test_a.py::test_x[cuda:0-float64] \n"
+        "[gw5] [ 12%] FAILED tests/test_a.py::test_y[cuda:0] \n"
+        "tests/test_a.py::test_z[cuda:0] \n"
+    )
+    assert suite.outcomes(said) == ({"PASSED": 1, "FAILED": 1}, ["tests/test_a.py::test_y[cuda:0]"])
+
+
+def test_summary_of_the_sanitizer():
+    assert sanitizer.summary_of("========= x\n========= ERROR SUMMARY: 0 errors\n") == "ERROR SUMMARY: 0 errors"
+    assert "not come to an end" in sanitizer.summary_of("killed")
+
+
+def test_broad_phases_are_those_that_the_options_name(monkeypatch):
+    from typing import Literal, TypedDict
+
+    class WithOption(TypedDict, total=False):
+        broad_phase: Literal["tree", "hash"] | None
+
+    class Without(TypedDict, total=False):
+        tolerance: float
+
+    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=WithOption))
+    assert broad_phases.choices() == ("tree", "hash")
+    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=Without))
+    assert broad_phases.choices() == ("tree",)
+
+
+def test_threads_a_block_are_set_for_every_launch_within(monkeypatch):
+    asked = []
+    monkeypatch.setattr(wp, "launch", lambda *_, **options: asked.append(options.get("block_dim")))
+    with launched_with(None):
+        wp.launch("kernel", dim=1)
+    with launched_with(64):
+        wp.launch("kernel", dim=1)
+        wp.launch("kernel", dim=1, block_dim=128)
+    wp.launch("kernel", dim=1)
+    assert asked == [None, 64, 64, None]
+
+
+@pytest.mark.parametrize(
+    "arguments, error",
+    [
+        ([], "output is not given"),
+        (["--output", "x", "--minutes", "0"], "minutes is 0.0; expected a positive number"),
+        (["--output", "x", "--only", "bit"], "only holds 'bit'; expected some of machine"),
+        (["--output", "x", "--emulated", "--device", "cuda:0"], "emulated is given with device 'cuda:0'"),
+        (["--output", "x", "--tests", "nowhere"], "tests is nowhere; expected a folder"),
+        (["--output", "x", "--device", "cuda:9"], "device is 'cuda:9'; expected one of cpu"),
+        (["--output", "x", "--precompiled", "nowhere"], "precompiled is nowhere; expected a folder that --precompile"),
+    ],
+)
+def test_bad_arguments_are_named_in_a_line(arguments, error, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert command.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {error}") and said.count("\n") == 1
+
+
+# --- which modules are loaded ---
+
+
+def modules_launched(monkeypatch, device):
+    """Names of the modules that a small scene loads, but for those that Warp makes for itself."""
+    loaded = set()
+    load = context.Module.load
+
+    def watched(module, *arguments, **options):
+        loaded.add(module.name)
+        return load(module, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(context.Module, "load", watched)
+        small_scene.run_small_scene(device)
+    return {name for name in loaded if "ccd_warp" in name}
+
+
+def test_every_module_of_the_cpu_is_loaded_before_it_is_needed(monkeypatch):
+    assert modules_launched(monkeypatch, "cpu") <= {module.name for module in variants.cpu_modules()}
+
+
+def test_every_module_of_cuda_is_loaded_before_it_is_needed(monkeypatch):
+    require_emulation_here()
+    with emulated_device():
+        launched = modules_launched(monkeypatch, "cpu")
+    assert len(launched) > 10
+    assert launched <= {module.name for _, module, _ in variants.variants()}
+
+
+# --- cubins made without a GPU ---
+
+_LOAD = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
+import warp as wp
+from warp._src import build, context
+from ccd_warp.benchmarks.gpu_check import precompile, variants
+
+folder, wanted = Path(sys.argv[1]), sys.argv[2]
+wp.config.log_level = wp.LOG_ERROR
+print(precompile.check_folder(folder))
+precompile.use_in_all_processes(folder)
+wp.init()
+
+
+def refuse(*arguments, **options):
+    raise AssertionError("something was compiled")
+
+
+class Gpu(context.Device):
+    '''A GPU of a compute capability as far as loading a module asks for one.'''
+
+    def __init__(self, arch):
+        self.ordinal, self.arch, self.runtime, self._context = 0, arch, context.runtime, arch
+        self.is_cubin_supported, self.alias, self.name = True, "cuda:0", "none"
+
+    is_cpu, is_cuda, context = False, True, property(lambda self: self.arch)
+
+
+gpus = [Gpu(int(arch)) for arch in sys.argv[3:]]
+context.runtime.driver_version = (99, 0)  # new enough that Warp would choose PTX
+loaded = []
+with (
+    mock.patch.object(build, "build_cuda", refuse),
+    mock.patch.object(build, "load_cuda", lambda path, device: loaded.append(Path(path).name) or 1),
+    mock.patch.object(context.runtime, "get_device", lambda device=None: device if device in gpus else gpus[0]),
+):
+    ((module, block_dim),) = [found[1:] for found in variants.variants() if found[0] == wanted]
+    for gpu in gpus:
+        assert variants.is_compiled(Path(wp.config.kernel_cache_dir), module, gpu, block_dim)
+        module.load(gpu, block_dim=block_dim)
+print(*loaded)
+"""
+
+
+def test_cubins_made_without_a_gpu_are_what_warp_loads_on_one(tmp_path):
+    """Warp's own `Module.load` on a stand-in for a GPU finds the file, and compiles nothing."""
+    name = "contact_points float32 2"
+    folder = tmp_path / "cubins"
+    make = ["--precompile", str(folder), "--arch", "80", "90", "120", "--modules", name]
+    program = [sys.executable, "-P", "-m", "ccd_warp.benchmarks.gpu_check"]
+    made = subprocess.run([*program, *make], capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    assert "3 cubins" in made.stdout
+    files = json.loads((folder / precompile.MANIFEST).read_text())["files"]
+    assert all((folder / file).stat().st_size > 1000 for file in files)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _LOAD, str(folder), name, "80", "90", "120"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    loaded = [Path(each).name for arch in (80, 90, 120) for each in files if f".sm{arch}." in each]
+    assert done.stdout.splitlines() == [f"1 modules for sm_80, sm_90, sm_120 in {folder}", " ".join(loaded)]
+    assert len(loaded) == 3
+
+
+def test_cubins_of_another_version_of_warp_are_refused(tmp_path):
+    (tmp_path / precompile.MANIFEST).write_text(json.dumps({"warp": "1.0", "archs": [90], "modules": 1}))
+    with pytest.raises(ValueError, match=r"made with Warp 1.0; expected cubins of Warp 1\."):
+        precompile.check_folder(tmp_path)
+
+
+# --- what is carried to a machine without Warp and without a network ---
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """A folder of parts, made as the command does, of one small package."""
+    folder = tmp_path_factory.mktemp("packed")
+    (folder / "cubins").mkdir()
+    (folder / "cubins" / precompile.MANIFEST).write_text(
+        json.dumps({"files": [], "warp": wp.config.version, "modules": 0, "archs": [90]})
+    )
+    answers = {"code": fingerprint.fingerprint(), "warp": wp.config.version, "cases": {}, "short": {}}
+    (folder / "answers.json").write_text(json.dumps(answers))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(pack, "_PRESET", 0)
+        pack.pack(folder, 1 << 19, ["trimesh"], TESTS, None)
+    return folder / "parts"
+
+
+def unpacked(arguments, capsys):
+    """Run the program that lies beside the parts; its status, and what it says."""
+    status = unpack.main(list(map(str, arguments)))
+    said = capsys.readouterr()
+    return status, said.out + said.err
+
+
+def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, capsys):
+    parts = sorted(path for path in packed.iterdir() if path.suffix.removeprefix(".").isdigit())
+    assert {path.stem for path in parts} == {"packages", "check"} and len(parts) > 3
+    assert all(path.stat().st_size <= 1 << 19 for path in parts)
+    into = tmp_path / "there"
+    for path in parts:
+        carried = tmp_path / path.name
+        carried.mkdir()
+        for each in (path, packed / "parts.json"):
+            shutil.copy(each, carried)
+        status, said = unpacked([carried, "--into", into, "--collect"], capsys)
+        assert status == 0
+    assert f"unpacked; sh {into / 'gpu_check.sh'}" in said
+    for name in ("ccd_warp/__init__.py", "ccd_warp/kernels/step/minima.py", "ccd_warp/benchmarks/gpu_check/unpack.py"):
+        assert (into / "site" / name).is_file()
+    assert (into / "site" / "trimesh" / "__init__.py").is_file()
+    assert (into / "tests" / Path(__file__).relative_to(TESTS)).read_bytes() == Path(__file__).read_bytes()
+    assert not list((into / "parts").iterdir())  # they are not kept twice
+    assert unpacked([packed, "--into", into], capsys)[0] == 0  # nothing is done again
+
+    # a machine with Warp and NumPy alone, which are not of the parts here, and without a network, where that can be had
+    site = tmp_path / "site"
+    site.mkdir()
+    for package in (wp, np):
+        (site / package.__name__).symlink_to(Path(package.__file__).parent)
+    libraries = Path(np.__file__).parents[1] / "numpy.libs"
+    if libraries.exists():
+        (site / libraries.name).symlink_to(libraries)
+    (tmp_path / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n')
+    (tmp_path / "python").chmod(0o755)
+    alone = (
+        ["unshare", "-rn"] if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode == 0 else []
+    )
+    environment = os.environ | {"PYTHONPATH": str(site), "PYTHON": str(tmp_path / "python")}
+    arguments = ["--output", str(tmp_path / "out"), "--device", "cpu", "--apart", "--only", "machine"]
+    run = [*alone, "sh", str(into / "gpu_check.sh"), *arguments]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 answers of the CPU are carried along" in done.stdout  # the code is taken for the same
+    assert "== machine: done" in done.stdout and "## Goals" in done.stdout
+
+
+def test_parts_that_are_missing_or_damaged_are_named(packed, tmp_path, capsys):
+    copies = tmp_path / "copies"
+    shutil.copytree(packed, copies)
+    first, second = copies / "packages.00", copies / "packages.01"
+    data = bytearray(first.read_bytes())
+    data[1000] ^= 1
+    first.write_bytes(data)
+    second.unlink()
+    status, said = unpacked([copies, "--into", tmp_path / "there"], capsys)
+    assert status == 2
+    assert "error: part 1 of " in said and "packages.00, is damaged" in said
+    assert "error: part 2 of " in said and f"packages.01, is missing; expected it in {copies}" in said
+    assert not (tmp_path / "there" / "site" / "trimesh").exists()
+    assert unpacked([tmp_path, "--into", tmp_path / "x"], capsys)[0] == 2
+    manifest = json.loads((copies / "parts.json").read_text())
+    for change, word in (
+        ({"machine": "pdp11"}, "expected pdp11"),
+        ({"needs": ["no_such"]}, "no_such is not installed"),
+    ):
+        (copies / "parts.json").write_text(json.dumps(manifest | change))
+        shutil.copy(packed / "packages.00", copies)
+        shutil.copy(packed / "packages.01", copies)
+        status, said = unpacked([copies, "--into", tmp_path / "there"], capsys)
+        assert status == 2 and word in said
+
+
+@pytest.mark.parametrize(
+    "arguments, error",
+    [
+        (["--limit", "12"], "limit is '12'; expected a number of bytes of at least 65536, as 56M"),
+        (["--limit", "many"], "limit is 'many'; expected"),
+        (["--packages", "no-such"], "packages holds 'no-such', which is not installed; expected a package that is"),
+    ],
+)
+def test_bad_arguments_of_pack_are_named_in_a_line(arguments, error, tmp_path, capsys):
+    assert command.main(["pack", "--out", str(tmp_path), *arguments]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {error}")
+
+
+def test_stage_on_the_device_is_told_its_folders():
+    seen = {}
+    chosen = stage(lambda target, record, **folders: seen.update(folders))
+    run_stage(chosen, Target("cpu", CPU), {"tests": TESTS, "examples": None}, Record(None, 1.0, print))
+    assert seen == {"tests": TESTS, "examples": None}

@@ -1,0 +1,224 @@
+"""What a person sees at a terminal while the command works, and after Ctrl-C: each run in a terminal of its own."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import ccd_warp as ccd
+from ccd_warp._cli.progress import ProgressLine, line_of
+from ccd_warp._runtime.progress import Progress
+
+pty = pytest.importorskip("pty", reason="terminals of POSIX")
+
+# Guards against hanging, not demands: the answer to Ctrl-C is due within half a second.
+_PATIENCE = 600.0
+# The command, whose line is shown at once; `overlaps` is the number of pairs from which on it warns.
+_RUN = """
+import sys
+import ccd_warp._cli.progress, ccd_warp._engine.host_step
+ccd_warp._cli.progress._PATIENCE = 0.0
+ccd_warp._engine.host_step._MANY_PAIRS = {overlaps}
+from ccd_warp._cli.command import run_program
+run_program()
+"""
+# The module of the mesh reader is imported by code that catches whatever an import raises, as trimesh itself does.
+_INTERRUPTED_IMPORT = """
+import importlib.abc, signal, sys
+class Finder(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, *_):
+        if name == "trimesh":
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except BaseException:
+                pass
+sys.meta_path.insert(0, Finder())
+from ccd_warp._cli.command import run_program
+run_program()
+"""
+
+
+@pytest.fixture
+def triangles_in_a_plane(tmp_path):
+    """Files of triangles that lie over each other, most pairs of which touch."""
+
+    def write(count):
+        rng = np.random.default_rng(0)
+        start = np.pad(rng.uniform(-1, 1, (3 * count, 2)), ((0, 0), (0, 1)))
+        faces = "".join(f"f {k} {k + 1} {k + 2}\n" for k in range(1, 3 * count, 3))
+        paths = [str(tmp_path / name) for name in ("start.obj", "end.obj")]
+        for path, x in zip(paths, (start, start + [0.1, 0.0, 0.0]), strict=True):
+            with open(path, "w") as file:
+                file.writelines(f"v {a!r} {b!r} {c!r}\n" for a, b, c in x.tolist())
+                file.write(faces)
+        return paths
+
+    return write
+
+
+def at_terminal(arguments, *, stop_at=None, overlaps=10**6, name="run"):
+    """Status and what stderr, a terminal, was sent; Ctrl-C is pressed as soon as it shows some words."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-P", "-c", _RUN.format(overlaps=overlaps), name, *arguments, "--device", "cpu"]
+    process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
+    os.close(theirs)
+    shown, end = b"", time.monotonic() + _PATIENCE
+    try:
+        while time.monotonic() < end:
+            if select.select([ours], [], [], 0.1)[0]:
+                try:
+                    shown += os.read(ours, 1 << 16)
+                except OSError:  # all has been read, and nobody writes
+                    break
+            elif process.poll() is not None:
+                break
+            if stop_at is not None and stop_at in shown:
+                process.send_signal(signal.SIGINT)
+                stop_at = None
+        return process.wait(max(1.0, end - time.monotonic())), shown.decode()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+
+
+def screen_of(shown):
+    """Lines that stay on the terminal, but for that of a machine so busy that to load kernels takes seconds."""
+    lines = [""]
+    column = 0
+    for letter in shown.replace("\r\n", "\n"):
+        if letter == "\n":
+            lines.append("")
+            column = 0
+        elif letter == "\r":
+            column = 0
+        else:
+            lines[-1] = lines[-1][:column] + letter + lines[-1][column + 1 :]
+            column += 1
+    return [line.rstrip() for line in lines if line.strip() and not line.startswith("compiling kernels")]
+
+
+def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
+    status, shown = at_terminal(triangles_in_a_plane(600), overlaps=10**9)
+    assert status == 0
+    assert "narrow phase  [" in shown
+    assert screen_of(shown) == []
+
+
+def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
+    frames = [*triangles_in_a_plane(150), *triangles_in_a_plane(150)]
+    status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
+    assert status == 0
+    assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown
+    assert screen_of(shown) == []
+
+
+def test_run_that_ctrl_c_ends_leaves_the_terminal_as_it_was(triangles_in_a_plane):
+    # all pairs of 4,000 triangles would take minutes
+    status, shown = at_terminal(triangles_in_a_plane(4000), stop_at=b"narrow phase")
+    assert status == 130
+    assert screen_of(shown.replace("^C", "")) in ([], [line for line in screen_of(shown) if "warning" in line])
+
+
+def test_run_that_fails_leaves_its_error_alone_on_the_terminal(triangles_in_a_plane):
+    status, shown = at_terminal([*triangles_in_a_plane(500), "--memory-limit", "9000000"])
+    assert status == 2
+    (line,) = screen_of(shown)
+    assert line.startswith("ccd-warp: error: memory_limit is 9000000 bytes; expected at least ")
+
+
+def test_exploding_overlaps_are_one_line_that_says_what_to_do(triangles_in_a_plane):
+    status, shown = at_terminal(triangles_in_a_plane(300), overlaps=1000)
+    assert status == 0
+    (line,) = screen_of(shown)
+    assert line.startswith("ccd-warp: warning: ")
+    assert all(word in line for word in ("pair_kinds", "exclusion_rings", "memory_limit"))
+
+
+def test_quiet_run_says_nothing(triangles_in_a_plane):
+    assert at_terminal([*triangles_in_a_plane(300), "--quiet"], overlaps=1000) == (0, "")
+
+
+def test_ctrl_c_while_modules_are_imported_ends_the_command(triangles_in_a_plane):
+    command = [sys.executable, "-P", "-c", _INTERRUPTED_IMPORT, "run", *triangles_in_a_plane(1), "--device", "cpu"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
+    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS", 1000)
+    rng = np.random.default_rng(0)
+    start = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
+    mesh = ccd.CollisionMesh.from_arrays([(start, np.arange(300).reshape(-1, 3))])
+    for call in (ccd.mesh_ccd, lambda *frames: ccd.CollisionPipeline(*frames[:1], device="cpu").mesh_ccd(*frames[1:])):
+        with pytest.warns(RuntimeWarning, match="lie in each other; pair_kinds") as caught:
+            call(mesh, start, start + 0.1)
+        assert [warning.filename for warning in caught] == [__file__]
+
+
+def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch):
+    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS_EACH", 1)
+    rng = np.random.default_rng(0)
+    flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
+    faces = np.arange(300).reshape(-1, 3)
+    options = {"names": ["sheet", "far", "lining"], "self_collision": False}
+    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
+    for pair_bytes in (1 << 30, 1):  # in one batch, and in several
+        monkeypatch.setattr("ccd_warp._engine.host_step.DEFAULT_PAIR_BYTES", pair_bytes)
+        with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
+            result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
+        assert (result.counts.num_batches > 1) == (pair_bytes == 1)
+    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces)], names=["cloth", "far"])
+    end = mesh.vertices + 0.1 * (mesh.vertex_body[:, None] == 0)
+    with pytest.warns(RuntimeWarning, match=r"most often of cloth and itself \(\d+ % of a sample\)$"):
+        ccd.mesh_ccd(mesh, mesh.vertices, end, device="cpu")
+
+
+def test_estimate_is_what_the_stage_has_taken_and_its_share():
+    assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
+    assert line_of(Progress(None, "pairs", 1, 1000), 10.0).endswith("0%  …")
+    assert line_of(Progress(None, "pairs", 50, 100), 600.0).endswith("about 10 min left")
+    assert "100%" in line_of(Progress(None, "pairs", 101, 100), 1.0)
+
+
+def test_line_is_written_to_terminals_alone(capsys):
+    line = ProgressLine(is_quiet=False)
+    line.show(Progress(None, "pairs", 1, 2))
+    line.clear()
+    assert capsys.readouterr().err == ""
+
+
+def test_line_that_an_interrupt_has_cut_short_is_cleared_whole(monkeypatch):
+    class Terminal:
+        """Raises Ctrl-C directly after it has shown a line."""
+
+        def __init__(self):
+            self.shown, self.is_pressed = "", False
+
+        def isatty(self):
+            return True
+
+        def write(self, text):
+            self.shown += text
+
+        def flush(self):
+            if self.is_pressed:
+                self.is_pressed = False
+                raise KeyboardInterrupt
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr("ccd_warp._cli.progress._PATIENCE", 0.0)
+    line = ProgressLine(is_quiet=False)
+    line.show(Progress(None, "pairs", 0, 100))
+    terminal.is_pressed = True
+    with pytest.raises(KeyboardInterrupt):
+        line.show(Progress(None, "narrow phase", 50, 100))
+    line.clear()
+    assert screen_of(terminal.shown) == []

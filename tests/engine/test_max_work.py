@@ -1,0 +1,129 @@
+"""The budget of a step: what hard pairs get is theirs by number alone, and what is cut is early and marked."""
+
+from functools import cache
+
+import faults
+import numpy as np
+import pytest
+import warp as wp
+from ccd_warp.benchmarks.hard_cases import FAMILIES
+from ccd_warp.benchmarks.scenes import spheres_through_each_other
+from exact import exact_tois
+
+import ccd_warp as ccd
+from ccd_warp._input.options import Options
+
+KINDS = ["vertex_face", "edge_edge"]
+OPTIONS = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}
+
+
+@cache
+def needles(kind):
+    """Needles that cross each other, each pair of which takes more than the iterations of a first round."""
+    start, end = FAMILIES["needle_against_needle"](kind.replace("_", "-"), 3000, np.random.default_rng(0))
+    solved = getattr(ccd, f"{kind}_ccd")(start, end, **OPTIONS)
+    is_hard = solved.iterations > Options().first_iterations
+    assert is_hard.sum() > 30
+    return start[is_hard], end[is_hard]
+
+
+def scene_of(kind, count, *, of_worlds=True):
+    """Hard pairs one after the other, mirrored in turn: each in a world of its own, or all at one place."""
+    start, end = (x[np.arange(count) % len(x)] for x in needles(kind))
+    mirror = np.random.default_rng(1).choice([-1.0, 1.0], (count, 1, 3))
+    first = 4 * np.arange(count)[:, None]
+    positions = [np.ascontiguousarray((x * mirror).reshape(-1, 3)) for x in (start, end)]
+    edges = np.concatenate([first + [0, 1], first + [2, 3]])
+    body = (positions[0], first + [1, 2, 3]) if kind == "vertex_face" else (positions[0], np.zeros((0, 3), int), edges)
+    worlds = np.repeat(np.arange(count), 4) if of_worlds else None
+    return ccd.CollisionMesh.from_arrays([body], vertex_world=worlds), *positions
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_at_once(kind):
+    mesh, start, end = scene_of(kind, 800)
+    options = OPTIONS | {"max_iterations": Options().first_iterations + 4}
+    toi = ccd.mesh_ccd(mesh, start, end, **options).toi
+    for _ in range(4):
+        new = ccd.CollisionMesh.from_arrays(
+            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], vertex_world=mesh.vertex_world
+        )
+        assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
+
+
+@pytest.mark.parametrize("method", ["clipping", "bisection"])
+@pytest.mark.parametrize("of_worlds", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_pairs_that_share_too_little_work_are_the_same_whatever_the_threads_and_the_memory(kind, of_worlds, method):
+    count = 120 if of_worlds else 20
+    mesh, start, end = scene_of(kind, count, of_worlds=of_worlds)
+    share = Options(method=method).first_iterations + 64
+    options = OPTIONS | {"max_work": share * count, "max_iterations": 6000, "method": method}
+    truth = ccd.mesh_ccd(mesh, start, end, num_threads=1, **options)
+    step = ccd.collision_free_step(mesh, start, end, num_threads=1, **options)
+    assert (truth.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).any() or not of_worlds
+    assert step >= truth.toi  # it shares the work among the earliest pairs alone
+    for num_threads in (2, 4):
+        for memory_limit in (None, 4 << 20):
+            given = options | {"num_threads": num_threads, "memory_limit": memory_limit}
+            result = ccd.mesh_ccd(mesh, start, end, **given)
+            for name in ("toi", "vertex_toi", "world_toi", "vertex_contact", "contacts"):
+                expected, found = (faults.arrays_of(getattr(r, name)) for r in (truth, result))
+                assert faults.difference(found, expected) == "", name
+            assert ccd.collision_free_step(mesh, start, end, **given) == step
+        pipeline = ccd.CollisionPipeline(mesh, num_threads=num_threads, **options)
+        launched = pipeline.launch(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end)))
+        assert launched.toi.numpy()[0] == truth.toi
+        np.testing.assert_array_equal(launched.vertex_toi.numpy(), truth.vertex_toi)
+        np.testing.assert_array_equal(launched.world_toi.numpy(), truth.world_toi)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_hopeless_pairs_get_equal_shares_of_the_work_and_not_an_iteration_more(kind):
+    mesh, start, end = scene_of(kind, 200)
+    by_work = ccd.mesh_ccd(mesh, start, end, max_work=200 * 300 + 199, max_iterations=10**6, **OPTIONS)
+    by_pair = ccd.mesh_ccd(mesh, start, end, max_iterations=300, **OPTIONS)
+    assert (by_work.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).any()
+    assert faults.difference(faults.arrays_of(by_work.contacts), faults.arrays_of(by_pair.contacts)) == ""
+
+
+def test_thousands_of_hopeless_pairs_end():
+    mesh, start, end = scene_of("vertex_face", 2000)
+    # many of them would go on for all of these iterations
+    options = OPTIONS | {"max_work": 1, "max_iterations": 10**6}
+    result = ccd.mesh_ccd(mesh, start, end, **options)
+    assert (result.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).sum() > 1000
+    assert ccd.collision_free_step(mesh, start, end, **options) >= result.toi
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("max_work", [1, 3000, 10_000_000])
+def test_cut_pairs_are_early_and_marked_and_never_late(kind, max_work):
+    count = len(needles(kind)[0])
+    mesh, start, end = scene_of(kind, count)
+    result = ccd.mesh_ccd(mesh, start, end, max_work=max_work, **OPTIONS)
+    is_cut = np.zeros(count, dtype=bool)
+    primitives = result.contacts.primitives[result.contacts.status == ccd.CCDStatus.ITERATION_LIMIT]
+    is_cut[mesh.vertex_world[primitives[:, 0] if kind == "vertex_face" else mesh.edges[primitives[:, 0], 0]]] = True
+    assert is_cut.any() or max_work == 10_000_000
+    alone = getattr(ccd, f"{kind}_ccd")(*(x.reshape(-1, 4, 3) for x in (start, end)), **OPTIONS).toi
+    np.testing.assert_array_equal(result.world_toi[~is_cut], alone[~is_cut])
+    assert (result.world_toi <= alone).all()
+    truth = exact_tois(kind.replace("_", "-"), *(x.reshape(-1, 4, 3) for x in (start, end)))
+    assert not any(exact.late(toi) for exact, toi in zip(truth, result.world_toi, strict=True))
+    step = ccd.collision_free_step(mesh, start, end, max_work=max_work, **OPTIONS)
+    assert not any(exact.late(step) for exact in truth)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_scene_without_hard_pairs_never_touches_the_budget(precision):
+    scene = spheres_through_each_other(500)
+    mesh, frames = scene.mesh(ccd), (scene.vertices_t0, scene.vertices_t1)
+    options = {"precision": precision, "minimum_separation": 1e-3}
+    least, most = (ccd.mesh_ccd(mesh, *frames, max_work=work, **options) for work in (1, 2**63 - 1))
+    assert np.isfinite(most.toi)
+    for name in ("toi", "vertex_toi", "body_toi", "contacts"):
+        found, expected = (faults.arrays_of(getattr(r, name)) for r in (least, most))
+        assert faults.difference(found, expected) == "", name
+    steps = [ccd.collision_free_step(mesh, *frames, max_work=work, **options) for work in (1, 2**63 - 1)]
+    assert steps[0] == steps[1] == most.toi

@@ -1,0 +1,90 @@
+"""Every example runs as it stands, from any folder, and prints what it promises."""
+
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def _run(name: str, folder: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name)], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _number(text: str, label: str) -> float:
+    found = re.search(rf"^{label}\s+([^\s,]+)", text, flags=re.MULTILINE)
+    assert found, f"{label!r} is not in:\n{text}"
+    return float(found[1])
+
+
+def test_no_example_is_left_out():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "bullet_2d.py",
+        "bullet_through_wall.py",
+        "cloth_drop.py",
+        "fsi_membrane.py",
+        "mesh_against_mesh.py",
+        "mpi_cloth.py",
+        "newton_cloth.py",
+        "two_layers.py",
+    }
+
+
+def test_bullet_through_wall(tmp_path):
+    output = _run("bullet_through_wall.py", tmp_path)
+    assert re.search(r"test at the start of the step:\s+MISS", output)
+    assert re.search(r"test at the end of the step:\s+MISS", output)
+    toi = _number(output, r"CCD over the whole step:\s+toi =")
+    # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
+    assert 0.5 - 1e-6 <= toi <= 0.5
+
+
+def test_bullet_2d(tmp_path):
+    output = _run("bullet_2d.py", tmp_path)
+    for method in ("bisection", "clipping"):
+        # Never later than the exact 0.5; earlier by at most δ = 1e-4 over the speed 9, and the bisection's box.
+        assert 0.5 - 1e-4 <= _number(output, rf"{method}\s+toi =") <= 0.5
+        assert _number(output, rf"{method}.* at") == 0.5 and _number(output, rf"{method}.*gap <=") <= 1e-4
+    steps = {name: int(re.search(rf"(\d+) {name}", output)[1]) for name in ("boxes", "steps")}
+    assert steps["steps"] < steps["boxes"] < 1000
+
+
+def test_mesh_against_mesh(tmp_path):
+    output = _run("mesh_against_mesh.py", tmp_path)
+    toi, step = _number(output, "scene toi"), _number(output, "free step")
+    assert 0.0 < step < toi < 1.0
+    assert min(_number(output, f"body {k} toi") for k in (0, 1)) == toi
+    assert _number(output, "contacts") >= 1
+    # a vertex of the small ball, which comes from the left, and a face of the large one: the normal points to the left
+    vertex, face = map(int, re.search(r"^first contact +vertex-face \[(\d+), (\d+)\]$", output, re.M).groups())
+    assert vertex < 642 and face >= 1280
+    normal = [float(number) for number in re.search(r"normal +\[(.*)\]", output)[1].split(", ")]
+    assert normal[0] < -0.9 and math.isclose(math.hypot(*normal), 1.0, abs_tol=1e-5)
+    assert "surfaces touch after it: False" in output
+
+
+@pytest.mark.parametrize("name", ["bullet", "cloth"])
+def test_demo_scenes_are_what_their_titles_say(name):
+    from ccd_warp._cli.demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
+
+    scene = {"bullet": bullet_scene, "cloth": cloth_scene}[name]()
+    moving, static = scene.bodies
+    assert static.is_static and not moving.is_static
+    if name == "bullet":
+        assert static_test(scene.bodies) == (False, False)
+        middle = moving.vertices_t0 + 0.5 * (moving.vertices_t1 - moving.vertices_t0)
+        assert surfaces_intersect(middle, moving.faces, static.vertices_t0, static.faces)
+    else:
+        assert 10_000 <= len(moving.faces) <= 11_000
+        assert math.isclose(float(abs(static.vertices_t0).max()), 1.0)
+        # It starts outside the sphere and ends with vertices inside.
+        assert (moving.vertices_t0**2).sum(axis=1).min() > 1.0
+        assert (moving.vertices_t1**2).sum(axis=1).min() < 0.9

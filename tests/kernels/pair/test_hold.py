@@ -1,0 +1,375 @@
+"""What starts within its distance parts and slides freely, and comes no closer."""
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from ccd_warp.benchmarks.distance_oracle import exact_distance
+from ccd_warp.benchmarks.oracle import exact_gap
+from exact import exact_distance_tois, exact_tois
+from oracles import brute_force, corners_of
+from scenes import FACE, TRIANGLE, sheet
+from thick_scenes import KIND_NAMES, crowd, crowd_in_plane
+
+import ccd_warp as ccd
+from ccd_warp._engine.proximity_step import HoldStep
+
+DISTANCE = 1e-3
+NORMS = {
+    "ball": {"minimum_distance": DISTANCE},
+    "box": {"minimum_separation": DISTANCE, "length_scale": 1.0},
+}
+# In sizes of a pair: what a search may lose is a third of it.
+LOST = {"ball": 400 * 2.0**-53, "box": 3200 * 2.0**-53}
+EVERY_PER = ("scene", "world", "body", "vertex")
+
+
+def shortened_by_launch(pipeline, start, end, **arguments):
+    """The end positions of a line search on the device, which is not to overflow."""
+    reached = end.copy()
+    assert not pipeline.launch_line_search(start, reached, **arguments).flags.numpy().any()
+    return reached
+
+
+def ways(pipeline, start, end):
+    """The end positions of a step by every call that shortens it, by name."""
+    fraction = pipeline.collision_free_step(start, end)
+    yield "step", end if fraction == 1.0 else start + fraction * (end - start)
+    for per in EVERY_PER:
+        yield f"line_search, {per}", pipeline.line_search(start, end, per=per).vertices
+        yield f"launch_line_search, {per}", shortened_by_launch(pipeline, start, end, per=per)
+
+
+def two_triangles(gap, **options):
+    """Two parallel triangles, the upper one above the lower one by a gap: pipeline and start."""
+    start = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, gap]])
+    mesh = ccd.CollisionMesh.from_arrays([(start[:3], FACE), (start[3:], FACE)])
+    return ccd.CollisionPipeline(mesh, device="cpu", **options), start
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("share", [1.0, 0.9, 1e-3, 1 - 1e-12, 1 + 1e-15, 1 + 1e-7])
+def test_triangle_at_its_distance_parts_and_slides_and_does_not_approach(norm, share, precision):
+    pipeline, start = two_triangles(share * DISTANCE, precision=precision, **NORMS[norm])
+    for motion in ([0.0, 0.0, 10 * DISTANCE], [0.3, 0.1, 0.0], [-0.7, 0.2, 1e-9]):
+        end = start + np.repeat([[0.0, 0.0, 0.0], motion], 3, axis=0)
+        assert pipeline.mesh_ccd(start, end).toi == 0.0 or share > 1 + 1e-8  # it stays strict
+        for way, reached in ways(pipeline, start, end):
+            np.testing.assert_array_equal(reached, end, err_msg=f"{way}, by {motion}")
+    for motion in ([0.0, 0.0, -10 * DISTANCE], [0.3, 0.0, -DISTANCE]):
+        end = start + np.repeat([[0.0, 0.0, 0.0], motion], 3, axis=0)
+        for way, reached in ways(pipeline, start, end):
+            # beyond the distance, the gap that is left may shrink by 90 %
+            least = min(share, 1.0) * DISTANCE - LOST[norm]
+            assert reached[3:, 2].min() >= least, f"{way}, by {motion}"
+            if share <= 1.0:
+                np.testing.assert_array_equal(reached, start, err_msg=f"{way}, by {motion}")
+    if share <= 1.0:
+        assert len(pipeline.line_search(start, end, per="vertex").touching)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_tilted_triangle_that_float32_cannot_tell_from_its_distance_is_lifted(norm):
+    pipeline, start = two_triangles(0.3, precision="float32", **NORMS[norm])
+    sharp, _ = two_triangles(0.3, **NORMS[norm])
+    rng = np.random.default_rng(0)
+    fall = np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -0.6]], 3, axis=0)
+    for tilt in (1e-3, 0.1):
+        above = start + np.repeat([0.0, tilt], 3)[:, None] * rng.normal(size=(6, 1)) * [0.0, 0.0, 1.0]
+        above[3:, :2] += 0.05 * rng.normal(size=2)
+        met = above + sharp.mesh_ccd(above, above + fall).toi * fall
+        for beyond in (3e-9, 3e-8, 3e-7):
+            x = met - beyond / 0.6 * fall
+            for way, reached in ways(pipeline, x, x - fall):
+                np.testing.assert_array_equal(reached, x - fall, err_msg=f"{way}, {beyond} beyond")
+
+
+def test_none_stays_strict_and_a_number_shrinks_the_gap():
+    start, end = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.5 * DISTANCE]]), None
+    end = start + np.repeat([[0.0, 0.0, 0.0], [0.3, 0.0, 0.01]], 3, axis=0)
+    strict, _ = two_triangles(0.5 * DISTANCE, start_gap_fraction=None, **NORMS["ball"])
+    assert all(np.array_equal(reached, start) for _, reached in ways(strict, start, end))
+    half, _ = two_triangles(0.5 * DISTANCE, start_gap_fraction=0.5, **NORMS["ball"])
+    assert np.array_equal(half.line_search(start, end).vertices, end)
+    assert half.mesh_ccd(start, end).toi == np.inf
+
+
+def kept_by_pair(mesh, start, of_pair, distance_of):
+    """For each kind the pairs, their corners, and what each keeps: brute force over all pairs at the start."""
+    hold = np.full(mesh.num_vertices, np.inf)
+    found = []
+    for kind, pairs in zip(ccd.PairKind, brute_force(mesh, 0 * start, 0 * start), strict=True):
+        if not pairs or kind == ccd.PairKind.VERTEX_PLANE:
+            continue
+        corners = corners_of(mesh, kind, pairs)
+        apart = np.array([distance_of(KIND_NAMES[kind], start[c], start[c], 0.0) for c in corners])
+        distances = of_pair(kind, corners)
+        holders = corners if kind in (ccd.PairKind.EDGE_EDGE, ccd.PairKind.POINT_POINT) else corners[:, :1]
+        is_near = apart <= distances
+        np.minimum.at(hold, holders[is_near], apart[is_near, None])
+        found.append((kind, corners, distances))
+    return [(kind, corners, np.minimum(distances, hold[corners].min(axis=1))) for kind, corners, distances in found]
+
+
+def check_kept(mesh, start, end, kept, tois, norm="ball"):
+    """No pair with a vertex that moves comes closer than what it keeps, by exact arithmetic."""
+    has_moved = (start != end).any(axis=1)
+    for kind, corners, keep in kept:
+        x, y = start[corners], end[corners]
+        low, high = (np.minimum(x.min(1), y.min(1)), np.maximum(x.max(1), y.max(1)))
+        keep = keep - LOST[norm] * (high - low).max(axis=1)
+        for is_zero in (True, False):
+            at = np.flatnonzero(has_moved[corners].any(axis=1) & ((keep <= 0) == is_zero))
+            if len(at):
+                given = KIND_NAMES[kind], x[at], y[at]
+                found = exact_tois(*given) if is_zero else tois(*given, keep[at])
+                assert not any(each.hit for each in found), kind
+
+
+@pytest.mark.parametrize("make", [crowd, crowd_in_plane])
+def test_no_pair_of_a_crowd_that_starts_close_comes_closer_than_it_or_its_vertices_were(make):
+    for seed in range(3):
+        mesh, start, end = make(seed, count=10, motion=0.03, largest=0.08)
+
+        def of_pair(kind, corners, radius=mesh.radius):
+            split = 2 if kind == ccd.PairKind.EDGE_EDGE else 1
+            return radius[corners[:, :split]].max(axis=1) + radius[corners[:, split:]].max(axis=1)
+
+        kept = kept_by_pair(mesh, start, of_pair, exact_distance)
+        assert sum((keep < of_pair(kind, corners)).sum() for kind, corners, keep in kept) > 20
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+        for way, reached in ways(pipeline, start, end):
+            check_kept(mesh, start, reached, kept, exact_distance_tois)
+            assert not way.endswith("vertex") or not np.array_equal(reached, start)
+
+
+def test_no_pair_of_a_crowd_that_starts_close_comes_closer_in_the_maximum_norm():
+    for seed in range(2):
+        mesh, start, end = crowd(seed, count=8, motion=0.03, largest=0.0)
+        mesh = ccd.CollisionMesh.from_arrays(
+            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], codimensional_points=True
+        )
+        kept = kept_by_pair(mesh, start, lambda kind, corners: np.full(len(corners), 0.06), exact_gap)
+
+        def tois(kind, x, y, keep):
+            return [exact_tois(kind, x[i : i + 1], y[i : i + 1], separation=keep[i])[0] for i in range(len(x))]
+
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_separation=0.06, length_scale=1.0)
+        for way, reached in ways(pipeline, start, end):
+            if way.endswith(("vertex", "step")):
+                check_kept(mesh, start, reached, kept, tois, "box")
+
+
+@pytest.mark.parametrize("is_static", [True, False])
+def test_patch_slides_over_a_mesh_without_losing_height(is_static):
+    ground, patch = sheet(40), sheet(8)
+    for share in (0.3, 0.999, 1 - 1e-12):
+        height = share * 0.01
+        placed = 0.2 * patch[0] + [0.1, 0.1, height]
+        mesh = ccd.CollisionMesh.from_arrays(
+            [ground, (placed, patch[1])], static=[0] if is_static else [], radius=0.005
+        )
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 20, max_contacts=1 << 16)
+        start = np.concatenate([ground[0], placed])
+        for _ in range(3):
+            end = start + np.where(np.arange(len(start)) < len(ground[0]), 0.0, 1.0)[:, None] * [0.21, 0.13, 0.0]
+            for way, reached in ways(pipeline, start, end):
+                np.testing.assert_array_equal(reached, end, err_msg=way)
+            start = end
+
+
+def test_ten_thousand_presses_lose_less_than_a_hundred_thousandth_of_the_thickness(precision):
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE)]).replicate(100)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", precision=precision, **NORMS["ball"])
+    rng = np.random.default_rng(0)
+    x = np.tile(np.concatenate([TRIANGLE, TRIANGLE + [0, 0, DISTANCE]]), (100, 1, 1))
+    before = x[:, 3:, 2].min()
+    for _ in range(100):
+        y = x.copy()
+        y[:, 3:] += rng.normal(size=(100, 1, 3)) * [0.01, 0.01, 0.0] - [0.0, 0.0, 0.005]
+        y[:, 3:] += 1e-4 * rng.normal(size=(100, 3, 3))
+        x = pipeline.line_search(x, y, per="vertex").vertices.reshape(x.shape)
+    assert x[:, 3:, 2].min() > before - 1e-5 * DISTANCE
+
+
+@pytest.mark.parametrize("exponent", [-40, 0, 40])
+@pytest.mark.parametrize("tolerance", [1e-12, 1e-6, 1e-1])
+def test_pairs_at_their_distance_are_not_stuck_when_they_are_pulled_apart_at_any_scale(exponent, tolerance, precision):
+    rng = np.random.default_rng(abs(exponent))
+    count, scale = 50, 2.0**exponent
+    # triangles one above the other, turned at random
+    turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    lower, upper = rng.normal(size=(2, count, 3, 3)) * [1.0, 1.0, 0.0]
+    upper[:, :, 2] += DISTANCE * rng.choice([1.0, 0.9, 0.1], size=(count, 1))
+    x = scale * (np.concatenate([lower, upper], axis=1) @ turn)
+    apart = np.zeros((count, 6, 3))
+    apart[:, 3:] = 0.5 * turn[:, 2:3] + rng.normal(size=(count, 1, 2)) @ turn[:, :2]
+    mesh = ccd.CollisionMesh.from_arrays([(x[0, :3], FACE), (x[0, 3:], FACE)]).replicate(count)
+    options = {"minimum_distance": scale * DISTANCE, "length_scale": scale, "tolerance": tolerance}
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", precision=precision, **options)
+    y = x + scale * apart
+    np.testing.assert_array_equal(pipeline.line_search(x, y, per="world").vertices.reshape(y.shape), y)
+    np.testing.assert_array_equal(shortened_by_launch(pipeline, x, y, per="world"), y)
+
+
+def layers_on_a_ball(num_layers=2, count=12):
+    """Sheets of cloth above a ball: mesh, start, and the rows of the cloth."""
+    ball = trimesh.creation.icosphere(2, radius=0.3)
+    vertices, faces = sheet(count)
+    layers = [(0.45 * vertices + [0, 0, 0.31 + 0.01 * k], faces) for k in range(num_layers)]
+    mesh = ccd.CollisionMesh.from_arrays(
+        [*layers, (ball.vertices, ball.faces)], static=[num_layers], radius=0.5 * DISTANCE
+    )
+    return mesh, mesh.vertices.copy(), num_layers * len(vertices)
+
+
+@pytest.mark.parametrize("way", ["line_search", "launch_line_search"])
+@pytest.mark.parametrize("with_response", [False, True])
+def test_layers_pressed_on_a_ball_keep_their_thickness_and_come_free_when_they_are_lifted(way, with_response):
+    mesh, x, moving = layers_on_a_ball()
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 19, max_contacts=1 << 17)
+
+    def searched(x, y):
+        if way == "line_search":
+            return pipeline.line_search(x, y, per="vertex").vertices
+        return shortened_by_launch(pipeline, x, y, per="vertex")
+
+    rows = np.arange(moving)
+    for _ in range(20):
+        y = x.copy()
+        y[rows] += [0.0, 0.0, -0.01]
+        if with_response:
+            near = pipeline.find_proximity(x, 0.2 * DISTANCE)
+            push, lacking = np.zeros_like(y), np.maximum(1.2 * DISTANCE - near.distance, 0.0)
+            np.add.at(push, near.vertices, lacking[:, None, None] * near.weights[..., None] * near.direction[:, None])
+            y[rows] += push[rows]
+        x = searched(x, y)
+        assert pipeline.find_proximity(x, 0.0).distance.min(initial=DISTANCE) > DISTANCE * (1 - 1e-9)
+    assert len(pipeline.find_proximity(x, 0.01 * DISTANCE)) > 20
+    y = x.copy()
+    y[rows] += [0.0, 0.0, 0.1]
+    lifted = searched(x, y)
+    np.testing.assert_allclose(lifted[rows], y[rows], atol=1e-12)
+    assert not len(pipeline.find_intersections(lifted))
+
+
+# ---- Half-spaces -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.3, -0.4, 2.0]])
+@pytest.mark.parametrize("distance", [0.0, DISTANCE])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_vertex_over_a_half_space_leaves_it_and_slides_even_from_a_gap_of_0(normal, distance, share):
+    unit = np.array(normal) / np.linalg.norm(normal)
+    across = np.cross(unit, [1.0, 0.0, 0.0])
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(TRIANGLE, FACE), ccd.HalfSpace([0.0, 0.0, 0.0], normal)], self_collision=False
+    )
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=distance)
+    start = np.outer([0.0, 1.0, 2.0], across) + share * distance * unit
+    if share * distance == 0.0:
+        start = np.zeros((3, 3))  # on the plane exactly
+    for motion, is_free in ((unit, True), (0.1 * unit + across, True), (-unit, False)):
+        end = start + motion
+        for way, reached in ways(pipeline, start, end):
+            if is_free:
+                np.testing.assert_array_equal(reached, end, err_msg=way)
+            else:
+                np.testing.assert_array_equal(reached, start, err_msg=way)
+    if share * distance > 0.0 or normal[:2] == [0.0, 0.0]:
+        end = start + [1.0, 0.5, 0.0] if normal[:2] == [0.0, 0.0] else start + across
+        for way, reached in ways(pipeline, start, end):
+            np.testing.assert_array_equal(reached, end, err_msg=way)
+
+
+def test_vertex_pressed_on_a_tilted_half_space_never_enters_it():
+    normal = np.array([0.1, 0.7, 1.0])
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace([0.1, 0.2, 0.3], normal)])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    rng = np.random.default_rng(5)
+    x = TRIANGLE + [0.0, 0.0, 2.0]
+    for _ in range(200):
+        x = pipeline.line_search(x, x + rng.normal(size=3) * [1, 1, 0.1] - [0, 0, 0.3], per="vertex").vertices
+        assert ((x - [0.1, 0.2, 0.3]) @ normal).min() > -1e-15
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_vertices_at_their_distance_over_a_tilted_half_space_slide_by_their_whole_step(share):
+    rng = np.random.default_rng(3)
+    unit = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    point, across = rng.normal(size=3), rng.normal(size=(2, 2000, 2)) @ unit[:2]
+    start = point + across[0] + share * DISTANCE * unit[2]  # to within rounding, above and below
+    mesh = ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), dtype=int)), ccd.HalfSpace(point, unit[2])])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=DISTANCE)
+    end = start + 0.3 * across[1]
+    np.testing.assert_array_equal(pipeline.line_search(start, end, per="vertex").vertices, end)
+    np.testing.assert_array_equal(shortened_by_launch(pipeline, start, end, per="vertex"), end)
+
+
+# ---- What it goes with -----------------------------------------------------------------------------------------------
+
+
+def test_worlds_that_start_close_do_not_change_the_others():
+    one = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE)])
+    near = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.5 * DISTANCE]])
+    far = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.1]])
+    both = np.stack([near, far])
+    end = both + np.repeat([[0.0, 0.0, 0.0], [0.2, 0.0, -1.0]], 3, axis=0)
+    worlds = ccd.CollisionPipeline(one.replicate(2), device="cpu", **NORMS["ball"])
+    alone = ccd.CollisionPipeline(one, device="cpu", **NORMS["ball"])
+    expected = alone.line_search(far, end[1], per="world").vertices
+    np.testing.assert_array_equal(worlds.line_search(both, end, per="world").vertices[6:], expected)
+    expected = shortened_by_launch(alone, far, end[1], per="world")
+    np.testing.assert_array_equal(shortened_by_launch(worlds, both, end, per="world")[1], expected)
+
+
+def test_captured_line_search_holds_what_its_replay_finds_close():
+    pipeline, start = two_triangles(DISTANCE, **NORMS["ball"])
+    x, y = (wp.array(start, dtype=wp.vec3d, device="cpu") for _ in range(2))
+    pipeline.launch_line_search(x, y, per="vertex")
+    with wp.ScopedCapture(device="cpu") as capture:
+        pipeline.launch_line_search(x, y, per="vertex")
+    for gap, motion, is_free in ((0.5, [0.1, 0, 0.1], True), (0.5, [0, 0, -1.0], False), (500.0, [0, 0, 1.0], True)):
+        begin = np.concatenate([TRIANGLE, TRIANGLE + [0, 0, gap * DISTANCE]])
+        end = begin + np.repeat([[0, 0, 0], motion], 3, axis=0)
+        x.assign(begin)
+        y.assign(end)
+        wp.capture_launch(capture.graph)
+        np.testing.assert_array_equal(y.numpy(), end if is_free else begin)
+
+
+def test_scene_in_which_nothing_starts_close_looks_for_no_holds(monkeypatch):
+    monkeypatch.setattr(HoldStep, "find_holds", None)
+    pipeline, start = two_triangles(2 * DISTANCE, **NORMS["ball"])
+    end = start + np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]], 3, axis=0)
+    assert 0.0 < pipeline.line_search(start, end).fraction < 0.01
+
+
+def test_edge_beyond_the_capacity_at_the_start_does_not_let_a_point_come_closer_to_the_face_it_leaves():
+    # Two edges slide at 0.9 of the distance. A third one, which leaves a face from beyond it, is among the pairs at the
+    # start alone, for which there is no capacity.
+    edge, faceless = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((0, 3), dtype=int)
+    across = edge[:, [1, 0, 2]]
+    parts = [
+        edge - [10.0, 0.0, 0.0],
+        across + [-10.0, 0.0, 0.9 * DISTANCE],
+        TRIANGLE,
+        across + [0.05, -1.0, -(1 + 2e-7) * DISTANCE],
+        np.array([[0.0, -0.5, 0.5]]),
+    ]
+    edges = [[[0, 1]], [[0, 1]], None, [[0, 1]], None]
+    bodies = [
+        (x, FACE) if len(x) == 3 else (x, faceless) if of is None else (x, faceless, of)
+        for x, of in zip(parts, edges, strict=True)
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True)
+    start = np.concatenate(parts)
+    end = start.copy()
+    end[2:4, 0] += 0.01
+    end[7:9, 2] -= 0.5
+    end[9, 2] = 0.3 * DISTANCE
+    for max_pairs in (1, 100):
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=max_pairs, **NORMS["ball"])
+        reached = end.copy()
+        pipeline.launch_line_search(start, reached, per="vertex")
+        assert reached[9, 2] > DISTANCE

@@ -1,0 +1,544 @@
+"""Both broad phases give the same pairs and the same results in every bit, and the pairs are those of brute force.
+
+The tree and the spatial hash find overlapping boxes in ways that have nothing in common, so each tests the other.
+"""
+
+import numpy as np
+import pytest
+import warp as wp
+from launches import CAPACITIES, on_device
+from oracles import brute_force
+from scenes import (
+    FACE,
+    TRIANGLE,
+    cables_and_particles,
+    cloth_and_ball_in_worlds,
+    crowd,
+    leaning_stack,
+    sheet,
+    sheet_over_ball,
+    sheet_over_floor,
+    single,
+    soup,
+    stacked,
+    with_static_at_rest,
+)
+
+import ccd_warp as ccd
+from ccd_warp._engine.host_step import Step
+from ccd_warp._engine.workspace import Workspace
+from ccd_warp._input.options import Options
+from ccd_warp._runtime.launch import Execution
+
+BOTH = ("tree", "hash")
+FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "gap", "status")
+
+
+# --- what is compared ---
+
+
+def surviving(mesh, start, end, num_parts=1, **options):
+    """Candidates by kind, and the keys of the pairs that the cull leaves open, ascending."""
+    options = Options(num_threads=1, **options)
+    step = Step(Workspace(mesh, wp.get_device("cpu")), tuple(map(mesh._in_space, mesh.frames(start, end))), options)
+    plan = step.begin("contacts", options.t_max)
+    plan.set_search(options.t_max, step.inflation, step.separation)
+    keys = {kind: [] for kind in plan.kinds}
+    largest = 1 << 30
+    if num_parts > 1:
+        largest = max(1, sum(sum(b.found.values()) for b in plan.batches(largest)) // num_parts)
+        largest = max(largest, *(pair.target.primitives.count for pair in plan.tree_pairs))
+        plan.begin_candidates()
+    for batch in plan.batches(largest):
+        for kind, count in batch.found.items():
+            if count:
+                keys[kind].append(plan.some_keys(kind, count, count).copy())
+    found = {kind: np.sort(np.concatenate(parts)).tolist() if parts else [] for kind, parts in keys.items()}
+    return dict(plan.num_candidates), found
+
+
+def check_pairs(mesh, start, end, **options):
+    """Assert that both broad phases leave the same pairs, and no pair twice; returns how many."""
+    (tree_candidates, tree), (hash_candidates, hashed) = (
+        surviving(mesh, start, end, broad_phase=name, **options) for name in BOTH
+    )
+    assert tree == hashed
+    assert tree_candidates == hash_candidates
+    assert all(len(set(keys)) == len(keys) for keys in hashed.values())
+    return sum(map(len, tree.values()))
+
+
+def check_candidates(mesh, start, end, inflation=0.0, *, with_brute_force=False, **options):
+    """Assert that both find the same candidates; returns how many."""
+    tree, hashed = (ccd.find_candidates(mesh, start, end, inflation, broad_phase=name, **options) for name in BOTH)
+    for name, pairs in vars(tree.sorted()).items():
+        assert np.array_equal(pairs, getattr(hashed, name))
+    if with_brute_force:
+        in_space = mesh._in_space(start), mesh._in_space(end)
+        for found, expected in zip(vars(hashed).values(), brute_force(mesh, *in_space, inflation), strict=True):
+            assert list(map(tuple, found.tolist())) == expected
+    return sum(map(len, vars(hashed).values()))
+
+
+def as_bytes(result):
+    """All that `mesh_ccd` returns but timings and how the search went."""
+    arrays = [getattr(result.contacts, name) for name in FIELDS]
+    arrays += [result.vertex_toi, result.body_toi, result.vertex_contact, result.body_contact, result.world_toi]
+    return [np.asarray(array).tobytes() for array in (result.toi, *arrays)]
+
+
+def check_results(mesh, start, end, **options):
+    """Assert that all calls on the host give the same bits."""
+    for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.is_step_collision_free):
+        tree, hashed = (call(mesh, start, end, broad_phase=name, **options) for name in BOTH)
+        if call is ccd.mesh_ccd:
+            assert as_bytes(tree) == as_bytes(hashed)
+            assert tree.counts.num_candidates == hashed.counts.num_candidates
+            assert tree.counts.num_after_cull == hashed.counts.num_after_cull
+        else:
+            assert tree == hashed
+
+
+def check_all(mesh, start, end, **options):
+    """Pairs, candidates and results."""
+    check_candidates(mesh, start, end)
+    check_results(mesh, start, end, **options)
+    return check_pairs(mesh, start, end, **options)
+
+
+def launched(mesh, start, end, broad_phase, *, per=None, dtype=wp.vec3d, reserved=CAPACITIES, **options):
+    """All that a launch, or a line search, leaves on the device, as bytes; contacts sorted."""
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, **options, **reserved)
+    device = pipeline._topology.device
+    vertices_t0, vertices_t1 = on_device(start, device, dtype), on_device(end, device, dtype)
+    if per is None:
+        result = pipeline.launch(vertices_t0, vertices_t1)
+    else:
+        result = pipeline.launch_line_search(vertices_t0, vertices_t1, per=per)
+    arrays = [result.toi, result.vertex_toi, result.body_toi, result.world_toi, result.flags, result.num_pairs]
+    found = [array.numpy().tobytes() for array in (*arrays, vertices_t1)]
+    return [*found, *(getattr(result.to_host().contacts, name).tobytes() for name in FIELDS)]
+
+
+def check_launches(mesh, start, end, **options):
+    """Assert that launches and line searches on the device leave the same bits."""
+    for per in (None, "scene", "body", "vertex"):
+        tree, hashed = (launched(mesh, start, end, name, per=per, **options) for name in BOTH)
+        assert tree == hashed
+
+
+# --- laid out ---
+
+
+def two_sheets_that_cross():
+    vertices, faces = sheet(8)
+    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (vertices + [0.05, 0.03, 0.1], faces)])
+    end = mesh.vertices.copy()
+    end[: len(vertices), 2] += 0.2
+    return mesh, mesh.vertices, end
+
+
+def giant_face_among_small_ones():
+    rng = np.random.default_rng(4)
+    start, faces = soup(rng, 200, 0.01)
+    start[:3] = [[-1e3, -1e3, 0.5], [1e3, -1e3, 0.5], [0, 1e3, 0.55]]
+    return single(start, faces), start, start + [0, 0, 0.1]
+
+
+def giants_of_every_size():
+    rng = np.random.default_rng(5)
+    start, faces = soup(rng, 120, 0.05)
+    scale = 4.0 ** rng.integers(-9, 14, (120, 1, 1))
+    start = (start.reshape(-1, 3, 3) * scale).reshape(-1, 3)
+    return single(start, faces), start, start + 0.1 * rng.standard_normal(start.shape)
+
+
+def boxes_on_the_faces_of_cells():
+    """Every corner of every box is a multiple of a power of two, as are the cells."""
+    rng = np.random.default_rng(6)
+    start = np.repeat(rng.integers(0, 16, (80, 1, 3)), 3, axis=1) + rng.integers(0, 3, (80, 3, 3))
+    start = start.reshape(-1, 3) / 16.0
+    return single(start, np.arange(240).reshape(-1, 3)), start, start + rng.integers(-2, 3, start.shape) / 16.0
+
+
+def points_alone():
+    rng = np.random.default_rng(7)
+    points = rng.integers(0, 6, (150, 3)) * 0.5
+    mesh = ccd.CollisionMesh.from_arrays([(points, np.zeros((0, 3), dtype=int))], codimensional_points=True)
+    return mesh, points, points[::-1]
+
+
+def all_in_one_point():
+    start = np.zeros((45, 3))
+    return single(start, np.arange(45).reshape(-1, 3)), start, start
+
+
+def far_from_the_origin():
+    mesh, start, end = crowd(np.random.default_rng(8), num_faces=80, size=0.1)
+    return mesh, start + [1e7, -1e7, 1e7], end + [1e7, -1e7, 1e7]
+
+
+def two_clusters_far_apart():
+    rng = np.random.default_rng(9)
+    start, faces = soup(rng, 50, 0.05)
+    mesh = ccd.CollisionMesh.from_arrays([(start, faces), (start + 1e100, faces)])
+    return mesh, mesh.vertices, mesh.vertices + 0.01
+
+
+def box_that_overflows(small=1.0):
+    rng = np.random.default_rng(10)
+    start, faces = soup(rng, 60, 0.05)
+    start *= small
+    start[:3] = [[-1.7e308] * 3, [1.7e308] * 3, [0, 1.7e308, 0]]
+    return single(start, faces), start, start
+
+
+def fast_flight():
+    rng = np.random.default_rng(11)
+    mesh, start, _ = crowd(rng, num_faces=60, size=0.02)
+    return mesh, start, start + rng.uniform(-3, 3, (60, 1, 3)).repeat(3, axis=1).reshape(-1, 3)
+
+
+def cables():
+    rng = np.random.default_rng(12)
+    mesh = ccd.CollisionMesh.from_arrays(
+        [cables_and_particles(rng, 20, 0.15), cables_and_particles(rng, 10, 0.3)], codimensional_points=True, static=[1]
+    )
+    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def worlds():
+    _, mesh, start, end = cloth_and_ball_in_worlds(4)
+    return mesh, start, end
+
+
+def in_the_plane():
+    rng = np.random.default_rng(13)
+    segments = rng.random((60, 1, 2)) + 0.1 * rng.standard_normal((60, 2, 2))
+    bodies = [
+        (segments.reshape(-1, 2), np.arange(120).reshape(-1, 2)),
+        (rng.random((30, 2)), np.zeros((0, 2), dtype=int)),
+        (segments.reshape(-1, 2) * 10, np.arange(120).reshape(-1, 2)),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[2])
+    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def body_far_from_the_others():
+    """A body that no other comes near has empty boxes."""
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE), (TRIANGLE + [100, 0, 0], FACE)], self_collision=False
+    )
+    return mesh, mesh.vertices, mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
+
+
+SCENES = {
+    "crowd": lambda: crowd(np.random.default_rng(1), num_faces=150),
+    "sheet over ball": sheet_over_ball,
+    "sheet over floor": sheet_over_floor,
+    "leaning stack": lambda: leaning_stack(25),
+    "stack of bodies": lambda: (lambda mesh, start: (mesh, start, start + [0, 0, 0.3]))(*stacked(0.0, 0.1, 0.2, 5.0)),
+    **{
+        make.__name__.replace("_", " "): make
+        for make in (
+            two_sheets_that_cross,
+            giant_face_among_small_ones,
+            giants_of_every_size,
+            boxes_on_the_faces_of_cells,
+            points_alone,
+            all_in_one_point,
+            far_from_the_origin,
+            two_clusters_far_apart,
+            box_that_overflows,
+            fast_flight,
+            cables,
+            worlds,
+            in_the_plane,
+            body_far_from_the_others,
+        )
+    },
+    **{f"box that overflows, {small}": lambda s=small: box_that_overflows(s) for small in (5e-324, 1e-100, 1e200)},
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_has_the_same_pairs_and_results(name):
+    mesh, start, end = SCENES[name]()
+    check_all(mesh, start, end, length_scale=1.0)
+    assert check_candidates(mesh, start, end, 1e-3, with_brute_force=mesh.num_worlds == 1) > 0
+
+
+LAUNCHED = ("crowd", "sheet over ball", "giants of every size", "cables", "worlds", "in the plane")
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_every_scene_has_the_same_launches(name):
+    mesh, start, end = SCENES[name]()
+    dtype = wp.vec2d if mesh.dimension == 2 else wp.vec3d
+    dimension = mesh.dimension
+    start, end = start.reshape(-1, dimension), end.reshape(-1, dimension)
+    check_launches(mesh, start, end, dtype=dtype, length_scale=1.0)
+
+
+# --- at random ---
+
+
+def random_body(rng):
+    """Vertices and faces of a body of some odd kind, and perhaps codimensional edges."""
+    count = int(rng.integers(1, 16))
+    kind = rng.integers(8)
+    if kind == 0:  # sizes over many orders of magnitude
+        vertices, faces = soup(rng, count, 0.0)
+        size = 10.0 ** -rng.uniform(0, rng.choice([2, 6, 20]), (count, 1, 1)) * rng.standard_normal((count, 3, 3))
+        return vertices + size.reshape(-1, 3), faces
+    if kind == 1:  # on a lattice, so that corners lie on the faces of cells
+        vertices = rng.integers(0, 6, (3 * count, 3)) / 2.0 ** rng.integers(0, 8)
+        return vertices, np.arange(3 * count).reshape(-1, 3)
+    if kind == 2:  # shared vertices, and faces without area
+        vertices, faces = soup(rng, count, rng.choice([0.03, 0.3]), num_vertices=int(rng.integers(3, 3 * count + 1)))
+        return vertices, faces
+    if kind == 3:
+        return cables_and_particles(rng, max(1, count // 4), rng.choice([0.05, 0.5]))
+    if kind == 4:  # points and needles
+        vertices = np.repeat(rng.random((count, 1, 3)), 3, axis=1)
+        vertices[:, 2] += rng.choice([0.0, 1e-9, 1.0], (count, 1)) * rng.standard_normal((count, 3))
+        return vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+    if kind == 5:
+        vertices, faces = sheet(int(rng.integers(1, 4)), rng.choice([0.2, 1.0]))
+        return vertices + rng.random(3) * [0.5, 0.5, 0.2], faces
+    vertices, faces = soup(rng, count, rng.choice([1e-3, 0.05, 0.2, 1.0]))
+    if kind == 6:  # a giant
+        vertices[:3] = rng.choice([10.0, 1e3, 1e9]) * rng.standard_normal((3, 3))
+    return vertices, faces
+
+
+def random_filter(rng, num_bodies):
+    """Arguments of a mesh that leave pairs out."""
+    options = {"static": [b for b in range(num_bodies) if rng.random() < 0.3]}
+    if rng.random() < 0.3:
+        options["self_collision"] = (rng.random(num_bodies) < 0.5).tolist()
+    if rng.random() < 0.2:
+        allowed = rng.random((num_bodies, num_bodies)) < 0.6
+        options["body_pairs"] = allowed & allowed.T
+    if rng.random() < 0.2:
+        options["exclusion_rings"] = int(rng.integers(1, 4))
+    if rng.random() < 0.2:
+        options["exclude_pairs"] = {"bodies": [(0, num_bodies - 1)], "edge_edge": [(0, 1)], "vertex_face": [(1, 0)]}
+    return options
+
+
+def random_scene(seed):
+    """A mesh, start and end positions, and options of `mesh_ccd`."""
+    rng = np.random.default_rng(seed)
+    bodies = [random_body(rng) for _ in range(rng.integers(1, 4))]
+    if rng.random() < 0.15:  # a second body in the place of the first
+        bodies.append(bodies[0])
+    options = random_filter(rng, len(bodies))
+    if min(len(faces) for _, faces, *_ in bodies) == 0 or sum(len(body[0]) for body in bodies) < 6:
+        options.pop("exclude_pairs", None)
+    if rng.random() < 0.2:
+        options["codimensional_points"] = True
+    try:
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    except ValueError:  # the listed pairs are not all there
+        options.pop("exclude_pairs")
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    start = mesh.vertices.copy()
+    if rng.random() < 0.1:
+        mesh = mesh.replicate(int(rng.integers(2, 6)))
+        start = np.tile(start, (mesh.num_worlds, 1))
+    speed = rng.choice([0.0, 0.01, 0.1, 1.0, 20.0])
+    end = start + speed * rng.standard_normal(start.shape) + rng.choice([0.0, 3.0]) * rng.standard_normal(3)
+    if rng.random() < 0.2:
+        end[rng.random(len(end)) < 0.5] = start[0]
+    place = rng.random()
+    if place < 0.1:
+        start, end = start + [1e7, -1e7, 1e6], end + [1e7, -1e7, 1e6]
+    elif place < 0.2:
+        scale = rng.choice([1e-310, 1e-150, 1e150, 1e298])
+        start, end = start * scale, end * scale
+    elif place < 0.25:
+        end[rng.integers(len(end))] = rng.choice([1e6, 1e100, -1.7e308])
+    mesh_options = {"t_max": float(rng.choice([1.0, 1.0, 0.3]))}
+    if rng.random() < 0.3:
+        mesh_options["minimum_separation"] = float(rng.choice([1e-6, 0.01, 0.5]))
+    return mesh, start, with_static_at_rest(mesh, start, end), mesh_options
+
+
+@pytest.mark.parametrize("block", range(5))
+def test_a_hundred_random_scenes_have_the_same_pairs(block):
+    found = 0
+    for seed in range(100 * block, 100 * block + 100):
+        mesh, start, end, options = random_scene(seed)
+        found += check_pairs(mesh, start, end, **options)
+        if seed % 5 == 0:
+            plain = mesh.body_pairs is None and mesh.exclusion_rings == 1
+            check_candidates(mesh, start, end, with_brute_force=plain)
+        if seed % 10 == 0:
+            check_results(mesh, start, end, **options)
+    assert found > 1000
+
+
+@pytest.mark.parametrize("seed", range(2000, 2012))
+def test_random_scenes_have_the_same_launches(seed):
+    mesh, start, end, options = random_scene(seed)
+    options["t_max"] = 1.0  # line searches look at whole steps
+    check_launches(mesh, start, end, **options)
+
+
+def test_points_far_beyond_the_ends_of_the_grid_are_searched_one_by_one():
+    """They stand in one row of cells there, and the box around them covers any number of coarser ones."""
+    rng = np.random.default_rng(0)
+    points = 1.7e308 * rng.uniform(-1.0, 1.0, (120, 3))
+    motion = 10.0 ** rng.uniform(301, 307, (120, 1)) * rng.standard_normal((120, 3)) * (np.arange(120) % 2)[:, None]
+    mesh = ccd.CollisionMesh.from_arrays([(points, np.zeros((0, 3), dtype=int))], codimensional_points=True)
+    end = np.clip(points + motion, -1.7e308, 1.7e308)
+    tree, grid = (ccd.mesh_ccd(mesh, points, end, broad_phase=name) for name in ("tree", "hash"))
+    assert grid.counts.num_candidates == tree.counts.num_candidates and grid.toi == tree.toi
+
+
+# --- limits, threads, loops ---
+
+
+def test_no_result_depends_on_the_memory_limit_or_the_number_of_threads():
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=1500, size=0.05)
+    expected = as_bytes(ccd.mesh_ccd(mesh, start, end, num_threads=1))
+    candidates = ccd.find_candidates(mesh, start, end).sorted()
+    step = ccd.collision_free_step(mesh, start, end)
+    for num_threads in (1, 2, 3):
+        options = {"broad_phase": "hash", "num_threads": num_threads}
+        result = ccd.mesh_ccd(mesh, start, end, **options, memory_limit=14_000_000)
+        assert result.counts.num_batches > 1
+        assert as_bytes(result) == expected == as_bytes(ccd.mesh_ccd(mesh, start, end, **options))
+        assert ccd.collision_free_step(mesh, start, end, **options) == step
+        found = ccd.find_candidates(mesh, start, end, **options)
+        assert all(
+            np.array_equal(*pairs) for pairs in zip(vars(found).values(), vars(candidates).values(), strict=True)
+        )
+
+
+def test_a_large_mesh_is_sorted_by_several_threads_and_sampled_first():
+    upper, faces = sheet(160)
+    lower, lower_faces = sheet(120, 1.1)
+    mesh = ccd.CollisionMesh.from_arrays([(upper + [0.003, 0.001, 0.05], faces), (lower, lower_faces)], static=[1])
+    end = mesh.vertices - [0, 0, 0.1] * (mesh.vertex_body == 0)[:, None]
+    assert mesh.num_vertices > 1 << 14
+    step = ccd.collision_free_step(mesh, mesh.vertices, end)
+    for num_threads in (1, 4):
+        options = {"broad_phase": "hash", "num_threads": num_threads}
+        assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == step < 1
+
+
+def test_parts_of_a_search_have_the_same_pairs():
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=300)
+    whole = surviving(mesh, start, end, broad_phase="tree")
+    assert surviving(mesh, start, end, num_parts=7, broad_phase="hash") == whole
+
+
+def test_a_loop_in_which_everything_changes():
+    """Speeds, places of static bodies, kinds of calls: nothing of an earlier step stays where it should not."""
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase="hash")
+    expected = ccd.CollisionPipeline(mesh)
+    rng = np.random.default_rng(4)
+    for k in range(12):
+        a = start * rng.choice([1.0, 1.0, 30.0]) + rng.standard_normal(3) * (mesh.vertex_body == 1)[:, None] * (k % 3)
+        b = a + (end - start) * rng.choice([0.01, 1.0, 40.0])
+        assert as_bytes(pipeline.mesh_ccd(a, b)) == as_bytes(expected.mesh_ccd(a, b))
+        if k % 2:
+            assert pipeline.collision_free_step(a, b) == expected.collision_free_step(a, b)
+        found = pipeline.find_candidates(a, b), expected.find_candidates(a, b).sorted()
+        assert all(map(np.array_equal, *(vars(each).values() for each in found)))
+
+
+@pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
+def test_line_searches_on_the_host_are_the_same(per):
+    mesh, start, end = worlds()
+    tree, hashed = (ccd.line_search(mesh, start, end, per=per, broad_phase=name) for name in BOTH)
+    assert np.array_equal(tree.vertices, hashed.vertices) and (tree.vertex_fraction < 1).any()
+    assert tree.num_rounds == hashed.num_rounds
+
+
+# --- on the device ---
+
+
+@pytest.fixture
+def as_on_cuda(monkeypatch):
+    """A function after whose call kernels are launched as on CUDA."""
+    return lambda: monkeypatch.setattr(Execution, "is_cuda", True)
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_the_search_of_cuda_finds_the_same(as_on_cuda, name):
+    mesh, start, end = SCENES[name]()
+    expected = ccd.find_candidates(mesh, start, end).sorted()
+    result = ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
+    flat = [x.reshape(-1, mesh.dimension) for x in (start, end)]
+    dtype = wp.vec2d if mesh.dimension == 2 else wp.vec3d
+    launches = launched(mesh, *flat, "tree", dtype=dtype, length_scale=1.0)
+    as_on_cuda()
+    found = ccd.find_candidates(mesh, start, end, broad_phase="hash")
+    assert all(map(np.array_equal, vars(found).values(), vars(expected).values()))
+    assert as_bytes(ccd.mesh_ccd(mesh, start, end, length_scale=1.0, broad_phase="hash")) == as_bytes(result)
+    assert launched(mesh, *flat, "hash", dtype=dtype, length_scale=1.0) == launches
+
+
+def test_the_search_of_cuda_finds_the_same_in_random_scenes(as_on_cuda):
+    scenes = [random_scene(seed) for seed in range(3000, 3040)]
+    expected = [surviving(*scene[:3], broad_phase="tree", **scene[3]) for scene in scenes]
+    as_on_cuda()
+    found = [surviving(*scene[:3], broad_phase="hash", **scene[3]) for scene in scenes]
+    assert found == expected
+
+
+def test_a_launch_without_capacity_stops_what_finds_no_place(device):
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=100)
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase="hash", max_pairs=10, device=device)
+    result = pipeline.launch(on_device(start, device), on_device(end, device))
+    assert result.flags.numpy()[0] & ccd.LaunchFlag.PAIRS_OVERFLOW
+    assert result.toi.numpy()[0] == 0.0
+    expected = ccd.mesh_ccd(mesh, start, end)
+    assert (result.vertex_toi.numpy() <= expected.vertex_toi).all()
+    assert result.num_pairs.numpy()[0] == expected.counts.num_after_cull[0]
+
+
+def test_a_coordinate_that_is_not_finite_stops_its_world_alone(device):
+    _, mesh, start, end = cloth_and_ball_in_worlds(4)
+    start, end = start.reshape(-1, 3), end.reshape(-1, 3)
+    options = {"broad_phase": "hash", "length_scale": 1.0, "device": device}
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    expected = pipeline.launch(on_device(start, device), on_device(end, device)).world_toi.numpy().copy()
+    for bad in (np.nan, np.inf, -np.inf):
+        broken = end.copy()
+        broken[len(end) // 4 + 3, 1] = bad
+        result = pipeline.launch(on_device(start, device), on_device(broken, device))
+        assert result.world_toi.numpy().tolist() == [expected[0], 0.0, expected[2], expected[3]]
+        assert (result.world_flags.numpy() != 0).tolist() == [False, True, False, False]
+
+
+def test_static_bodies_that_move_between_launches_are_sorted_again(device):
+    mesh, start, end = sheet_over_ball()
+    is_static = (mesh.vertex_body == 1)[:, None]
+    pipelines = [ccd.CollisionPipeline(mesh, broad_phase=name, length_scale=1.0, device=device) for name in BOTH]
+    for shift in (0.0, 0.0, 0.4, 0.4, -3.0, 0.0):
+        frames = [on_device(x + [0, 0, shift] * is_static, device) for x in (start, end)]
+        tree, hashed = (pipeline.launch(*frames) for pipeline in pipelines)
+        assert tree.vertex_toi.numpy().tobytes() == hashed.vertex_toi.numpy().tobytes()
+        assert tree.num_pairs.numpy().tolist() == hashed.num_pairs.numpy().tolist()
+    assert np.isfinite(hashed.toi.numpy()[0])
+
+
+def test_a_captured_launch_is_replayed_with_other_positions(device):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase="hash", length_scale=1.0, device=device)
+    vertices_t0, vertices_t1 = on_device(start, device), on_device(start, device)
+    assert pipeline.launch(vertices_t0, vertices_t1).toi.numpy()[0] == np.inf
+    with wp.ScopedCapture(device=device) as capture:
+        result = pipeline.launch(vertices_t0, vertices_t1)
+    for other in (end, start, end):
+        vertices_t1.assign(other)
+        wp.capture_launch(capture.graph)
+        expected = ccd.mesh_ccd(mesh, start, other, length_scale=1.0).vertex_toi
+        assert result.vertex_toi.numpy().tobytes() == expected.tobytes()

@@ -1,0 +1,127 @@
+"""The CUDA side of every kernel compiles to PTX without a GPU, and holds no fused multiply-add.
+
+The modules are compiled by processes of their own, one a core: `python tests/kernels/test_cuda.py --compile NAME …`.
+"""
+
+import argparse
+import hashlib
+import importlib
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+import tempfile
+from itertools import product
+from pathlib import Path
+
+import ccd_warp.kernels
+import pytest
+import warp as wp
+from ccd_warp.benchmarks.cuda_modules import cuda_modules
+from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
+
+from ccd_warp._runtime.lanes import search_on
+
+ARCH = 80
+# Modules whose loads are looked at.
+LOADING = ["search_trees list False", "search_trees boxes False", "half_warp_tree"]
+
+
+def test_every_file_with_kernels_is_covered():
+    covered = {name.split()[0] for name in cuda_modules()} | {"narrow_phase"}  # which only the CPU launches
+    for info in pkgutil.walk_packages(ccd_warp.kernels.__path__, "ccd_warp.kernels."):
+        module = importlib.import_module(info.name)
+        source = open(module.__file__, encoding="utf-8").read()
+        assert "@wp.kernel" not in source or info.name.rpartition(".")[2] in covered
+
+
+@pytest.mark.parametrize("walk", ["search_trees", "search_hashes"])
+def test_every_search_that_a_scene_may_ask_for_is_listed(walk):
+    modules = cuda_modules(with_distances=True).values()
+    for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, True)):
+        kernel = search_on(None, walk, end, with_lists, is_cuda=True, is_thick=is_thick)
+        assert kernel.module in modules, (end, with_lists, is_thick)
+
+
+def place_of(name):
+    """The folder for the PTX of a module, which stays from one run to the next, named by all that it is made of."""
+    wp.init()  # which says where kernels are kept
+    module = cuda_modules(with_distances=True)[name]
+    module_hash = module.get_module_hash(module.options["block_dim"])
+    made_of = f"{module.name} {module_hash.hex()} {ARCH} {optimization_level(name)}"
+    return Path(wp.config.kernel_cache_dir, "ccd_warp_ptx", hashlib.sha256(made_of.encode()).hexdigest()[:16])
+
+
+@pytest.fixture(scope="module")
+def output(request):
+    """What the processes said that compiled the PTX of every module asked for."""
+    items = [item for item in request.session.items if item.fspath == request.fspath]
+    calls = [item.callspec.params for item in items if hasattr(item, "callspec")]
+    asked = dict.fromkeys([*(call["name"] for call in calls if "name" in call), *LOADING])
+    wanted = [name for name in asked if not place_of(name).exists()]
+    count = min(os.cpu_count() or 1, 8)
+    command = [sys.executable, __file__, "--compile"]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    processes = [subprocess.Popen([*command, *names], **options) for k in range(count) if (names := wanted[k::count])]
+    return "".join(process.communicate()[0] for process in processes)
+
+
+# Of the searches for radii, which all run emulated, those that take the distances of pairs each in another way.
+_OF_RADII = ["candidate_cull thick", "search_trees boxes False thick"]
+NAMES = [name for name in cuda_modules(with_distances=True) if not name.endswith("thick") or name in _OF_RADII]
+
+
+def _ptx(name, output):
+    paths = list(place_of(name).glob("*.ptx"))
+    assert len(paths) == 1, output
+    return paths[0].read_text()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compiles_to_ptx(name, output):
+    ptx = _ptx(name, output)
+    for kernel in cuda_modules(with_distances=True)[name].kernels.values():
+        assert kernel.key.split(".")[-1].split("__")[-1] in ptx
+    # fuse_fp is off: no bound relies on it, but contraction would make CPU and CUDA differ. Where it is on, the
+    # compiler fuses, or leaves operations without a rounding of their own for the driver to fuse.
+    assert not re.search(r"\b(fma\.rn|(add|sub|mul))\.f(32|64)", ptx)
+
+
+@pytest.mark.parametrize(("end", "number"), [("list", 12), ("boxes", 6)])
+def test_a_search_loads_a_box_without_a_branch_and_keeps_its_way_in_registers(end, number, output):
+    """All numbers of a box are on their way before the first is needed: at the top, at inner blocks, at leaves."""
+    ptx = _ptx(f"search_trees {end} False", output)
+    stretches = re.split(r"\bbra\b|^\$L", ptx, flags=re.MULTILINE)
+    assert sum(len(re.findall(r"\bld\.global\S*32\b", stretch)) >= number for stretch in stretches) >= 3
+    assert ".local" not in ptx
+    assert "vote.sync.ballot" in ptx and "shfl.sync.idx" in ptx
+
+
+def test_boxes_are_loaded_four_numbers_at_a_time(output):
+    assert len(re.findall(r"\bld\.global\S*\.v4\.", _ptx("half_warp_tree", output))) >= 6
+
+
+def optimization_level(name):
+    """That of a user, but for the modules that take five times as long than with one level less."""
+    return 2 if name.startswith("queued_pairs") else 3
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--compile", nargs="+", metavar="NAME", required=True)
+    wp.config.log_level = wp.LOG_ERROR
+    modules = cuda_modules(with_distances=True)
+    for name in parser.parse_args().compile:
+        place = place_of(name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=place.parent) as made:
+            modules[name].options["optimization_level"] = optimization_level(name)
+            modules[name].mark_modified()
+            wp.compile_aot_module(modules[name], device=None, arch=ARCH, module_dir=f"{made}/ptx", use_ptx=True)
+            if not place.exists():
+                os.rename(f"{made}/ptx", place)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Plant faults in a copy of the project, and say which tests find them."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Fault(NamedTuple):
+    """A text of a file, once in it, and what stands in its place.
+
+    `finders` are keys of `FINDERS`, or files or single tests in the folder of the tests.
+    """
+
+    name: str
+    file: str
+    text: str
+    planted: str
+    finders: tuple[str, ...]
+
+
+def fault_in(fault: Fault, source: str) -> str:
+    """The source with a fault in it.
+
+    Raises:
+        LookupError: If the text of the fault is not in the source, once.
+    """
+    if (count := source.count(fault.text)) != 1:
+        raise LookupError(f"fault {fault.name!r}: its text is {count} times in {fault.file}; expected once")
+    return source.replace(fault.text, fault.planted)
+
+
+class Copy:
+    """A copy of the project, installed in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.is_planted = folder, False
+        (folder / "answers").mkdir()
+        unneeded = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / "ccd_warp", folder / "package" / "ccd_warp", ignore=unneeded)
+        for part in ("kernels", "benchmarks"):
+            shutil.copytree(ROOT / part, folder / "package" / "ccd_warp" / part, ignore=unneeded)
+        shutil.copytree(ROOT / "tests", folder / "tests", ignore=unneeded)
+
+    def path_of(self, file: str) -> Path:
+        """Where a file of the project lies in the copy."""
+        return self.folder / "package" / (file if file.startswith("ccd_warp/") else f"ccd_warp/{file}")
+
+    def failing_test(self, tests: list[str]) -> str | None:
+        """The first of the tests that fails, or how the process ended."""
+        environment = {**os.environ, "PYTHONPATH": str(self.folder / "package")}
+        # with the seed Warp writes the functions of a module in one order, and few modules are compiled again
+        environment |= {"CCD_WARP_KEPT_ANSWERS": str(self.folder / "answers"), "PYTHONHASHSEED": "0"}
+        if self.is_planted:  # no later process may find what it has compiled
+            environment["PYTHONDONTWRITEBYTECODE"] = "1"
+        command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-rfE", "--tb=line", "-p", "no:cacheprovider"]
+        result = subprocess.run(
+            [*command, *(str(self.folder / "tests" / test) for test in tests)],
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        if result.returncode == 0:
+            return None
+        if result.returncode == 1 and (
+            found := re.search(r"^(?:FAILED|ERROR) \S*?(test_\w+\.py\S.*)$", result.stdout, re.M)
+        ):
+            return found[1]
+        if result.returncode < 0:
+            return f"signal {-result.returncode}"
+        raise RuntimeError(f"pytest ended with {result.returncode}:\n{result.stdout[-3000:]}{result.stderr[-3000:]}")
