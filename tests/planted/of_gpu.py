@@ -297,7 +297,7 @@ PLANTED = [
     Fault(
         "a lost mark of overflow", _CULL, "elif part.marks_overflow != 0:", "elif part.marks_overflow > 1:", _ONE_PLACE
     ),
-    Fault("short lists not noted", _CULL, "claim(counts, 0, ANY_UNLISTED, 1)", "pass", ("short lists",)),
+    Fault("short lists not noted", _CULL, "claim(step.counts, 0, ANY_UNLISTED, 1)", "pass", ("short lists",)),
     Fault(
         "branch of a graph by another flag",
         _DRIVER,
@@ -308,8 +308,8 @@ PLANTED = [
     Fault(
         "second search culls nothing",
         _SEARCH,
-        "if search.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
-        "if search.counts[search.part.row, CANDIDATES] < wp.int64(0):",
+        "if search.step.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
+        "if search.step.counts[search.part.row, CANDIDATES] < wp.int64(0):",
         ("short lists",),
     ),
     Fault("pairs left open not marked", _QUEUE, "pairs[k] = ~pairs[k]\n", "pairs[k] = pairs[k]\n", ("needles",)),
@@ -345,8 +345,8 @@ PLANTED = [
     Fault(
         "a number of candidates of 32 bits",
         _CULL,
-        "count = wp.int32(wp.min(counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))",
-        "count = wp.min(wp.int32(counts[kind, CANDIDATES]), candidates.shape[0])",
+        "count = wp.int32(wp.min(step.counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))",
+        "count = wp.min(wp.int32(step.counts[kind, CANDIDATES]), candidates.shape[0])",
         _ONE_PLACE,
     ),
     Fault(
@@ -366,8 +366,8 @@ PLANTED = [
     Fault(
         "the second search compares 32 bits",
         _SEARCH,
-        "if search.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
-        "if wp.int32(search.counts[search.part.row, CANDIDATES]) > search.part.capacity:",
+        "if search.step.counts[search.part.row, CANDIDATES] > wp.int64(search.part.capacity):",
+        "if wp.int32(search.step.counts[search.part.row, CANDIDATES]) > search.part.capacity:",
         ("beyond",),
     ),
     Fault(
