@@ -18,14 +18,13 @@ from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.grids import choose_cell
-from ccd_warp._engine.host_plan import MOST_COPIED
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.planes import plane_query
 from ccd_warp._engine.rest_order import order_at, rest_order
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages, StepFields
-from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
+from ccd_warp._engine.topology import MOST_COPIED, VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options, tree_pairs_of, trees_of
 from ccd_warp._input.interop import as_positions, vector_of, without_worlds
 from ccd_warp._input.options import Options

@@ -14,7 +14,7 @@ from ccd_warp._engine.boxes import BROAD_PHASES
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.stages import CANDIDATES_EACH, Stages, StepFields
-from ccd_warp._engine.topology import WIDTH, Positions
+from ccd_warp._engine.topology import MOST_COPIED, WIDTH, Positions
 from ccd_warp._engine.trees import TreePair, sampled_pairs_of, search_options, tree_pairs_of, trees_of
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
@@ -35,8 +35,6 @@ _AT_ONE_TIME = ("proximities", "displacements", "holds")
 # The least capacity for pairs of a kind, and how much more than what was found the next one is.
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
-# Largest number of vertices whose positions are copied, which costs less than to record where they are.
-MOST_COPIED = 1 << 15
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.

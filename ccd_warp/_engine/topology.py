@@ -35,6 +35,8 @@ _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
+# Largest number of vertices whose positions are copied, which costs less than to record where they are.
+MOST_COPIED = 1 << 15
 _CLASS_BITS = int(kernels.CLASS_BITS)
 LARGEST_EXPONENT = 1000
 LARGEST_ORIGIN = 2.0**1022
