@@ -18,8 +18,8 @@ from ccd_warp._runtime.launch import load
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
-from ccd_warp.kernels.step.contacts import ContactList
 from ccd_warp.kernels.step.minima import Minima
+from ccd_warp.kernels.step.step import ContactList
 
 CAPACITY = 512  # pairs, some 240 bytes each; beyond it solving takes longer than launching, and threads share it
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once

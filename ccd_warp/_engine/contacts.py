@@ -17,6 +17,7 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
+from ccd_warp.kernels.step.step import ContactList
 
 
 def dtypes_of(struct: Any) -> dict[str, Any]:
@@ -24,7 +25,7 @@ def dtypes_of(struct: Any) -> dict[str, Any]:
     return {name: field.type.dtype for name, field in struct.vars.items() if name != "count"}
 
 
-CONTACT_DTYPES = dtypes_of(kernels.ContactList)
+CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
 _ON_HOST = {
     name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
@@ -62,7 +63,7 @@ def new_list(struct: Any, arrays: Mapping[str, wp.array]) -> Any:
     return pairs
 
 
-new_contact_list = partial(new_list, kernels.ContactList)
+new_contact_list = partial(new_list, ContactList)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN, Minima
-from ccd_warp.kernels.step.step import Step
+from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
@@ -362,7 +362,7 @@ class Stages:
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
         step, found = self.step, [self.step.minima, self.step.contacts, self.step.least_bits]
         if sink == BOUND:
-            found[:2] = Minima(), contacts.ContactList()
+            found[:2] = Minima(), ContactList()
         table = Table()
         with launcher.at_once():
             for kind, keys in self.keys.items():

@@ -6,7 +6,6 @@ from ..atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
 from ..pair_key import pair_key
 from ..pair_kind import VERTEX_PLANE
-from ..step.contacts import ContactList
 from ..step.minima import (
     CONTACTS_OVERFLOW,
     FOUND,
@@ -17,7 +16,7 @@ from ..step.minima import (
     lower_primitive,
     world_of,
 )
-from ..step.step import Step
+from ..step.step import ContactList, Step
 from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
 from .sinks import BOUND
 

@@ -20,8 +20,8 @@ from ..pair.single_points import is_stationary, points_of, row_points
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from ..pair_key import pair_of
 from ..parameters import norm, real, width
-from ..step.contacts import ContactList
 from ..step.minima import ANY_OPEN, FOUND, OPEN, Minima
+from ..step.step import ContactList
 from ..template import specialised
 from . import lane_rows
 from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, row_of, rows_from, rows_of

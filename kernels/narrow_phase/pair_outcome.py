@@ -13,8 +13,8 @@ from ..pair.start_gap import LEAST_TOLERANCE, is_near
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION, STATUS_ROUNDING_LIMIT
 from ..parameters import norm, on_warp, real, width
 from ..step.contact_normal import ContactGap, contact_at
-from ..step.contacts import ContactList
 from ..step.minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, STRUCK, Minima, flag_world, is_kinematic, lower_pair
+from ..step.step import ContactList
 from ..template import specialised
 
 # A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.

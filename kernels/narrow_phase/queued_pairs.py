@@ -24,8 +24,8 @@ from ..pair.single_points import is_stationary, row_points
 from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
 from ..pair_key import pair_of
 from ..parameters import norm, real
-from ..step.contacts import ContactList
 from ..step.minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
+from ..step.step import ContactList
 from ..template import specialised
 from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp

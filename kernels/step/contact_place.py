@@ -7,7 +7,8 @@ them. Rows beyond that number are left as they are.
 import warp as wp
 
 from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
-from .contacts import ContactList, contact_key
+from .contacts import contact_key
+from .step import ContactList
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -6,7 +6,8 @@ from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from ..parameters import dimension, real
 from . import in_space as positions
 from .contact_place import vertices_of
-from .contacts import ContactList, position
+from .contacts import position
+from .step import ContactList
 
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))

@@ -5,6 +5,7 @@ import warp as wp
 from ..atomics import atomic_min_int32
 from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from .minima import Minima, world_of
+from .step import ContactList
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -13,21 +14,6 @@ NO_CONTACT = wp.constant(2**31 - 1)
 _PLANE_BIT = wp.constant(wp.int64(1 << 30))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
-
-
-@wp.struct
-class ContactList:
-    """Contacts of all kinds in any order, as many as the capacity allows, and the number of contacts found."""
-
-    count: wp.array[wp.int32]
-    kind: wp.array[wp.int32]
-    primitives: wp.array[wp.vec2i]
-    toi: wp.array[wp.float64]
-    status: wp.array[wp.int32]
-    parameters: wp.array[wp.vec2d]
-    gap: wp.array[wp.float64]
-    width: wp.array[wp.float64]
-    normal: wp.array[wp.vec3d]
 
 
 @wp.func

@@ -2,8 +2,22 @@
 
 import warp as wp
 
-from .contacts import ContactList
 from .minima import Minima
+
+
+@wp.struct
+class ContactList:
+    """Contacts of all kinds in any order, as many as the capacity allows, and the number of contacts found."""
+
+    count: wp.array[wp.int32]
+    kind: wp.array[wp.int32]
+    primitives: wp.array[wp.vec2i]
+    toi: wp.array[wp.float64]
+    status: wp.array[wp.int32]
+    parameters: wp.array[wp.vec2d]
+    gap: wp.array[wp.float64]
+    width: wp.array[wp.float64]
+    normal: wp.array[wp.vec3d]
 
 
 @wp.struct

@@ -11,8 +11,8 @@ from ccd_warp.kernels.narrow_phase.sinks import Table
 from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_warp, latest
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
 from ccd_warp.kernels.search.search_types import SearchOptions
-from ccd_warp.kernels.step.contacts import ContactList
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
+from ccd_warp.kernels.step.step import ContactList
 from ccd_warp.kernels.template import specialised
 
 import ccd_warp as ccd
