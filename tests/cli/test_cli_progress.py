@@ -104,14 +104,14 @@ def screen_of(shown):
 
 
 def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
-    status, shown = at_terminal(triangles_in_a_plane(600), overlaps=10**9)
+    status, shown = at_terminal(triangles_in_a_plane(1200), overlaps=10**9)
     assert status == 0
     assert "narrow phase  [" in shown
     assert screen_of(shown) == []
 
 
 def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
-    frames = [*triangles_in_a_plane(150), *triangles_in_a_plane(150)]
+    frames = [*triangles_in_a_plane(300), *triangles_in_a_plane(300)]
     status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
     assert status == 0
     assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown

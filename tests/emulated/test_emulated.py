@@ -250,7 +250,8 @@ def test_more_candidates_than_32_bits_count(first, monkeypatch):
     def reset_to_many(self, launcher, *arguments, **options):
         reset(self, launcher, *arguments, **options)
         if launcher.is_cuda:
-            launcher.launch(count_from, len(self.counts), inputs=[first], outputs=[self.counts])
+            counts = self.step.counts
+            launcher.launch(count_from, len(counts), inputs=[first], outputs=[counts])
 
     monkeypatch.setattr(stages.Stages, "reset", reset_to_many)
 

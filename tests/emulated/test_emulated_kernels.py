@@ -12,7 +12,7 @@ from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_w
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
 from ccd_warp.kernels.search.search_types import SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
-from ccd_warp.kernels.step.step import ContactList
+from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
 
 import ccd_warp as ccd
@@ -204,15 +204,16 @@ def cull(num_listed, num_threads, *, capacity=300, found=0, beyond=0, only_if_co
     counts[VERTEX_FACE, [CANDIDATES, FOUND]] = beyond or num_listed, found
     counts, keys = array(counts, wp.int64), array(np.full(capacity, -1), wp.int64)
     corners = array(np.repeat(np.arange(len(start)), 3).reshape(-1, 3), wp.vec3i)
-    options, minima = SearchOptions(), minima_of(len(start))
+    options, step, minima = SearchOptions(), Step(), minima_of(len(start))
     options.t_end = 1.0
+    step.vertices_t0, step.vertices_t1 = array(start, wp.vec3d), array(end, wp.vec3d)
+    step.counts, step.minima = counts, minima
     part = search_range(0, int(VERTEX_FACE), range(0), marks_overflow=True)
     listed = array((k + 3) << 32, wp.int64)
     faces = array([[0, 1, 2]], wp.vec3i)
-    inputs = [0, num_threads, part, only_if_complete, listed, corners, faces]
-    inputs += [array(start, wp.vec3d), array(end, wp.vec3d), options]
+    inputs = [0, num_threads, part, only_if_complete, listed, corners, faces, options]
     kernel = specialised("search.candidate_cull").cull_candidates
-    launch(kernel, num_threads, inputs, [counts, keys, minima])
+    launch(kernel, num_threads, inputs, [step, keys])
     keys = keys.numpy()
     return np.sort(keys[keys >= 0]) >> 32, counts.numpy(), minima, (k + 3)[k % 3 != 1]
 
