@@ -92,7 +92,7 @@ class DeviceHold:
             inputs=[*listed, *corners_by_kind(topology), start, self._of_start["reach"], minima],
             outputs=[self._world_near],
         )
-        inputs = [moving, self._world_near, stages.step.minima]
+        inputs = [moving, self._world_near, minima]
         recording.launch(kernels.note_near_bodies, len(moving), inputs=inputs, outputs=[self._near, self.is_near])
 
     def record_holds(

@@ -23,6 +23,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
     from ccd_warp._engine.workspace import Workspace
@@ -158,7 +159,8 @@ class HostPlan:
         candidates = {kind: Slot(f"{kind.name} candidates") for kind in self._searched_kinds}
         open_toi = {kind: Slot(f"{kind.name} open toi") for kind in self._searched_kinds}
         slots = [*itertools.chain(*boxes.values()), *keys.values(), *candidates.values(), *open_toi.values()]
-        self._recording = Recording(self.execution, dict.fromkeys([*_OF_STEP, *names, *(slot.name for slot in slots)]))
+        slot_names = [*_OF_STEP, *names, *(slot.name for slot in slots)]
+        self._recording = Recording(self.execution, dict.fromkeys(slot_names) | {"contacts": ContactList()})
         self._stages = Stages(
             topology,
             self.tree_pairs,

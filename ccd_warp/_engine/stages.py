@@ -18,8 +18,8 @@ from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, N
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
 from ccd_warp.kernels.step import contacts, device_step
-from ccd_warp.kernels.step.minima import FOUND, OPEN, Minima
-from ccd_warp.kernels.step.step import ContactList, Step
+from ccd_warp.kernels.step.minima import FOUND, OPEN
+from ccd_warp.kernels.step.step import Step
 from ccd_warp.kernels.template import specialised
 
 Launcher = Execution | Recording
@@ -360,16 +360,14 @@ class Stages:
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
-        step, found = self.step, [self.step.minima, self.step.contacts, self.step.least_bits]
-        if sink == BOUND:
-            found[:2] = Minima(), ContactList()
-        table = Table()
+        step, table = self.step, Table()
         with launcher.at_once():
             for kind, keys in self.keys.items():
                 # no struct of the step: with one the solver takes 3 to 8 % longer
                 inputs = [*self._pairs(kind), step.vertices_t0, step.vertices_t1, self.options]
                 inputs += [int(is_second), int(only_moving), float(gaps_moved), 0]
-                outputs = [table, *found, self.open_toi[kind] if sink == BOUND else None]
+                outputs = [table, step.minima, step.contacts, step.least_bits]
+                outputs += [self.open_toi[kind] if sink == BOUND else None]
                 if launcher.is_cuda:
                     kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
