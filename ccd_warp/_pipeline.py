@@ -17,13 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
 from ccd_warp._device_results import LaunchResult
 from ccd_warp._engine.candidates import Candidates, validated_inflation
-from ccd_warp._engine.device_step import (
-    MOST_CONTACTS,
-    MOST_PAIRS,
-    Capacities,
-    DeviceStep,
-    LineSearch,
-)
+from ccd_warp._engine.device_input import LineSearch
+from ccd_warp._engine.device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.host_step import Step, level_of_caller
 from ccd_warp._engine.lengths import length_scale_of
@@ -248,13 +243,15 @@ class CollisionPipeline:
 
     def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
         """Make the device step, laid out for other positions if they are given."""
+        from ccd_warp._engine.device_line_search import DeviceLineSearch  # programs on the host have no use for it
+
         before = self._device_step or self._interrupted
         placed = self._layout if before is None else before.static_positions()
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
         try:
-            step = DeviceStep(self._topology, self._options, capacities, layout, placed, self.radius)
+            step = DeviceLineSearch(self._topology, self._options, capacities, layout, placed, self.radius)
         except RuntimeError as error:  # of Warp; what it has allocated so far is freed
             if "allocate" not in str(error):
                 raise

@@ -1,5 +1,6 @@
 """The boxes of one step, in trees or spatial hashes that are kept in persistent arrays."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.box_sets import BoxSet, Layout
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.grids import Grid, choose_cell
+from ccd_warp._engine.grids import choose_cell
 from ccd_warp._engine.rest_order import apply_order, rest_order
 from ccd_warp._engine.topology import (
     BLOCK_CORNERS,
@@ -24,7 +25,6 @@ from ccd_warp._engine.topology import (
     typical_static_extent,
     uneven_samples,
 )
-from ccd_warp._engine.trees import Tree
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.boxes import box_tree as kernels
 
@@ -32,9 +32,6 @@ from ccd_warp.kernels.boxes import box_tree as kernels
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
 _NO_END = 1.0
-
-# What finds the boxes that overlap, by the name of the option.
-BROAD_PHASES: dict[str, type[Tree] | type[Grid]] = {"tree": Tree, "hash": Grid}
 
 
 @dataclass(frozen=True)
@@ -59,8 +56,8 @@ class StepBoxes:
     """Boxes of a mesh, kept between steps and recomputed by each.
 
     Attributes:
-        sets: The trees, and the spatial hashes, that calls have asked for so far, by name of the set of primitives; see
-            ``trees.tree_pairs_of``.
+        sets: The trees, and the spatial hashes, that calls have asked for so far, by broad phase and name of the set of
+            primitives; see ``trees.tree_pairs_of``.
         vertex_aabbs: AABBs of the vertices of this step.
         quantization: The map to quantized coordinates of this step.
         num_boxes: Boxes computed in this step; those of static bodies count only in the step that computes them.
@@ -70,7 +67,7 @@ class StepBoxes:
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
         self.topology = topology
         self.buffers = buffers
-        self.sets: dict[Any, dict[str, BoxSet]] = {kind: {} for kind in BROAD_PHASES.values()}
+        self.sets: defaultdict[Any, dict[str, BoxSet]] = defaultdict(dict)
         self.num_boxes = self.num_sorted = 0
         self._num_aabbs = 0
         # the boxes of each set, those of trees in the order of the rest configuration

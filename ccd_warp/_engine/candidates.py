@@ -5,9 +5,9 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.search import Found
 from ccd_warp._engine.topology import WIDTH
 from ccd_warp._engine.trees import TreePair
 from ccd_warp._input.arguments import check_real
@@ -57,6 +57,36 @@ class Candidates:
     def sorted(self) -> "Candidates":
         """The pairs in lexicographic order, in new arrays."""
         return Candidates(*map(_sorted_pairs, vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
+
+    Attributes:
+        kind: Kind of the pairs.
+        keys: The array that the search has filled.
+        begin: The first key.
+        count: Number of keys.
+        tree_pair: The trees that were searched.
+        place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
+        is_cut: Whether a block of queries was split, so that keys are ordered query by query.
+    """
+
+    kind: PairKind
+    keys: wp.array
+    begin: int
+    count: int
+    tree_pair: TreePair
+    place: tuple[int, int, int]
+    is_cut: bool
+
+    def host_keys(self) -> NDArray[np.int64]:
+        """The keys; on the CPU a view, which the next batch overwrites."""
+        assert self.keys.device
+        if self.keys.device.is_cuda:
+            return self.keys[self.begin : self.begin + self.count].numpy()
+        return self.keys.numpy()[self.begin : self.begin + self.count]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.contact_arrays import ContactArrays
-from ccd_warp._engine.device_step import Capacities, DeviceStep, PreparedLaunch, _Form
+from ccd_warp._engine.device_input import Form, PreparedLaunch
+from ccd_warp._engine.device_step import Capacities, DeviceStep
 from ccd_warp._engine.lengths import half_up, sum_up
+from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.proximities import PROXIMITY_DTYPES, new_proximity_list, reach_of
 from ccd_warp._engine.proximity_step import largest_bound
 from ccd_warp._engine.stages import Stages
@@ -46,8 +48,6 @@ class DeviceAtOneTime(DeviceStep, ABC):
     Attributes:
         arrays: The arrays to which launches write.
     """
-
-    _has_narrow_phase = False
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
         key = (distance, largest)
         if key not in self._values:
             self._values.clear()
-            inflation, radii = half_up(distance), (self._radii, self._box_radius)
+            inflation, radii = half_up(distance), (self._radii, self._input.box_radius)
             searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
             reach = reach_of(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
@@ -110,19 +110,16 @@ class DeviceAtOneTime(DeviceStep, ABC):
         self._next = values
         self.launch(prepared)
 
-    def _record(self, form: _Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
-        """All launches."""
-        values = dict(zip(_SLOTS, self._next, strict=True))
-        initial = {"vertices_t0": vertices_t0, "vertices_t1": vertices_t1, "safety": 1.0, **values}
-        recording = Recording(self._execution, initial)
-        with recording.section("step"):
-            self._record_reset(recording)
-            if self._static_trees:
-                recording.launch(
-                    kernels.note_inflation, 1, inputs=[Slot("inflation")], outputs=[self._of_static, self._is_moved]
-                )
-            self._record_distances(recording, self._record_pairs(recording, form))
-        return recording
+    def _new_recording(self, **values: Any) -> Recording:
+        return super()._new_recording(**values, **dict(zip(_SLOTS, self._next, strict=True)))
+
+    def _record_form(self, recording: Recording, form: Form) -> None:
+        """Record all launches."""
+        self._record_reset(recording)
+        if self.static_trees:
+            outputs = [self._of_static, self._input.is_moved]
+            recording.launch(kernels.note_inflation, 1, inputs=[Slot("inflation")], outputs=outputs)
+        self._record_distances(recording, self._record_pairs(recording, form, self._active))
 
     @abstractmethod
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
@@ -132,12 +129,14 @@ class DeviceAtOneTime(DeviceStep, ABC):
 class DeviceProximityStep(DeviceAtOneTime):
     """The pairs within a distance."""
 
+    goal: Goal = "proximities"
+
     def _new_arrays(self, capacity: int) -> DeviceProximities:
         arrays = {name: self._empty(capacity, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
         listed = {"count": self._count, "kind": arrays["kind"], "primitives": arrays["primitives"]}
-        self.contact_arrays = ContactArrays(self.topology, self._execution, listed, "proximities")
+        self.contact_arrays = ContactArrays(self.topology, self.execution, listed, "proximities")
         result = self.result
         return DeviceProximities(
             count=self._count,
@@ -169,6 +168,8 @@ class DeviceProximityStep(DeviceAtOneTime):
 class DeviceDisplacementStep(DeviceAtOneTime):
     """How far vertices may move."""
 
+    goal: Goal = "displacements"
+
     def _new_arrays(self, capacity: int) -> DeviceDisplacements:
         self._is_alone = self._mesh._moves_alone
         _ = self.topology.body_static  # computed now, not during a capture
@@ -185,14 +186,10 @@ class DeviceDisplacementStep(DeviceAtOneTime):
         kept = self._options.minimum_distance
         return self._values_of(sum_up(length, kept), kept, largest_bound(length, self._is_alone))
 
-    def _record_input(self, recording: Recording, form: _Form, stages: Stages, is_copied: bool, is_first: bool) -> None:
-        super()._record_input(recording, form, stages, is_copied, is_first)
-        recording.launch(
-            kernels.reset_bounds,
-            self._mesh.num_vertices,
-            inputs=[Slot("largest"), self.topology.body_static],
-            outputs=[stages.step.minima],
-        )
+    def _record_input(self, recording: Recording, form: Form, stages: Stages, is_first: bool) -> None:
+        super()._record_input(recording, form, stages, is_first)
+        inputs = [Slot("largest"), self.topology.body_static]
+        recording.launch(kernels.reset_bounds, self._mesh.num_vertices, inputs=inputs, outputs=[stages.step.minima])
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:

@@ -18,11 +18,12 @@ from ccd_warp._display import shortened
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
-from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.host_plan import HostPlan
 from ccd_warp._engine.lengths import half_up, length_scale_of
 from ccd_warp._engine.oddities import DistanceInEdges, Farthest, hidden_sentence
+from ccd_warp._engine.pair_memory import KEY_BYTES, MOST_PAIRS
+from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.planes import plane_candidates
-from ccd_warp._engine.search import KEY_BYTES, MOST_PAIRS, PairSearch
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -187,7 +188,7 @@ class Step:
         least = num_parts * max(_LEAST_KEYS, self.plan.most_partners)
         limit = self.options.memory_limit
         if limit is None:
-            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), self.plan.most_pairs)
+            return min(max(least, DEFAULT_PAIR_BYTES // bytes_per_pair), self.plan.memory.most_pairs)
         # half of what is left is for the pairs, half for the contacts
         needed = self.fixed_bytes + 2 * least * bytes_per_pair
         if needed > limit:
@@ -195,7 +196,7 @@ class Step:
                 f"memory_limit is {limit} bytes; expected at least {needed} for this step: "
                 f"{self.fixed_bytes} for its boxes and {needed - self.fixed_bytes} for pairs and contacts"
             )
-        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, self.plan.most_pairs)
+        return min((limit - self.fixed_bytes) // 2 // bytes_per_pair, self.plan.memory.most_pairs)
 
     @property
     def fixed_bytes(self) -> int:
@@ -224,17 +225,11 @@ class Step:
         is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
         collector = Collector(self.execution, is_sorted=is_sorted)
         with self.timed("pairs"):
-            search = PairSearch(
-                self.topology,
-                self.execution,
-                self.buffers,
-                (self.vertices_t0, self.vertices_t1),
-                plan.set_search(1.0, inflation, 0.0),
-            )
+            plan.set_search(1.0, inflation, 0.0)
+            search = plan.candidates()
             # counts what the search has just allocated
             search.largest_capacity = self.capacity(KEY_BYTES, search.num_workers)
-            batches = search.ranges(list(filter(plan.may_meet, plan.tree_pairs)))
-        for ranges in self.timed_batches(batches):
+        for ranges in self.timed_batches(search.ranges()):
             with self.timed("copy"):
                 collector.take(ranges)
         plan.release_positions()
@@ -262,11 +257,11 @@ class Step:
         """
         best, t_end = np.inf, self.options.t_max
         plan = self.begin("bound", t_end)
-        plan.set_options(self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
+        plan.bind(options=self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries else (False,)
         if plan.has_planes:
             with self.timed("planes"):
-                plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
+                plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
                 plan.set_least(best)
                 plan.meet_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
@@ -281,7 +276,7 @@ class Step:
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
-            capacity = self.capacity(plan.key_bytes + TOI_BYTES)
+            capacity = self.capacity(plan.memory.pair_bytes + TOI_BYTES)
             least = best
             if self.is_far_reaching:
                 # most queries have a partner within the distance, so a few of them show a toi of 0
@@ -371,9 +366,9 @@ class Step:
             store = self.workspace.contacts
             store.begin(self.execution, self.largest_contacts())
             plan.reset_minima(store.count)
-            plan.set_options(self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
+            plan.bind(options=self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
             plan.set_search(t_max, self.inflation, self.separation)
-            batches = plan.batches(self.capacity(plan.key_bytes + BYTES_PER_CONTACT))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
         survivors: Counter[PairKind] = Counter()
         if plan.has_planes:
             with self.timed("planes"):
@@ -384,7 +379,7 @@ class Step:
             with self.timed("narrow phase"):
                 survivors.update(batch.found)
                 self.warn_of_overlaps(survivors.total(), plan, batch.found)
-                plan.set_contacts(store.begin_batch(sum(batch.found.values())))
+                plan.bind(contacts=store.begin_batch(sum(batch.found.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
                     self.share_work(plan)
@@ -399,7 +394,7 @@ class Step:
             num_open = {} if has_shared else self.open_in_all({kind: len(keys) for kind, keys in keys_left.items()})
             for kind, keys in keys_left.items():
                 plan.set_open_pairs(kind, keys, num_open[kind])
-                plan.set_contacts(store.begin_batch(len(keys)))
+                plan.bind(contacts=store.begin_batch(len(keys)))
                 plan.solve(is_second=True)
                 store.end_batch()
         if not store.is_complete:
@@ -431,10 +426,10 @@ class Step:
     def _meet_planes(self, plan: HostPlan) -> int:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
         store = self.workspace.contacts
-        plan.set_plane_query(self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
+        plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
         expected = store.num_with_planes
         while True:
-            plan.set_contacts(store.begin_batch(expected))
+            plan.bind(contacts=store.begin_batch(expected))
             found = plan.meet_planes()
             if found <= expected:
                 break
@@ -504,7 +499,8 @@ class Step:
         sample = []
         for kind, count in found.items():
             if count > 0:
-                keys = plan.some_keys(kind, count, max(1, _MOST_SAMPLED * count // total))
+                most = max(1, _MOST_SAMPLED * count // total)
+                keys = plan.found_keys(kind, count)[:: max(1, -(-count // most))].numpy()
                 pairs = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
                 bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
                 sample.append(np.sort(np.stack(bodies, axis=1), axis=1))

@@ -93,7 +93,7 @@ class IntersectionStep(Step):
         plan = self.begin("intersections", 1.0, inflation=0.0)
         with self.timed("pairs"):
             plan.set_search(1.0, 0.0, 0.0)
-            batches = plan.batches(self.capacity(plan.key_bytes + _CODE_BYTES))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes + _CODE_BYTES))
         for batch in self.timed_batches(batches):
             with self.timed("tests"):
                 for kind, count in batch.found.items():

@@ -9,11 +9,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.hold_distance import corners_by_kind
-from ccd_warp._engine.host_plan import Goal, HostPlan
+from ccd_warp._engine.host_plan import HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.lengths import half_up, sum_up
+from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, reach_of
 from ccd_warp._engine.scene import norm_of
+from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._proximities import Proximities
@@ -66,16 +68,16 @@ class ProximityStep(StepAtOneTime):
         plan = self.search(distance)
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.buffers, self.execution)
-            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.key_bytes + BYTES_PER_PROXIMITY))
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_PROXIMITY))
         if plan.has_planes:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = self._list_near_planes(plan, store)
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
-                plan.set_proximities(store.begin_batch(sum(batch.found.values())))
-                plan.list_proximities()
+                plan.bind(proximities=store.begin_batch(sum(batch.found.values())))
+                plan.play_distances(Stages.list_proximities)
                 store.end_batch()
         with self.timed("gather"):
             arrays = store.gather()
@@ -92,8 +94,8 @@ class ProximityStep(StepAtOneTime):
         expected = _FEW
         while True:
             store.restart()
-            plan.set_proximities(store.begin_batch(expected))
-            found = plan.list_near_planes()
+            plan.bind(proximities=store.begin_batch(expected))
+            found = plan.meet_planes(Stages.list_near_planes)
             if found <= expected:
                 break
             expected = found
@@ -116,15 +118,15 @@ class DisplacementStep(StepAtOneTime):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
-            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
-            batches = plan.batches(self.capacity(plan.key_bytes))
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
         if plan.has_planes:
             with self.timed("planes"):
-                self.survivors[PairKind.VERTEX_PLANE] = plan.bound_by_half_spaces()
+                self.survivors[PairKind.VERTEX_PLANE] = plan.meet_planes(Stages.bound_by_half_spaces)
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
-                plan.bound_displacements()
+                plan.play_distances(Stages.bound_displacements)
         with self.timed("gather"):
             bounds: wp.array = minima.vertex.view(wp.float64)
             result = bounds.numpy().copy()
@@ -145,12 +147,12 @@ class HoldStep(StepAtOneTime):
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
             self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
-            plan.set_reach(reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.key_bytes))
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
-                plan.lower_holds()
+                plan.play_distances(lambda stages, recording: stages.lower_holds(recording, plan.norm))
         with self.timed("gather"):
             holds: wp.array = minima.vertex.view(wp.float64)
             result = holds.numpy().copy()

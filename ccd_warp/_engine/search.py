@@ -11,89 +11,21 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.topology import WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
-from ccd_warp._runtime.lanes import search_on
+from ccd_warp._engine.candidates import Found
+from ccd_warp._engine.pair_memory import MOST_PAIRS
+from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.topology import WIDTH
+from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, Part, TreePair, search_range
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.search.search_types import BOXES, SearchRange
 from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS
-from ccd_warp.kernels.step.step import Step
 
 _FOUND = int(FOUND)
 _NUM_COUNTS = int(NUM_COUNTS)
 # Parts of a search for each thread, so that no thread waits long for another, and the fewest blocks in a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_PART = 128
-KEY_BYTES = 8
-MOST_PAIRS = int(np.iinfo(np.int32).max)
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Items of a tree pair, from ``first`` on: blocks of queries (level 1) or single queries (level 0)."""
-
-    tree_pair: TreePair
-    number: int  # of the tree pair
-    level: int
-    first: int
-    count: int
-
-    @property
-    def num_queries(self) -> int:
-        """Number of query boxes."""
-        return self.count * WIDTH**self.level
-
-    @property
-    def place(self) -> tuple[int, int, int]:
-        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
-        return (self.number, self.first, 0) if self.level else (self.number, *divmod(self.first, WIDTH))
-
-    @property
-    def num_tests(self) -> int:
-        """Number of pairs of boxes, most of which the tree rejects early."""
-        return self.num_queries * self.tree_pair.target.primitives.count
-
-    def split(self) -> list["_Part"]:
-        """Smaller parts of the same items."""
-        if self.count > 1:
-            half = self.count // 2
-            return [
-                replace(self, count=half),
-                replace(self, first=self.first + half, count=self.count - half),
-            ]
-        first = WIDTH * self.first
-        return [replace(self, level=0, first=first, count=min(WIDTH, self.tree_pair.query.primitives.count - first))]
-
-
-@dataclass(frozen=True)
-class Found:
-    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
-
-    Attributes:
-        kind: Kind of the pairs.
-        keys: The array that the search has filled.
-        begin: The first key.
-        count: Number of keys.
-        tree_pair: The trees that were searched.
-        place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
-        is_cut: Whether a block of queries was split, so that keys are ordered query by query.
-    """
-
-    kind: PairKind
-    keys: wp.array
-    begin: int
-    count: int
-    tree_pair: TreePair
-    place: tuple[int, int, int]
-    is_cut: bool
-
-    def host_keys(self) -> NDArray[np.int64]:
-        """The keys; on the CPU a view, which the next batch overwrites."""
-        assert self.keys.device
-        if self.keys.device.is_cuda:
-            return self.keys[self.begin : self.begin + self.count].numpy()
-        return self.keys.numpy()[self.begin : self.begin + self.count]
 
 
 @dataclass
@@ -108,7 +40,7 @@ class _Region:
 
 
 class PairSearch:
-    """A search for candidates over all tree pairs of a step.
+    """A search for candidates over tree pairs of a step.
 
     Attributes:
         candidates: Pairs of each kind that passed the box test and the mesh's filter.
@@ -119,33 +51,22 @@ class PairSearch:
     """
 
     def __init__(
-        self,
-        topology: Topology,
-        execution: Execution,
-        buffers: Buffers,
-        positions: tuple[wp.array, wp.array],
-        options: Any,
+        self, stages: Stages, values: dict[str, Any], execution: Execution, buffers: Buffers, tree_pairs: list[TreePair]
     ) -> None:
-        """A search in a step, given its positions at both ends and the options of the search."""
-        self.execution = execution
-        self.buffers = buffers
+        """A search by the stages of a step with these values of their slots."""
+        assert execution.flag
+        self.execution, self.buffers = execution, buffers
         self.candidates: Counter[PairKind] = Counter()
         self.num_launches: Counter[PairKind] = Counter()
         self.num_batches = 0
-        self._topology = topology
-        self._options = options
-        assert execution.flag
-        self._flag = execution.flag
         self.largest_capacity = MOST_PAIRS
-        self._progress = execution.progress
         self.num_workers = 1 if execution.is_cuda else execution.num_threads
+        self._tree_pairs, self._flag, self._progress = tree_pairs, execution.flag, execution.progress
         self._counts = buffers.rows("search counts", self.num_workers, _NUM_COUNTS, wp.int64)
-        self._step = Step()
-        self._step.vertices_t0, self._step.vertices_t1 = positions
-        self._step.counts = self._counts
         self._counts_view = None if execution.is_cuda else self._counts.numpy()
+        self._stages = replace(stages, step=replace(stages.step, counts=self._counts)).with_values(values)
 
-    def ranges(self, tree_pairs: list[TreePair]) -> Iterator[list[Found]]:
+    def ranges(self) -> Iterator[list[Found]]:
         """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
 
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
@@ -153,15 +74,11 @@ class PairSearch:
         on the trees, wherever the parts were split, except for a block that was split into its queries
         (`Found.is_cut`). On CUDA the threads of a part write in arbitrary order.
         """
+        tree_pairs = self._tree_pairs
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
         if not pending:
             return
-        walk = tree_pairs[0].query.walk
-        is_cuda = self.execution.is_cuda
-        topology = self._topology
-        self._kernel = search_on(
-            topology.device, walk, BOXES, topology.has_lists, is_cuda=is_cuda, is_thick=topology.is_thick
-        )
+        self._kernel = self._stages.search_kernel(tree_pairs[0], BOXES, is_cuda=self.execution.is_cuda)
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
@@ -183,48 +100,38 @@ class PairSearch:
             yield [found for region in regions for found in region.found]
             capacity = min(2 * capacity, self.largest_capacity)
 
-    def _parts(self, tree_pair: TreePair, number: int) -> list[_Part]:
-        level = 0 if self.execution.is_cuda else 1
-        count = tree_pair.query.primitives.count if level == 0 else tree_pair.query.levels[0]
+    def _parts(self, tree_pair: TreePair, number: int) -> list[Part]:
+        whole = Part.whole(tree_pair, is_cuda=self.execution.is_cuda, number=number)
+        count = len(whole.items)
         parts = -(-count // MOST_QUERIES)
         if not self.execution.is_cuda:
             parts = max(1, min(_PARTS_PER_THREAD * self.num_workers, count // _SMALLEST_PART))
-        bounds = [count * k // parts for k in range(parts + 1)]
-        return [_Part(tree_pair, number, level, bounds[k], bounds[k + 1] - bounds[k]) for k in range(parts)]
+        return whole.split(parts) if parts > 1 else [whole]
 
     def _record(self, tree_pair: TreePair) -> wp.Launch:
         """Record the launch of a tree pair; :meth:`_launch` sets its items. Packing the trees only once is cheaper."""
         return wp.launch(
             self._kernel,
             dim=1,
-            inputs=[
-                0,
-                SearchRange(),
-                *tree_pair.query.structs,
-                *tree_pair.target.structs,
-                tree_pair.packed,
-                self._options,
-                self._topology.collision_filter,
-            ],
-            outputs=[self._step, self.buffers.get("keys", 0, wp.int64)],
+            inputs=[0, SearchRange(), *self._stages.searched(tree_pair)],
+            outputs=[self._stages.step, self.buffers.get("keys", 0, wp.int64)],
             device=self.execution.device,
             record_cmd=True,
             block_dim=block_dim_of(self._kernel, self.execution.device),
         )
 
-    def _launch(self, command: wp.Launch, part: _Part, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
+    def _launch(self, command: wp.Launch, part: Part, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
         """Search a part, and return its counts."""
         if self._counts_view is None:
             self._counts.zero_()
         else:
             self._counts_view[slot] = 0
-        items = range(part.first, part.first + part.count)
-        command.set_param_at_index(1, search_range(part.level, slot, items, capacity, begin))
-        command.set_dim(part.count * WIDTH if self.execution.is_cuda else part.count)
+        command.set_param_at_index(1, search_range(part.level, slot, part.items, capacity, begin))
+        command.set_dim(len(part.items) * WIDTH if self.execution.is_cuda else len(part.items))
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
-    def _keep(self, region: _Region, part: _Part, begin: int, counts: Any) -> None:
+    def _keep(self, region: _Region, part: Part, begin: int, counts: Any) -> None:
         self.num_launches[part.tree_pair.kind] += 1
         count = int(counts[_FOUND])
         self.candidates[part.tree_pair.kind] += count
@@ -235,7 +142,7 @@ class PairSearch:
         is_cut = part.level == 0
         region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
 
-    def _batch(self, pending: deque[_Part], capacity: int, is_long: bool) -> list[_Region]:
+    def _batch(self, pending: deque[Part], capacity: int, is_long: bool) -> list[_Region]:
         """Threads take parts until none is left or their capacity is exhausted; on CUDA this thread alone."""
         bounds = [capacity * k // self.num_workers for k in range(self.num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self.num_workers)]
@@ -262,7 +169,7 @@ class PairSearch:
                         pending.appendleft(part)
                         return
                     else:
-                        pending.extendleft(part.split())
+                        pending.extendleft(part.split(2))
 
         self.execution.run([lambda r=r: work(r) for r in regions], is_long=is_long)  # type: ignore[misc]
         return regions

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import warp as wp
@@ -26,8 +27,6 @@ Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_SEARCH = 64
-# Candidates for which a list on CUDA has capacity, for each pair for which there is capacity.
-CANDIDATES_EACH = 4
 # Largest number of CUDA threads that share the candidates of a kind; and of half warps that search for the candidates
 # of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
 _MOST_CULLS = 1 << 17
@@ -140,6 +139,8 @@ class Stages:
 
     def load(self, launcher: Launcher, sink: int) -> None:
         """Load what a step with a narrow phase launches, side by side where it has to be compiled."""
+        if self.narrow_phase is None or not self.tree_pairs:
+            return
         narrow_phase, query = self.narrow_phase, self.tree_pairs[0].query
         if launcher.is_cuda:
             solvers = queued_pairs_in(narrow_phase.real, narrow_phase.norm).by_sink[sink]
@@ -149,7 +150,7 @@ class Stages:
             others = [box_tree.fill_vertex_aabbs, device_step.reset]
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
             others += [contacts.first_contacts] if sink == CONTACTS else []
-        search = self._search_on(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
+        search = self.search_kernel(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
         load_all([*solvers[::-1], search, *others], launcher.device)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
@@ -199,6 +200,43 @@ class Stages:
         mesh = self.topology.mesh
         launcher.launch(device_step.reset_vertices, mesh.num_vertices, inputs=[], outputs=[self.step.minima])
 
+    def find_pairs(
+        self,
+        launcher: Launcher,
+        tree_pairs: list[TreePair],
+        *,
+        is_needed: Callable[[int], bool] = lambda number: True,
+        is_any_unlisted: wp.array | None = None,
+    ) -> None:
+        """Search tree pairs, and count all pairs that the cull leaves, whether or not there was capacity for them.
+
+        Args:
+            launcher: Where to launch, or to record.
+            tree_pairs: The tree pairs.
+            is_needed: Called on the CPU outside a capture: whether boxes of the trees of this number may overlap.
+            is_any_unlisted: None where the host sees the counts, and repeats the search. Otherwise the flag on the
+                device that says whether there were more candidates than the lists of CUDA could take, which are then
+                searched for again; and a pair for which there is no capacity gets toi 0.
+        """
+        marks_overflow = is_any_unlisted is not None
+        with launcher.at_once():
+            for number, tree_pair in enumerate(tree_pairs):
+                self.search(launcher, tree_pair, marks_overflow=marks_overflow, is_needed=partial(is_needed, number))
+        if not launcher.is_cuda:
+            return
+        for kind in self.kinds:
+            self.cull(launcher, kind, marks_overflow=marks_overflow, only_if_complete=marks_overflow)
+        if is_any_unlisted is not None:
+            with launcher.only_if(is_any_unlisted):
+                for tree_pair in tree_pairs:
+                    self.cull_the_rest(launcher, tree_pair)
+
+    def find_some_pairs(self, launcher: Launcher, tree_pair: TreePair, items: range, level: int) -> None:
+        """Search for the pairs of some items of a tree pair alone; see :meth:`search`."""
+        self.search(launcher, tree_pair, items, level=level)
+        if launcher.is_cuda:
+            self.cull(launcher, tree_pair.kind)
+
     def search(
         self,
         launcher: Launcher,
@@ -238,11 +276,11 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            self._search_on(tree_pair, end, is_cuda=False),
+            self.search_kernel(tree_pair, end, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
-                *self._searched(tree_pair),
+                *self.searched(tree_pair),
             ],
             outputs=[self.step, self.keys[tree_pair.kind]],
             grain=_SMALLEST_SEARCH,
@@ -251,12 +289,12 @@ class Stages:
             is_long=lambda: is_long,
         )
 
-    def _search_on(self, tree_pair: TreePair, end: str, *, is_cuda: bool) -> Any:
+    def search_kernel(self, tree_pair: TreePair, end: str, *, is_cuda: bool) -> Any:
         """The kernel of a search that ends at a stage."""
         topology, walk = self.topology, tree_pair.query.walk
         return search_on(topology.device, walk, end, topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
 
-    def _searched(self, tree_pair: TreePair) -> list[Any]:
+    def searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
         return [
             *self.boxes[tree_pair.query.name],
@@ -271,9 +309,9 @@ class Stages:
     ) -> None:
         """Search a tree pair on CUDA, with sixteen threads for each query."""
         launcher.launch(
-            self._search_on(tree_pair, end, is_cuda=True),
+            self.search_kernel(tree_pair, end, is_cuda=True),
             num_queries * WIDTH,
-            inputs=[part, *self._searched(tree_pair)],
+            inputs=[part, *self.searched(tree_pair)],
             outputs=[self.step, keys],
         )
 
@@ -307,12 +345,12 @@ class Stages:
             outputs=[self.step, self.keys[kind]],
         )
 
-    def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair, *, marks_overflow: bool = False) -> None:
+    def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair) -> None:
         """If there were more candidates than the list could take, search again, and cull each where it is found."""
         kind, count = tree_pair.kind, tree_pair.query.primitives.count
         num_groups = min(count, _MOST_REST)
         items = range(0, count, num_groups)
-        part = search_range(0, int(kind), items, len(self.candidates[kind]), marks_overflow=marks_overflow)
+        part = search_range(0, int(kind), items, len(self.candidates[kind]), marks_overflow=True)
         self._search_in_half_warps(launcher, tree_pair, part, num_groups, CULL, self.keys[kind])
 
     def meet_planes(

@@ -1,7 +1,8 @@
 """Trees of boxes, and the pairs of trees whose primitives form pairs of a kind."""
 
+import itertools
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -208,6 +209,49 @@ class TreePair:
         packed.num_target_corners = self.target.primitives.num_corners
         packed.rise = self.rise
         return packed
+
+
+@dataclass(frozen=True)
+class Part:
+    """Items of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
+
+    tree_pair: TreePair
+    level: int
+    items: range
+    number: int = 0  # of the tree pair
+
+    @staticmethod
+    def whole(tree_pair: TreePair, *, is_cuda: bool, number: int = 0) -> "Part":
+        """All items of a tree pair."""
+        query = tree_pair.query
+        count = query.primitives.count if is_cuda else query.levels[0]
+        return Part(tree_pair, 0 if is_cuda else 1, range(count), number)
+
+    @property
+    def num_queries(self) -> int:
+        """Number of query boxes."""
+        return len(self.items) * WIDTH**self.level
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
+        first = self.items[0]
+        return (self.number, first, 0) if self.level else (self.number, *divmod(first, WIDTH))
+
+    @property
+    def num_tests(self) -> int:
+        """Number of pairs of boxes, most of which the tree rejects early."""
+        return self.num_queries * self.tree_pair.target.primitives.count
+
+    def split(self, count: int) -> list["Part"]:
+        """These items in at least ``count`` parts, as far as that is possible."""
+        if len(self.items) == 1 and self.level == 1:
+            first = WIDTH * self.items[0]
+            queries = range(first, min(first + WIDTH, self.tree_pair.query.primitives.count))
+            return replace(self, level=0, items=queries).split(count)
+        count = min(count, len(self.items))
+        bounds = (len(self.items) * k // count for k in range(count + 1))
+        return [replace(self, items=self.items[i:j]) for i, j in itertools.pairwise(bounds)]
 
 
 def search_options(

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.body_boxes import bodies_near_boxes
-from ccd_warp._engine.host_plan import Batch, Goal, HostPlan
+from ccd_warp._engine.host_plan import Batch, HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.line_search import OneProcess
+from ccd_warp._engine.plan import Goal
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._part import TogetherIn
 from ccd_warp.distributed._ranks import Ranks

@@ -164,9 +164,9 @@ def test_float64_positions_are_read_where_they_are(device):
     mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
     pipeline = ccd.CollisionPipeline(mesh, device=device)
     pipeline.launch(on_device(start, device), on_device(end, device))
-    assert len(pipeline._device_step._start) == 0
+    assert len(pipeline._device_step._input.start) == 0
     pipeline.launch(on_device(start, device, wp.vec3f), on_device(end, device, wp.vec3f))
-    assert len(pipeline._device_step._start) == mesh.num_vertices
+    assert len(pipeline._device_step._input.start) == mesh.num_vertices
 
 
 @pytest.mark.parametrize("max_pairs", [1, 7, 500])
@@ -581,7 +581,7 @@ def test_few_positions_of_numpy_are_copied():
 
 def test_many_positions_of_numpy_are_read_where_they_are(monkeypatch):
     mesh, start, end = sheet_over_ball()
-    monkeypatch.setattr("ccd_warp._engine.device_step.MOST_COPIED", len(start) - 1)
+    monkeypatch.setattr("ccd_warp._engine.device_input.MOST_COPIED", len(start) - 1)
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
     for _ in range(2):
         check_same(pipeline.launch(start, end), ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu"))

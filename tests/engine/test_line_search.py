@@ -8,7 +8,7 @@ from oracles import exact_contacts, num_touching
 from scenes import FACE, TRIANGLE, stacked, with_static_at_rest
 
 import ccd_warp as ccd
-from ccd_warp._engine.device_step import LineSearch
+from ccd_warp._engine import device_line_search
 from ccd_warp._runtime.launch import Slot
 
 PER = ("scene", "body", "vertex")
@@ -334,7 +334,7 @@ def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, devi
 def test_a_world_that_another_shortens_is_checked_again(device, monkeypatch):
     """One fraction for the scene moves worlds that were found free, too, and rounds them anew."""
     # without the pass between, so that the last pass finds the pairs of the motion that the first has shortened
-    monkeypatch.setattr(LineSearch, "stages", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
+    monkeypatch.setattr(device_line_search, "passes_of", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
     for seed in range(100):
         rng = np.random.default_rng(seed)
         bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(4)]

@@ -301,8 +301,8 @@ PLANTED = [
     Fault(
         "branch of a graph by another flag",
         _DRIVER,
-        "with recording.only_if(self._is_any_unlisted):",
-        "with recording.only_if(self._is_open):",
+        "is_any_unlisted=self._is_any_unlisted)",
+        "is_any_unlisted=self._is_open)",
         ("short lists",),
     ),
     Fault(
