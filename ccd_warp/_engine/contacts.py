@@ -133,6 +133,23 @@ class _Ordered:
         """Compute the keys of the contacts of a list."""
         launcher.launch(kernels.contact_keys, self._capacity, inputs=[found], outputs=[self.keys])
 
+    def sort(self, count: int, execution: Execution) -> None:
+        """Find the order of ``count`` contacts from their keys."""
+        if execution.is_cuda:
+            sort_places(self.keys, self.order, count, execution)
+        else:
+            keys, order = self._sorted
+            order[:count] = _sorted_places(keys[:count], execution)
+
+    @lazy_property
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Keys and order on the CPU, whose views Warp takes as long to make as few contacts take to sort."""
+        return self.keys.numpy(), self.order.numpy()
+
+    @lazy_property
+    def _first_view(self) -> NDArray[np.int32]:
+        return self._all_first.numpy()
+
     def fill(self, launcher: Execution | Recording, found: Any, minima: Any) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
         launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
@@ -151,7 +168,7 @@ class _Ordered:
         """Index of the first of ``count`` contacts of every vertex, body and world, -1 where there is none."""
         if count == 0:
             return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
-        found = self._all_first.numpy() if found is None else found
+        found = self._first_view if found is None else found
         found = np.where(found == _LAST, _NO_CONTACT, found)
         return [found[i:j] for i, j in itertools.pairwise(self._bounds)]
 
@@ -216,6 +233,10 @@ class ContactStore:
     def _count_view(self) -> NDArray[np.int32]:
         return self.count.numpy()
 
+    @lazy_property
+    def _toi_view(self) -> NDArray[np.float64]:
+        return self._toi.numpy()
+
     def end_batch(self, appended: int | None = None) -> None:
         """Count what the batch has appended, unless that is given."""
         if appended is not None:
@@ -234,13 +255,13 @@ class ContactStore:
             ordered = _Ordered(self._topology, self.count, count, self._execution.is_cuda)
             if count > 0:
                 ordered.fill_keys(self._execution, self._list)
-                sort_places(ordered.keys, ordered.order, count, self._execution)
+                ordered.sort(count, self._execution)
                 ordered.fill(self._execution, self._list, self.minima)
         else:
             ordered = self._few
             if count > 0:
                 self._play("keys", lambda found: ordered.fill_keys(self._recording, found))
-                sort_places(ordered.keys, ordered.order, count, self._execution)
+                ordered.sort(count, self._execution)
                 self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
         first = None
         if self._execution.is_cuda:
@@ -249,7 +270,7 @@ class ContactStore:
         else:
             is_kept = ordered is not self._few
             contacts = {name: v if is_kept else v[:count].copy() for name, v in ordered.views.items()}
-            toi = self._toi.numpy().copy()
+            toi = self._toi_view.copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
         return Gathered(
             Contacts(**contacts),

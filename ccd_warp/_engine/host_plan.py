@@ -188,27 +188,26 @@ class HostPlan(Plan):
         self._bind_trees()
         if not self.trees:
             return  # no pairs but those with half-spaces, which have no boxes
-        self._fill_vertex_aabbs(t_end)
         is_sorted = self.trees[0].is_sorted_when_filled
-        if is_sorted or not self.execution.is_cuda:
-            self._fill_trees()
+        # on CUDA each tree is sorted anew by the AABBs of its vertices, and then filled
+        self._fill(t_end, with_trees=is_sorted or not self.execution.is_cuda)
         if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self.moving_trees]):
             self._bind_trees()
 
     def shorten_boxes(self, t_end: float) -> None:
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
-        if not self.trees:
-            return
-        self._fill_vertex_aabbs(t_end)
-        self._fill_trees()
+        if self.trees:
+            self._fill(t_end, with_trees=True)
 
-    def _fill_vertex_aabbs(self, t_end: float) -> None:
+    def _fill(self, t_end: float, *, with_trees: bool) -> None:
         self.bind(t_end=t_end)
-        moving = self.topology.moving_vertices
-        self.play("vertex AABBs", lambda stages, recording: stages.fill_vertex_aabbs(recording, moving, self._active))
 
-    def _fill_trees(self) -> None:
-        self.play("boxes", lambda stages, recording: stages.fill_boxes(recording, self.moving_trees))
+        def record(stages: Stages, recording: Recording) -> None:
+            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, self._active)
+            if with_trees:
+                stages.fill_boxes(recording, self.moving_trees)
+
+        self.play("boxes" if with_trees else "vertex AABBs", record)
 
     def _bind_trees(self) -> None:
         for tree in self.trees:
@@ -248,10 +247,7 @@ class HostPlan(Plan):
         if section in self._excess:
             yield from self._batches_of_parts(section, tree_pairs, largest, self._excess[section])
             return
-        num_queries: Counter[PairKind] = Counter()
-        for tree_pair in tree_pairs:
-            num_queries[tree_pair.kind] += tree_pair.query.primitives.count
-        self.memory.reserve(num_queries, largest)
+        self.memory.reserve(lambda kind: sum(p.query.primitives.count for p in tree_pairs if p.kind == kind), largest)
         self._meets = [self.may_meet(tree_pair) for tree_pair in tree_pairs]
 
         def record(stages: Stages, recording: Recording) -> None:

@@ -1,6 +1,6 @@
 """Memory for the pairs that a search on the host finds, divided among their kinds and bound to slots of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -72,11 +72,11 @@ class PairMemory:
         toi: wp.array = self._recording.values[f"{kind.name} open_toi"][:count]
         return toi
 
-    def reserve(self, num_queries: Mapping[PairKind, int], largest: int) -> None:
+    def reserve(self, num_queries: Callable[[PairKind], int], largest: int) -> None:
         """Have memory for the pairs of the last step, at first for one pair of each query, at most for so many."""
         wanted = self.capacities
         if not all(wanted.values()):
-            wanted = {kind: max(num_queries.get(kind, 0), _LEAST_CAPACITY) for kind in self.kinds}
+            wanted = {kind: max(num_queries(kind), _LEAST_CAPACITY) for kind in self.kinds}
         total = sum(wanted.values())
         if total > largest:
             wanted = {kind: max(count * largest // total, 1) for kind, count in wanted.items()}

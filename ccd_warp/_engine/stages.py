@@ -225,7 +225,7 @@ class Stages:
         if not launcher.is_cuda:
             return
         for kind in self.kinds:
-            self.cull(launcher, kind, marks_overflow=marks_overflow, only_if_complete=marks_overflow)
+            self.cull(launcher, kind, marks_overflow=marks_overflow)
         if is_any_unlisted is not None:
             with launcher.only_if(is_any_unlisted):
                 for tree_pair in tree_pairs:
@@ -315,17 +315,14 @@ class Stages:
             outputs=[self.step, keys],
         )
 
-    def cull(
-        self, launcher: Launcher, kind: PairKind, *, marks_overflow: bool = False, only_if_complete: bool = False
-    ) -> None:
+    def cull(self, launcher: Launcher, kind: PairKind, *, marks_overflow: bool = False) -> None:
         """Cull the listed candidates of a kind, and write the keys of those that stay open.
 
         Args:
             launcher: Where to launch, or to record.
             kind: Kind of the candidates; ``counts`` hold their number, which may exceed the length of the list.
-            marks_overflow: Whether a pair for which there is no capacity gets toi 0.
-            only_if_complete: Whether nothing is culled if there were more candidates than the list could take, as
-                :meth:`cull_the_rest` then does.
+            marks_overflow: Whether a pair for which there is no capacity gets toi 0; and nothing is culled if there
+                were more candidates than the list could take, as :meth:`cull_the_rest` then does.
         """
         candidates = self.candidates[kind]
         num_threads = _MOST_CULLS
@@ -337,7 +334,7 @@ class Stages:
             inputs=[
                 num_threads,
                 search_range(0, int(kind), range(0), marks_overflow=marks_overflow),
-                int(only_if_complete),
+                int(marks_overflow),
                 candidates,
                 *(self.topology.corners[name] for name in self.topology.corner_arrays(kind)),
                 self.search_options,

@@ -498,19 +498,20 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     """
     if len(positions[0]) == 0:
         return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0))
-    halves = topology.sampled(positions)
+    halves, has_origins = topology.sampled(positions), topology.world_places.has_origins
     with np.errstate(over="ignore", under="ignore"):
         halves *= 0.5  # so that no sum or difference overflows
         centres = halves[0, :, 0] + halves[1, :, 0]
-        distances = np.abs(centres).max(axis=0)
+        if has_origins:  # with these `half` is how far from its origin most of a world is
+            distances = np.sort(np.abs(centres).max(axis=0))
         centres.sort()
         extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
         extents.sort()
     low, centre, high = centres[:, _MARGIN].tolist(), centres[:, _MIDDLE].tolist(), centres[:, -1 - _MARGIN].tolist()
     half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
     half = max([0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True)])
-    if topology.world_places.has_origins:  # with these `half` is how far from its origin most of a world is
-        half = float(np.sort(distances)[-1 - 2 * _MARGIN])
+    if has_origins:
+        half = float(distances[-1 - 2 * _MARGIN])
     exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
     lattice = 2.0 ** (exponent - 2)
     x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
