@@ -161,8 +161,9 @@ class HostPlan(Plan):
 
     def release_positions(self) -> None:
         """Do not keep the caller's arrays alive."""
-        for name in () if self._are_copied else _POSITIONS:
-            self._recording.release(name)
+        if not self._are_copied:
+            none = self.topology.array(np.empty((0, 3)), wp.vec3d)
+            self.bind(vertices_t0=none, vertices_t1=none)
 
     def bind(self, **values: Any) -> None:
         """Use these values of the stages: ``options``, ``contacts``, ``plane_query``, ``reach``, ``proximities``."""

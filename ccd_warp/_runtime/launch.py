@@ -393,10 +393,6 @@ class Recording:
             struct.is_changed = True
         self.values[name] = value
 
-    def release(self, name: str) -> None:
-        """Forget the value of a slot, so that it is not kept alive; the slot is bound again before the next launch."""
-        self.values[name] = None
-
     def play(self, section: str) -> None:
         """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
         for struct in self._structs:

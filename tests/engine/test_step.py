@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from scenes import crowd, leaning_stack, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine import host_step as ccd_step
+from ccd_warp._engine.topology import MOST_COPIED
 from ccd_warp._runtime.launch import Execution
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width")
@@ -556,3 +558,15 @@ def test_bad_collision_filters_are_named(options, message):
     body = (np.eye(3), [[0, 1, 2]])
     with pytest.raises(ValueError, match=message):
         ccd.CollisionMesh.from_arrays([body, body], **options)
+
+
+@pytest.mark.parametrize("call", ["mesh_ccd", "collision_free_step", "find_candidates"])
+def test_positions_of_a_large_mesh_are_let_go(call):
+    mesh = ccd.CollisionMesh.from_trimesh(trimesh.creation.icosphere(subdivisions=6))
+    assert mesh.num_vertices > MOST_COPIED  # the engine reads such arrays where they are
+    pipeline = ccd.CollisionPipeline(mesh)
+    start, end = mesh.vertices.copy(), mesh.vertices + 1e-3
+    arrays = weakref.ref(start), weakref.ref(end)
+    getattr(pipeline, call)(start, end)
+    del start, end
+    assert [array() for array in arrays] == [None, None]
