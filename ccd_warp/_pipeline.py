@@ -4,7 +4,6 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -20,7 +19,7 @@ from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_input import LineSearch
 from ccd_warp._engine.device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
-from ccd_warp._engine.host_step import Step, level_of_caller
+from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
@@ -33,7 +32,7 @@ from ccd_warp._engine.line_search import (
     validated_line_search,
 )
 from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.oddities import DistanceInEdges
+from ccd_warp._engine.oddities import DistanceInEdges, warn
 from ccd_warp._engine.scene import norm_of, possible_kinds
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
@@ -588,11 +587,7 @@ class CollisionPipeline:
         timings["total"] += self.timings["total"]
         self.counts, self.timings = counts, timings
         if start.num_crossing:
-            warnings.warn(
-                f"at the start {start[start.is_crossing].describe()}; what crosses already is not seen in the step",
-                RuntimeWarning,
-                stacklevel=level_of_caller(),
-            )
+            warn(f"at the start {start[start.is_crossing].describe()}; what crosses already is not seen in the step")
         return start
 
     def collision_free_step(

@@ -1,8 +1,6 @@
 """One step of a mesh on its way through the stages: boxes, pairs, narrow phase, gather."""
 
-import sys
 import time
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -14,20 +12,25 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
-from ccd_warp._display import shortened
 from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import HostPlan
 from ccd_warp._engine.lengths import half_up, length_scale_of
-from ccd_warp._engine.oddities import DistanceInEdges, Farthest, hidden_sentence
+from ccd_warp._engine.oddities import (
+    DistanceInEdges,
+    Farthest,
+    are_many,
+    hidden_sentence,
+    overlaps_described,
+    warn,
+)
 from ccd_warp._engine.pair_memory import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.planes import plane_candidates
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
-from ccd_warp._pairs import pair_corners
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
@@ -37,11 +40,6 @@ DEFAULT_PAIR_BYTES = 1 << 30
 TOI_BYTES = 8
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
-# Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
-_MANY_PAIRS = 1_000_000
-_MANY_PAIRS_EACH = 16
-# Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
-_MOST_SAMPLED = 1 << 12
 _LEAST_KEYS = 1 << 12
 # Where pairs are held, and press (`kernels.pair.hold`), a step below the first fraction is none if its motion is below
 # the second fraction of the size of the scene.
@@ -128,19 +126,27 @@ class Step:
             return False
         if found.distance > self.mesh.exclusion_rings * found.edge:
             self.is_warned = True  # nothing has to be said of the many pairs that follow from it
-            warnings.warn(found.described(), RuntimeWarning, stacklevel=level_of_caller())
+            warn(found.described())
         return True
 
     def _warn_of_size(self) -> None:
         """Name the vertex at whose size rounding hides gaps at the start, if there is one, where a toi is 0."""
         found = Farthest.of(self.positions)
         if found.hides_gaps(self.options.tolerance, self.length_scale):
-            warnings.warn(
+            warn(
                 f"rounding at the size of the positions is more than the tolerance and hides gaps at the start, so "
-                f"toi is 0: {found.described(self.mesh)}",
-                RuntimeWarning,
-                stacklevel=level_of_caller(),
+                f"toi is 0: {found.described(self.mesh)}"
             )
+
+    def _warn_of_overlaps(self, num_pairs: int, found: Mapping[PairKind, int]) -> None:
+        """Say once that so many pairs are left that parts of the scene seem to overlap.
+
+        ``found`` are the pairs of the last batch, whose keys the plan still has.
+        """
+        if not self.is_warned and are_many(self.mesh, num_pairs):
+            self.is_warned = True
+            keys = {kind: self.plan.found_keys(kind, count) for kind, count in found.items() if count}
+            warn(overlaps_described(self.mesh, num_pairs, keys))
 
     def _hidden_gaps(self, contacts: Contacts) -> str:
         """A sentence on the pairs whose gaps rounding hides, empty if there are none."""
@@ -378,7 +384,7 @@ class Step:
         for batch in self.timed_batches(batches):
             with self.timed("narrow phase"):
                 survivors.update(batch.found)
-                self.warn_of_overlaps(survivors.total(), plan, batch.found)
+                self._warn_of_overlaps(survivors.total(), batch.found)
                 plan.bind(contacts=store.begin_batch(sum(batch.found.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
@@ -474,45 +480,3 @@ class Step:
             num_batches=num_batches,
             **found,
         )
-
-    def warn_of_overlaps(self, num_pairs: int, plan: HostPlan, found: Mapping[PairKind, int]) -> None:
-        """Warn once if so many pairs are left that parts of the scene seem to overlap, and name the bodies.
-
-        ``found`` are the pairs of the last batch, whose keys the plan still has.
-        """
-        mesh = self.mesh
-        primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
-        if self.is_warned or num_pairs < _MANY_PAIRS or num_pairs < _MANY_PAIRS_EACH * primitives:
-            return
-        self.is_warned = True
-        warnings.warn(
-            f"{num_pairs:,} pairs of {primitives:,} primitives may touch, so parts of the scene seem to lie in each "
-            f"other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
-            + ("" if mesh.num_bodies == 1 else f"; they are most often of {self._most_common_bodies(plan, found)}"),
-            RuntimeWarning,
-            stacklevel=level_of_caller(),
-        )
-
-    def _most_common_bodies(self, plan: HostPlan, found: Mapping[PairKind, int]) -> str:
-        """The two bodies, or the one, to which the most pairs of a batch belong, and the share of these in a sample."""
-        mesh, total = self.mesh, sum(found.values())
-        sample = []
-        for kind, count in found.items():
-            if count > 0:
-                most = max(1, _MOST_SAMPLED * count // total)
-                keys = plan.found_keys(kind, count)[:: max(1, -(-count // most))].numpy()
-                pairs = np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
-                bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
-                sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
-        pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
-        a, b = pairs[np.argmax(counts)].tolist()
-        names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
-        return f"{names} ({100 * counts.max() / counts.sum():.0f} % of a sample)"
-
-
-def level_of_caller() -> int:
-    """Number of stack frames from the function that warns to the first one outside the package."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
-        frame, level = frame.f_back, level + 1
-    return level

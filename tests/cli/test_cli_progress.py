@@ -21,9 +21,9 @@ _PATIENCE = 600.0
 # The command, whose line is shown at once; `overlaps` is the number of pairs from which on it warns.
 _RUN = """
 import sys
-import ccd_warp._cli.progress, ccd_warp._engine.host_step
+import ccd_warp._cli.progress, ccd_warp._engine.oddities
 ccd_warp._cli.progress._PATIENCE = 0.0
-ccd_warp._engine.host_step._MANY_PAIRS = {overlaps}
+ccd_warp._engine.oddities._MANY_PAIRS = {overlaps}
 from ccd_warp._cli.command import run_program
 run_program()
 """
@@ -151,7 +151,7 @@ def test_ctrl_c_while_modules_are_imported_ends_the_command(triangles_in_a_plane
 
 
 def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
-    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS", 1000)
     rng = np.random.default_rng(0)
     start = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     mesh = ccd.CollisionMesh.from_arrays([(start, np.arange(300).reshape(-1, 3))])
@@ -162,8 +162,8 @@ def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
 
 
 def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch):
-    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS", 1000)
-    monkeypatch.setattr("ccd_warp._engine.host_step._MANY_PAIRS_EACH", 1)
+    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS_EACH", 1)
     rng = np.random.default_rng(0)
     flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     faces = np.arange(300).reshape(-1, 3)
