@@ -20,7 +20,6 @@ from ccd_warp._engine.device_input import LineSearch
 from ccd_warp._engine.device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.host_step import Step
-from ccd_warp._engine.lengths import length_scale_of
 from ccd_warp._engine.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -33,7 +32,7 @@ from ccd_warp._engine.line_search import (
 )
 from ccd_warp._engine.mesh_cache import MeshCache
 from ccd_warp._engine.oddities import DistanceInEdges, warn
-from ccd_warp._engine.scene import norm_of, possible_kinds
+from ccd_warp._engine.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds

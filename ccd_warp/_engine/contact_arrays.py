@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._engine.contacts import new_contact_list
+from ccd_warp._engine.planes import planes_of
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.step import contact_place as kernels
@@ -38,7 +39,7 @@ class ContactArrays:
     def bodies(self) -> wp.array:
         """Bodies of both primitives, vec2i."""
         topology = self._topology
-        return self._filled("bodies", wp.vec2i, kernels.fill_bodies, topology.vertex_body, topology.planes.body)
+        return self._filled("bodies", wp.vec2i, kernels.fill_bodies, topology.vertex_body, planes_of(topology).body)
 
     def world(self) -> wp.array:
         """World of each pair, int32."""
@@ -55,7 +56,7 @@ class ContactArrays:
         dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
         num_vertices = self._topology.mesh.num_vertices
         inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
-        planes = self._topology.planes
+        planes = planes_of(self._topology)
         inputs += [planes.point, planes.vertex, planes.unit]
         return self._filled(
             name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.buffers import Buffers
+from ccd_warp._engine.planes import planes_of
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
@@ -161,7 +162,7 @@ class _Ordered:
         if len(self._topology.mesh.planes):
             from ccd_warp.kernels.narrow_phase import meet_planes  # not before a scene needs it
 
-            inputs = [self._contacts, self._topology.planes.body, minima]
+            inputs = [self._contacts, planes_of(self._topology).body, minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
 
     def first_contacts(self, count: int, found: NDArray[np.int32] | None = None) -> list[NDArray[np.int32]]:

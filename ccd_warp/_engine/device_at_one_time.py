@@ -19,8 +19,7 @@ from ccd_warp._engine.device_input import Form, PreparedLaunch
 from ccd_warp._engine.device_step import Capacities, DeviceStep
 from ccd_warp._engine.lengths import half_up, sum_up
 from ccd_warp._engine.plan import Goal
-from ccd_warp._engine.proximities import PROXIMITY_DTYPES, new_proximity_list, reach_of
-from ccd_warp._engine.proximity_step import largest_bound
+from ccd_warp._engine.proximities import PROXIMITY_DTYPES, largest_bound, new_proximity_list, reach_of
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import Topology
 from ccd_warp._engine.trees import search_options

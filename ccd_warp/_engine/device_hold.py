@@ -8,9 +8,9 @@ import warp as wp
 
 from ccd_warp._device_pairs import DeviceContacts
 from ccd_warp._engine.hold_distance import corners_by_kind, hold_distance
-from ccd_warp._engine.lengths import length_scale_of, next_above
+from ccd_warp._engine.lengths import next_above
 from ccd_warp._engine.proximities import reach_of
-from ccd_warp._engine.scene import norm_of
+from ccd_warp._engine.scene import length_scale_of, norm_of
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.trees import search_options
 from ccd_warp._runtime.lanes import narrow_phase_on

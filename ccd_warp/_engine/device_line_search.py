@@ -9,7 +9,7 @@ import warp as wp
 
 from ccd_warp._engine.device_input import SAFETY, Form, LineSearch
 from ccd_warp._engine.device_step import DeviceStep
-from ccd_warp._engine.lengths import length_scale_of
+from ccd_warp._engine.scene import length_scale_of
 from ccd_warp._engine.stages import Stages
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Recording, Slot

@@ -16,12 +16,12 @@ from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.device_input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
 from ccd_warp._engine.grids import choose_cell
-from ccd_warp._engine.lengths import half_up, length_scale_of
+from ccd_warp._engine.lengths import half_up
 from ccd_warp._engine.pair_memory import CANDIDATES_EACH, KEY_BYTES
 from ccd_warp._engine.plan import Goal, Plan
-from ccd_warp._engine.planes import plane_query
+from ccd_warp._engine.planes import planes_of
 from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.scene import norm_of
+from ccd_warp._engine.scene import length_scale_of, norm_of, plane_query
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._engine.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.trees import search_options
@@ -135,7 +135,7 @@ class DeviceStep(Plan):
         )
         contacts = new_contact_list(vars(result.contacts))
         if self.has_planes:
-            _ = topology.planes  # made now, not in a capture
+            _ = planes_of(topology)  # made now, not in a capture
         return {
             "step": StepFields(self._counts, self._input.start, self._input.end, minima, contacts),
             "vertex_aabbs": self._empty(mesh.num_vertices * self._num_aabbs * VERTEX_AABB_FLOATS, wp.float32),

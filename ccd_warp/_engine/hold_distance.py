@@ -6,7 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.lengths import length_scale_of, sum_up
+from ccd_warp._engine.lengths import sum_up
+from ccd_warp._engine.scene import length_scale_of
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options

@@ -22,7 +22,6 @@ from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Mi
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.search import PairSearch
     from ccd_warp._engine.workspace import Workspace
     from ccd_warp._input.options import Options
 
@@ -228,12 +227,9 @@ class HostPlan(Plan):
             self.bind(search_options=search_options(*values, self.norm, self._workspace.flag, radii))
             self._search_values = values
 
-    def candidates(self) -> "PairSearch":
-        """The search for candidates, in place of batches."""
-        from ccd_warp._engine.search import PairSearch  # few programs need it
-
-        tree_pairs = list(filter(self.may_meet, self.tree_pairs))
-        return PairSearch(self._stages, self._recording.values, self.execution, self._workspace.buffers, tree_pairs)
+    def stages_now(self) -> Stages:
+        """The stages with the values of their slots, to launch now."""
+        return self._stages.with_values(self._recording.values)
 
     def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
         """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
@@ -271,7 +267,7 @@ class HostPlan(Plan):
         """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
         largest = min(largest, _FEW_PAIRS)
         self.memory.share(largest)
-        stages = self._stages.with_values(self._recording.values)
+        stages = self.stages_now()
         for tree_pair in filter(self.may_meet, self.tree_pairs):
             count = tree_pair.query.primitives.count
             self._search_part(stages, Part(tree_pair, 0, range(0, count, -(-count // _FEW_QUERIES))))
@@ -290,7 +286,7 @@ class HostPlan(Plan):
         total = sum(part.num_queries for part in pending)
         total_needed: Counter[PairKind] = Counter()
         self.memory.share(largest)
-        stages = self._stages.with_values(self._recording.values)
+        stages = self.stages_now()
         done = 0
         while pending:
             part = pending.popleft()

@@ -16,7 +16,7 @@ from ccd_warp._engine.body_boxes import bodies_near
 from ccd_warp._engine.candidates import Candidates, Collector
 from ccd_warp._engine.contacts import BYTES_KEPT, BYTES_PER_CONTACT
 from ccd_warp._engine.host_plan import HostPlan
-from ccd_warp._engine.lengths import half_up, length_scale_of
+from ccd_warp._engine.lengths import half_up
 from ccd_warp._engine.oddities import (
     DistanceInEdges,
     Farthest,
@@ -28,6 +28,7 @@ from ccd_warp._engine.oddities import (
 from ccd_warp._engine.pair_memory import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.planes import plane_candidates
+from ccd_warp._engine.scene import length_scale_of
 from ccd_warp._engine.topology import Positions
 from ccd_warp._engine.workspace import Workspace
 from ccd_warp._input.options import Options
@@ -226,13 +227,16 @@ class Step:
 
     def candidates(self, inflation: float) -> Candidates:
         """All pairs whose boxes, enlarged by ``inflation``, overlap."""
+        from ccd_warp._engine.search import PairSearch  # few programs need it
+
         plan = self.begin("candidates", 1.0, inflation)
         # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
         is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
         collector = Collector(self.execution, is_sorted=is_sorted)
         with self.timed("pairs"):
             plan.set_search(1.0, inflation, 0.0)
-            search = plan.candidates()
+            tree_pairs = list(filter(plan.may_meet, plan.tree_pairs))
+            search = PairSearch(plan.stages_now(), self.execution, self.buffers, tree_pairs)
             # counts what the search has just allocated
             search.largest_capacity = self.capacity(KEY_BYTES, search.num_workers)
         for ranges in self.timed_batches(search.ranges()):

@@ -1,17 +1,7 @@
-"""Lengths of a call: the unit of tolerance and separation, and lengths that are rounded up."""
+"""Lengths that are rounded up."""
 
 import math
 import sys
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
-    from ccd_warp._mesh import CollisionMesh
-
-
-def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
-    """The unit of tolerance and separation: that of the options, or the size of the mesh."""
-    return mesh.length_scale if options.length_scale is None else options.length_scale
 
 
 def half_up(length: float) -> float:

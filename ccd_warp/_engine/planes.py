@@ -9,11 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.lengths import next_above
 from ccd_warp._half_space import unit_normals
 
 if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
+    from ccd_warp._engine.topology import Topology
     from ccd_warp._mesh import CollisionMesh
 
 _U = 2.0**-53
@@ -96,7 +95,14 @@ def excluded_keys(mesh: "CollisionMesh") -> NDArray[np.int64]:
     return pairs[:, 0] << 32 | pairs[:, 1]
 
 
-def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.array]) -> Any:
+def planes_of(topology: "Topology") -> Any:
+    """The planes of a mesh on its device as the struct of the kernels, made once."""
+    if topology.planes is None:
+        topology.planes = _planes_on(topology.mesh, topology.array)
+    return topology.planes
+
+
+def _planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.array]) -> Any:
     """The planes of a mesh as the struct of the kernels; ``array`` puts values of a dtype on a device."""
     from ccd_warp.kernels.narrow_phase.planes import Planes  # not before a scene needs it
 
@@ -117,28 +123,6 @@ def planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.arr
     planes.meets = array(meets(mesh).astype(np.uint8), wp.uint8)
     planes.excluded = array(excluded_keys(mesh), wp.int64)
     return planes
-
-
-def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, holds: bool = False) -> Any:
-    """What vertices and planes are asked for, as the struct of the kernels.
-
-    ``holds`` is whether what starts within its distance may part and slide.
-    """
-    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
-    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
-
-    separation = options.separation(length_scale)
-
-    query = PlaneQuery()
-    query.is_euclidean = int(is_euclidean)
-    query.distance = separation
-    if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
-        query.distance = next_above(separation)
-    query.start_gap_fraction = options.start_gap_share
-    query.holds = int(holds)
-    query.t_max = options.t_max
-    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
-    return query
 
 
 def plane_candidates(

@@ -26,6 +26,11 @@ def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.
 new_proximity_list = partial(new_list, kernels.ProximityList)
 
 
+def largest_bound(search_radius: float, is_alone: bool) -> float:
+    """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
+    return search_radius if is_alone else 0.5 * search_radius
+
+
 class ProximityStore:
     """The pairs that batches of a search find, in one list, which stays for the next call.
 

@@ -13,7 +13,7 @@ from ccd_warp._engine.host_plan import HostPlan
 from ccd_warp._engine.host_step import Step
 from ccd_warp._engine.lengths import half_up, sum_up
 from ccd_warp._engine.plan import Goal
-from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, reach_of
+from ccd_warp._engine.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound, reach_of
 from ccd_warp._engine.scene import norm_of
 from ccd_warp._engine.stages import Stages
 from ccd_warp._engine.topology import Positions
@@ -28,11 +28,6 @@ from ccd_warp.kernels.template import specialised
 
 # Pairs of vertices and planes for which a call begins with capacity.
 _FEW = 1 << 10
-
-
-def largest_bound(search_radius: float, is_alone: bool) -> float:
-    """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
-    return search_radius if is_alone else 0.5 * search_radius
 
 
 class StepAtOneTime(Step):

@@ -1,7 +1,10 @@
-"""Which stages a scene needs: kinds of pairs, pairs of moving bodies, and the norm of separations."""
+"""What the options of a call mean for a scene: kinds of pairs, norm, length scale, what half-spaces are asked."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
+from ccd_warp._engine.lengths import next_above
 from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
@@ -57,3 +60,30 @@ def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = Fal
             f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
         )
     return EUCLIDEAN_NORM
+
+
+def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
+    """The unit of tolerance and separation: that of the options, or the size of the mesh."""
+    return mesh.length_scale if options.length_scale is None else options.length_scale
+
+
+def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, holds: bool = False) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels.
+
+    ``holds`` is whether what starts within its distance may part and slide.
+    """
+    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
+    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
+
+    separation = options.separation(length_scale)
+
+    query = PlaneQuery()
+    query.is_euclidean = int(is_euclidean)
+    query.distance = separation
+    if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
+        query.distance = next_above(separation)
+    query.start_gap_fraction = options.start_gap_share
+    query.holds = int(holds)
+    query.t_max = options.t_max
+    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
+    return query

@@ -3,7 +3,7 @@
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.search.search_types import BOXES, SearchRange
 from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS
+from ccd_warp.kernels.step.step import Step
 
 _FOUND = int(FOUND)
 _NUM_COUNTS = int(NUM_COUNTS)
@@ -50,10 +51,8 @@ class PairSearch:
         num_workers: Number of parts that are searched at once.
     """
 
-    def __init__(
-        self, stages: Stages, values: dict[str, Any], execution: Execution, buffers: Buffers, tree_pairs: list[TreePair]
-    ) -> None:
-        """A search by the stages of a step with these values of their slots."""
+    def __init__(self, stages: Stages, execution: Execution, buffers: Buffers, tree_pairs: list[TreePair]) -> None:
+        """A search by the stages of a step, whose positions, boxes and options it takes."""
         assert execution.flag
         self.execution, self.buffers = execution, buffers
         self.candidates: Counter[PairKind] = Counter()
@@ -64,7 +63,9 @@ class PairSearch:
         self._tree_pairs, self._flag, self._progress = tree_pairs, execution.flag, execution.progress
         self._counts = buffers.rows("search counts", self.num_workers, _NUM_COUNTS, wp.int64)
         self._counts_view = None if execution.is_cuda else self._counts.numpy()
-        self._stages = replace(stages, step=replace(stages.step, counts=self._counts)).with_values(values)
+        self._stages, self._step = stages, Step()
+        self._step.vertices_t0, self._step.vertices_t1 = stages.step.vertices_t0, stages.step.vertices_t1
+        self._step.counts = self._counts
 
     def ranges(self) -> Iterator[list[Found]]:
         """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
@@ -114,7 +115,7 @@ class PairSearch:
             self._kernel,
             dim=1,
             inputs=[0, SearchRange(), *self._stages.searched(tree_pair)],
-            outputs=[self._stages.step, self.buffers.get("keys", 0, wp.int64)],
+            outputs=[self._step, self.buffers.get("keys", 0, wp.int64)],
             device=self.execution.device,
             record_cmd=True,
             block_dim=block_dim_of(self._kernel, self.execution.device),

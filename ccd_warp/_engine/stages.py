@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.box_sets import BoxSet
+from ccd_warp._engine.planes import planes_of
 from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
 from ccd_warp._runtime.lanes import queued_pairs_in, search_on
@@ -371,9 +372,10 @@ class Stages:
         from ccd_warp.kernels.narrow_phase.meet_planes import meet_planes  # not before a scene needs it
 
         topology = self.topology
-        met = [sink, topology.plane_vertices, topology.planes, self.plane_query, topology.vertex_body, self.box_radius]
-        inputs = [*met, active, int(only_moving), float(gaps_moved)]
-        launcher.launch(meet_planes, len(topology.plane_vertices), inputs=inputs, outputs=[self.step])
+        vertices = topology.plane_vertices
+        inputs = [sink, vertices, planes_of(topology), self.plane_query, topology.vertex_body, self.box_radius, active]
+        inputs += [int(only_moving), float(gaps_moved)]
+        launcher.launch(meet_planes, len(vertices), inputs=inputs, outputs=[self.step])
 
     def solve(
         self,
@@ -445,7 +447,7 @@ class Stages:
         from ccd_warp.kernels.at_one_time.near_planes import measure_planes
 
         topology = self.topology
-        inputs = [sink, topology.plane_vertices, topology.vertex_body, topology.planes, self.box_radius]
+        inputs = [sink, topology.plane_vertices, topology.vertex_body, planes_of(topology), self.box_radius]
         inputs += [self.step.vertices_t0, self.reach]
         outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.planes import planes_on
 from ccd_warp._engine.rings import excluded_vertices
 from ccd_warp._engine.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
 from ccd_warp._runtime.launch import Execution
@@ -120,6 +119,7 @@ class Topology:
         vertex_static = mesh.static[mesh.vertex_body]
         self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
         self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
+        self.planes: Any = None  # as the struct of the kernels, once `planes.planes_of` has made it
         self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
         self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
 
@@ -143,7 +143,8 @@ class Topology:
 
     def place_worlds(self) -> WorldPlaces:
         """Where worlds are, and how large."""
-        return place_worlds(self.mesh)
+        mesh = self.mesh
+        return place_worlds(mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, mesh.static[mesh.vertex_body])
 
     def _make_worlds(self) -> Any:
         """The places of worlds as the struct of the kernels, without arrays for a single world."""
@@ -185,11 +186,6 @@ class Topology:
         a, b = np.concatenate([mesh.edges, mesh.edges[:, ::-1]]).T
         begin = np.concatenate([[0], np.cumsum(np.bincount(a, minlength=mesh.num_vertices))])
         return self.array(begin.astype(np.int32)), self.array(b[np.argsort(a, kind="stable")])
-
-    @lazy_property
-    def planes(self) -> Any:
-        """The planes of half-spaces, as the struct of the kernels."""
-        return planes_on(self.mesh, self.array)
 
     @lazy_property
     def plane_vertices(self) -> wp.array:

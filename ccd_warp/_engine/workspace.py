@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes import StepBoxes
 from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.contacts import ContactStore
-from ccd_warp._engine.planes import plane_query
-from ccd_warp._engine.scene import norm_of
+from ccd_warp._engine.scene import norm_of, plane_query
 from ccd_warp._engine.topology import Positions, Topology
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh

@@ -1,12 +1,9 @@
 """Where the worlds of a mesh lie in quantized coordinates: each in a cell of a lattice of its own."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from ccd_warp._mesh import CollisionMesh
 
 # Vertices of a world from which its origin and its unit are chosen, and the number of those farthest away that do not
 # count for the unit: a few may be those of a large wall.
@@ -65,14 +62,21 @@ def plain_places(num_worlds: int) -> WorldPlaces:
     return WorldPlaces(np.zeros((0, _ANCHORS), dtype=np.int32), np.zeros((0, _ANCHORS, 3)), np.ones(num_worlds))
 
 
-def place_worlds(mesh: "CollisionMesh") -> WorldPlaces:
-    """Origins and units of the worlds of a mesh, from its own positions; a poor choice costs time only."""
-    world, num_worlds = mesh.vertex_world, mesh.num_worlds
+def place_worlds(
+    vertices: NDArray[np.float64], world: NDArray[np.int32], num_worlds: int, is_static: NDArray[np.bool_]
+) -> WorldPlaces:
+    """Origins and units of worlds, from positions of their vertices; a poor choice costs time only.
+
+    Args:
+        vertices: Positions, shape [V, 3].
+        world: The world of each vertex.
+        num_worlds: Number of worlds.
+        is_static: Whether each vertex is one of a static body.
+    """
     if num_worlds < 2 or len(world) == 0:
         return plain_places(num_worlds)
-    vertices = mesh._vertices_in_space
     order = np.argsort(world, kind="stable")
-    static = order[mesh.static[mesh.vertex_body[order]]]
+    static = order[is_static[order]]
     anchor, num_static = _some_of_each(static, world, num_worlds, _ANCHORS)
     chosen, _ = _some_of_each(order, world, num_worlds, _SAMPLES)
     anchor = np.where(num_static[:, None] > 0, anchor, _some_of_each(order, world, num_worlds, _ANCHORS)[0])
