@@ -52,7 +52,7 @@ def surviving(mesh, start, end, num_parts=1, **options):
     for batch in plan.batches(largest):
         for kind, count in batch.found.items():
             if count:
-                keys[kind].append(plan.some_keys(kind, count, count).copy())
+                keys[kind].append(plan.found_keys(kind, count).numpy().copy())
     found = {kind: np.sort(np.concatenate(parts)).tolist() if parts else [] for kind, parts in keys.items()}
     return dict(plan.num_candidates), found
 

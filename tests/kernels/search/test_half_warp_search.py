@@ -105,7 +105,6 @@ def test_a_list_too_short_for_the_candidates_loses_nothing(scene, as_on_cuda, mo
     most = max(result.counts.num_after_cull.values())
     assert max(result.counts.num_candidates.values()) > most
     as_on_cuda()
-    monkeypatch.setattr(stages, "CANDIDATES_EACH", 1)
     monkeypatch.setattr("ccd_warp._engine.device_step.CANDIDATES_EACH", 1)
     monkeypatch.setattr(stages, "_MOST_REST", 3)
     pipeline = ccd.CollisionPipeline(mesh, max_pairs=most, max_contacts=most)
@@ -126,6 +125,7 @@ def test_candidates_of_a_large_step_come_in_parts(as_on_cuda):
     mesh, start, end = leaning_stack(150, 1e-3)
     expected = ccd.mesh_ccd(mesh, start, end)
     as_on_cuda()
+    mesh, start, end = leaning_stack(150, 1e-3)  # whose plans are those of CUDA
     with pytest.raises(ValueError, match="expected at least") as error:
         ccd.mesh_ccd(mesh, start, end, memory_limit=1)
     limit = int(str(error.value).split("expected at least ")[1].split()[0])
