@@ -2,7 +2,8 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from typing import Unpack
+from collections.abc import Callable
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,8 +24,19 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
+from ccd_warp._texts import text_completed_by
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
+def one_shot(function: _Function) -> _Function:
+    """Complete the text of the method that a function calls on a pipeline by that of the function."""
+    method = getattr(CollisionPipeline, function.__name__)
+    text_completed_by(function, without=("TypeError",))(method)  # pipelines have their options
+    return function
+
+
+@one_shot
 def find_candidates(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -59,7 +71,8 @@ def find_candidates(
 
     Args:
         mesh: The bodies.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W worlds of
+            one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
@@ -89,6 +102,7 @@ def find_candidates(
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
 
 
+@one_shot
 def find_intersections(
     mesh: CollisionMesh, positions: ArrayLike, **options: Unpack[IntersectionOptions]
 ) -> Intersections:
@@ -115,7 +129,8 @@ def find_intersections(
 
     Args:
         mesh: The bodies.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         **options: Options of :class:`ccd_warp.IntersectionOptions`.
 
     Returns:
@@ -138,6 +153,7 @@ def find_intersections(
         return pipeline.find_intersections(positions)
 
 
+@one_shot
 def find_proximity(
     mesh: CollisionMesh, positions: ArrayLike, distance: float, **options: Unpack[ProximityOptions]
 ) -> Proximities:
@@ -150,7 +166,8 @@ def find_proximity(
 
     Args:
         mesh: The bodies. Where they have radii, those of both primitives are added to ``distance``.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         distance: Largest distance of a pair, a length in the unit of the positions, finite and at least 0.
         **options: Options of :class:`ccd_warp.ProximityOptions`.
 
@@ -177,6 +194,7 @@ def find_proximity(
         return pipeline.find_proximity(positions, distance)
 
 
+@one_shot
 def displacement_bounds(
     mesh: CollisionMesh, positions: ArrayLike, search_radius: float, **options: Unpack[DisplacementOptions]
 ) -> NDArray[np.float64]:
@@ -191,7 +209,8 @@ def displacement_bounds(
 
     Args:
         mesh: The bodies.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         search_radius: Distance beyond which nothing counts as near, a length, finite and above 0. A few times the
             longest displacement is enough; the time grows with the number of pairs within it.
         **options: Options of :class:`ccd_warp.DisplacementOptions`.
@@ -217,6 +236,7 @@ def displacement_bounds(
         return pipeline.displacement_bounds(positions, search_radius)
 
 
+@one_shot
 def mesh_ccd(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -229,7 +249,8 @@ def mesh_ccd(
 
     Args:
         mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W worlds of
+            one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
@@ -259,6 +280,7 @@ def mesh_ccd(
         return pipeline.mesh_ccd(vertices_t0, vertices_t1, check_start=check_start)
 
 
+@one_shot
 def collision_free_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -299,6 +321,7 @@ def collision_free_step(
         return pipeline.collision_free_step(vertices_t0, vertices_t1, check_start=check_start)
 
 
+@one_shot
 def is_step_collision_free(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -339,6 +362,7 @@ def is_step_collision_free(
         return pipeline.is_step_collision_free(vertices_t0, vertices_t1, check_start=check_start)
 
 
+@one_shot
 def line_search(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -381,8 +405,8 @@ def line_search(
         safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
         max_rounds: Largest number of calls of :func:`mesh_ccd`, at least 3; with kinematic bodies there may be one
             more. Where they do not suffice, all vertices of a world move by one fraction, or not at all, and
-            ``is_limited`` is set. Bodies and vertices with toi 0 are
-            stopped at once where fewer than 6 rounds are left.
+            ``is_limited`` is set. Bodies and vertices with toi 0 are stopped at once where fewer than 6 rounds are
+            left.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.

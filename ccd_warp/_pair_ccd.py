@@ -21,6 +21,7 @@ from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._texts import text_completed_by
 from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
 from ccd_warp.kernels.step.contacts import lift
 from ccd_warp.kernels.step.minima import NUM_COUNTS
@@ -74,11 +75,7 @@ class PairResult:
         return f"PairResult({pairs}, {hits})"
 
 
-def vertex_face_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+def vertex_face_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of vertex-face pairs whose points move on straight lines.
 
     Args:
@@ -104,39 +101,19 @@ def vertex_face_ccd(
     return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
 
 
-def edge_edge_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def edge_edge_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of edge-edge pairs whose points move on straight lines.
 
     Args:
         points_t0: Start positions of ea0, ea1, eb0, eb1, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
 
 
-def point_segment_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def point_segment_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
 
     In 3D a point meets a segment only by coincidence; with a minimum separation the pair is what cables and particles
@@ -145,29 +122,12 @@ def point_segment_ccd(
     Args:
         points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
             vec2d or vec3d, shape [n, 3].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
 
 
-def point_point_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
 
     Two points meet only by coincidence; with a minimum separation the pair is what particles need.
@@ -175,20 +135,6 @@ def point_point_ccd(
     Args:
         points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
             or vec3d, shape [n, 2].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
 
