@@ -14,8 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
-from ccd_warp._device_results import LaunchResult
+from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_step import (
     MOST_CONTACTS,
