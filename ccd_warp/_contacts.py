@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._display import MOST_ROWS, counted, html_table, kind_name, point_text, shortened
 from ccd_warp._pairs import ClosePairs, pair_corners
 from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
@@ -34,6 +35,7 @@ class Placed:
         return self
 
 
+@text_completed_by(ClosePairs)
 @dataclass(frozen=True, repr=False, eq=False)
 class Contacts(Placed, ClosePairs):
     """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
@@ -42,10 +44,6 @@ class Contacts(Placed, ClosePairs):
     slice, a mask or an array of indices, is a ``Contacts`` of these alone.
 
     Attributes:
-        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
-            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) of the closest points at toi, between which the gap is, as in :class:`ccd_warp.PairResult`,
             0 of a vertex and a plane, float64, shape [m, 2].
