@@ -19,10 +19,10 @@ from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, borrowed_batch, table_inputs, table_outputs
+from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._texts import text_completed_by
-from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
+from ccd_warp.kernels.narrow_phase.sinks import TABLE
 from ccd_warp.kernels.step.contacts import lift
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 
@@ -139,34 +139,6 @@ def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpac
     return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
 
 
-@dataclass(frozen=True)
-class PairArrays:
-    """Outputs of a narrow-phase kernel on the device."""
-
-    toi: wp.array
-    status: wp.array
-    parameters: wp.array
-    gap: wp.array
-    width: wp.array
-    iterations: wp.array
-
-    @classmethod
-    def empty(cls, count: int, device: Any) -> PairArrays:
-        dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
-        return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
-
-    def with_points(self, points_t0: wp.array, points_t1: wp.array) -> Any:
-        """The table of the pairs that have these points, as the kernel's struct."""
-        table = Table()
-        table.points_t0, table.points_t1 = points_t0, points_t1
-        for name, array in vars(self).items():
-            setattr(table, name, array)
-        return table
-
-    def as_list(self) -> list[wp.array]:
-        return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
-
-
 _STATUS = 1  # position of the status among the outputs
 _LIMIT = int(CCDStatus.ITERATION_LIMIT)
 # A part of more pairs than this may take long: some 0.2 s if all of them reach the limit of the first round.
@@ -218,9 +190,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         )
 
     out = _solve(kind, device_t0, device_t1, options, device)
-    if on_device:
-        return PairResult(*out.as_list())
-    return PairResult(*(array.numpy() for array in out.as_list()))
+    return out if on_device else PairResult(**{name: array.numpy() for name, array in vars(out).items()})
 
 
 def _solve_few(
@@ -236,14 +206,14 @@ def _solve_few(
     return results
 
 
-def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairArrays:
+def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairResult:
     """Launch the solver; on the CPU in two rounds, the second for the pairs that the first leaves open."""
     is_one_round = device.is_cuda or device.is_capturing  # the host or the graph does not know which pairs are open
     first = int(options.max_iterations) if is_one_round else options.first_iterations
     out = _launch(kind, points_t0, points_t1, options, first, device)
     is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
     if is_open is not None:
-        results = [array.numpy() for array in out.as_list()]
+        results = [array.numpy() for array in vars(out).values()]
         _solve_open(kind, points_t0.numpy(), points_t1.numpy(), results, is_open, options, device)
     return out
 
@@ -269,7 +239,7 @@ def _solve_open(
     open_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
     open_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
     solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
-    for array, new in zip(results, solved.as_list(), strict=True):
+    for array, new in zip(results, vars(solved).values(), strict=True):
         array[is_open] = new.numpy()
 
 
@@ -280,15 +250,16 @@ def _launch(
     options: Options,
     max_iterations: int,
     device: Any,
-) -> PairArrays:
+) -> PairResult:
+    """Launch the solver, and return the arrays to which it writes."""
     count = points_t0.shape[0]
-    out = PairArrays.empty(count, device)
+    out = PairResult(**{name: wp.empty(count, dtype=dtype, device=device) for name, dtype in OUTPUTS.items()})
     is_first = max_iterations == options.first_iterations
     is_long = not is_first or count > _LONG_PART * options.threads
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
     execution = Execution(device, options.threads, stop)
-    outputs = table_outputs(out.with_points(points_t0, points_t1))
+    outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
         inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]

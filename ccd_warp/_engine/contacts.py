@@ -1,7 +1,7 @@
 """Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,15 +15,10 @@ from ccd_warp._engine.buffers import Buffers
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.step import ContactList
-
-
-def dtypes_of(struct: Any) -> dict[str, Any]:
-    """The types of the columns of a list that kernels append to, by name."""
-    return {name: field.type.dtype for name, field in struct.vars.items() if name != "count"}
-
 
 CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
@@ -47,23 +42,12 @@ _FEW = 1 << 10
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
     """The struct of atomic minima: toi as bits, which order like the non-negative numbers, and flags."""
-    minima = Minima()
-    minima.vertex_body, minima.vertex_world = topology.vertex_body, topology.vertex_world
-    minima.body_kinematic = topology.body_kinematic
-    for name, array in arrays.items():
-        setattr(minima, name, array if "flags" in name else array.view(wp.int64))
-    return minima
+    of_mesh = {name: getattr(topology, name) for name in ("vertex_body", "vertex_world", "body_kinematic")}
+    bits = {name: array if "flags" in name else array.view(wp.int64) for name, array in arrays.items()}
+    return struct_of(Minima, of_mesh | bits)
 
 
-def new_list(struct: Any, arrays: Mapping[str, wp.array]) -> Any:
-    """A struct that kernels append to: the arrays of a list of pairs, and their count."""
-    pairs = struct()
-    for name, array in arrays.items():
-        setattr(pairs, name, array)
-    return pairs
-
-
-new_contact_list = partial(new_list, ContactList)
+new_contact_list = partial(struct_of, ContactList)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def test_every_argument_of_a_call_is_described_once_and_in_order(call):
     assert described(call, "Args") == names
 
 
-@pytest.mark.parametrize("table", filter(is_dataclass, PUBLIC), ids=lambda table: table.__name__)
+@pytest.mark.parametrize("table", [*filter(is_dataclass, PUBLIC)], ids=lambda table: table.__name__)
 def test_every_field_of_a_result_is_described_once(table):
     names = [field.name for field in fields(table) if not field.name.startswith("_")]
     assert sorted(described(table, "Attributes")) == sorted(names)
