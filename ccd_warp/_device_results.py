@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contacts import Contact, Contacts, first_contacts, outcome
+from ccd_warp._contacts import Contacts, Outcome, first_contacts
 from ccd_warp._device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._display import counted
 from ccd_warp._proximities import Proximities
@@ -19,7 +19,7 @@ from ccd_warp._texts import text_completed_by
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class HostLaunchResult:
+class HostLaunchResult(Outcome):
     """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
 
     Attributes:
@@ -62,22 +62,9 @@ class HostLaunchResult:
         """Index of the contact that gives the toi of a world, the first of several, -1 for none, int32, shape [W]."""
         return first_contacts(self.contacts.toi, self.contacts.world[:, None], self.world_toi)
 
-    @property
-    def hit(self) -> bool:
-        """Whether any pair has a finite toi."""
-        return bool(np.isfinite(self.toi))
-
-    @property
-    def first(self) -> Contact | None:
-        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
-        return self.contacts._first()
-
     def __repr__(self) -> str:
         flags = "" if not self.flags else f", {self.flags!r}"
-        return f"HostLaunchResult({outcome(self.toi, self.world_toi, self.contacts)}{flags})"
-
-    def _repr_html_(self) -> str:
-        return self.contacts._table(repr(self))
+        return f"HostLaunchResult({self._outcome()}{flags})"
 
 
 @dataclass(frozen=True, repr=False)
