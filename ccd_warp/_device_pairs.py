@@ -142,8 +142,8 @@ class DeviceContacts(DevicePairs):
         """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.
 
         Args:
-            vertices_t0: Start positions, for ``points``, as :func:`ccd_warp.mesh_ccd` takes them. By default what the
-                arrays of the last launch hold now.
+            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
+                default what the arrays of the last launch hold now; give them if these have changed since.
             vertices_t1: End positions, of the same shape; both are given or neither is.
 
         Returns:

@@ -99,19 +99,12 @@ class LaunchResult(OnDevice):
         """Let the contacts know the step to which they belong."""
         self.contacts._of(self._step)
 
+    @text_completed_by(DeviceContacts.to_host)
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
         """What all arrays hold now, on the host; this waits for the device.
 
-        Args:
-            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
-                default what the arrays of the last launch hold now; give them if these have changed since.
-            vertices_t1: End positions, of the same shape; both are given or neither is.
-
         Returns:
             A copy that later launches do not change.
-
-        Raises:
-            ValueError: If one of the positions is given without the other, or they do not match the mesh.
         """
         contacts = self.contacts.to_host(vertices_t0, vertices_t1)
         names = ("world_toi", "body_toi", "vertex_toi", "world_flags")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from collections.abc import Callable
-from typing import Any, TypeVar, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,17 +25,7 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
 from ccd_warp._texts import text_completed_by
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-
-def one_shot(function: _Function) -> _Function:
-    """Complete the text of the method that a function calls on a pipeline by that of the function."""
-    method = getattr(CollisionPipeline, function.__name__)
-    text_completed_by(function, without=("TypeError",))(method)  # pipelines have their options
-    return function
-
-
-@one_shot
 def find_candidates(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -102,7 +91,6 @@ def find_candidates(
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
 
 
-@one_shot
 def find_intersections(
     mesh: CollisionMesh, positions: ArrayLike, **options: Unpack[IntersectionOptions]
 ) -> Intersections:
@@ -153,7 +141,6 @@ def find_intersections(
         return pipeline.find_intersections(positions)
 
 
-@one_shot
 def find_proximity(
     mesh: CollisionMesh, positions: ArrayLike, distance: float, **options: Unpack[ProximityOptions]
 ) -> Proximities:
@@ -194,7 +181,6 @@ def find_proximity(
         return pipeline.find_proximity(positions, distance)
 
 
-@one_shot
 def displacement_bounds(
     mesh: CollisionMesh, positions: ArrayLike, search_radius: float, **options: Unpack[DisplacementOptions]
 ) -> NDArray[np.float64]:
@@ -236,7 +222,6 @@ def displacement_bounds(
         return pipeline.displacement_bounds(positions, search_radius)
 
 
-@one_shot
 def mesh_ccd(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -280,7 +265,7 @@ def mesh_ccd(
         return pipeline.mesh_ccd(vertices_t0, vertices_t1, check_start=check_start)
 
 
-@one_shot
+@text_completed_by(mesh_ccd)
 def collision_free_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -292,9 +277,6 @@ def collision_free_step(
     """Largest step fraction that is certain to be free of collisions.
 
     Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`.
-        vertices_t1: End positions, as in :func:`mesh_ccd`.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
             ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
         **options: Options of :class:`ccd_warp.MeshOptions`. By default what starts within its distance may part and
@@ -303,14 +285,6 @@ def collision_free_step(
     Returns:
         A fraction of the step in [0, t_max], dimensionless; t_max if there is certainly no collision, 0 if bodies touch
         at the start, or approach each other from within their distance.
-
-    Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
-            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
-        TypeError: If there is no such option.
-
-    References:
-        Wang et al. 2021, section 4.
 
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
     touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
@@ -321,7 +295,7 @@ def collision_free_step(
         return pipeline.collision_free_step(vertices_t0, vertices_t1, check_start=check_start)
 
 
-@one_shot
+@text_completed_by(mesh_ccd)
 def is_step_collision_free(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -336,24 +310,12 @@ def is_step_collision_free(
     first contact is at t_max itself.
 
     Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`.
-        vertices_t1: End positions, as in :func:`mesh_ccd`.
         check_start: Whether surfaces that cross at the start count, too: a step is not free where an edge is through
             the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies.
-        **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
         True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or
         comes so close that this cannot be excluded; with ``check_start`` also if surfaces cross at the start.
-
-    Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
-            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
-        TypeError: If there is no such option.
-
-    References:
-        Wang et al. 2021, section 4.
 
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
@@ -362,7 +324,6 @@ def is_step_collision_free(
         return pipeline.is_step_collision_free(vertices_t0, vertices_t1, check_start=check_start)
 
 
-@one_shot
 def line_search(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -436,3 +397,17 @@ def line_search(
         return pipeline.line_search(
             vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds, check_start=check_start
         )
+
+
+for _function in (
+    find_candidates,
+    find_intersections,
+    find_proximity,
+    displacement_bounds,
+    mesh_ccd,
+    collision_free_step,
+    is_step_collision_free,
+    line_search,
+):
+    # a pipeline has its options, so none of them is unknown to its methods
+    text_completed_by(_function, without=("TypeError",))(getattr(CollisionPipeline, _function.__name__))

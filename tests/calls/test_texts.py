@@ -11,13 +11,14 @@ from ccd_warp import datasets, distributed
 from ccd_warp._texts import text_completed_by
 
 PUBLIC = [getattr(part, name) for part in (ccd, datasets, distributed) for name in part.__all__]
-OBJECTS = (ccd.CollisionMesh, ccd.CollisionPipeline, distributed.DistributedMesh, distributed.DistributedPipeline)
+INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
+OBJECTS = [each for each in PUBLIC if inspect.isclass(each)]
 CALLS = [each for each in PUBLIC if inspect.isfunction(each)]
 CALLS += [
     each
     for of in OBJECTS
     for name, each in inspect.getmembers(of, lambda each: inspect.isfunction(each) or inspect.ismethod(each))
-    if not name.startswith("_") and name != "borrowed"
+    if not name.startswith("_") and name not in INDEXED
 ]
 
 
