@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 # In the order in which a docstring has them; the first two name what a function takes, and the fields of a class.
 _ARGS, _FIELDS, _ERRORS = "Args:", "Attributes:", "Raises:"
 _SECTIONS = (_ARGS, _FIELDS, "Returns:", _ERRORS, "References:", "Guarantee:")
+_HEADINGS = {_ARGS, _FIELDS, _ERRORS}  # which say nothing alone
 _ENTRY = re.compile(r"\n(?=    \S)")
 
 _Documented = TypeVar("_Documented", bound=Any)
@@ -42,7 +43,7 @@ def _completed(text: str, source: str, names: Collection[str], without: Collecti
         elif heading == _ERRORS:
             section = {name: entry for name, entry in found.items() if name not in without}
         paragraphs.append(section or lacking)
-    return "\n\n".join("\n".join(each.values()) for each in paragraphs if each and [*each] not in ([_ARGS], [_FIELDS]))
+    return "\n\n".join("\n".join(each.values()) for each in paragraphs if each.keys() - _HEADINGS)
 
 
 def _paragraphs(text: str) -> dict[str, dict[str, str]]:

@@ -4,12 +4,12 @@ Each rank hands in its own part of the mesh, and gets results for it that have t
 mesh. All calls are collective. See docs/distributed.md.
 """
 
+from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._pipeline import DistributedPipeline
 from ccd_warp.distributed._results import (
     DistributedCandidates,
     DistributedContacts,
-    DistributedIntersections,
     DistributedLineSearch,
     DistributedProximities,
     DistributedResult,

@@ -33,6 +33,7 @@ from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
+from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
@@ -48,7 +49,6 @@ from ccd_warp.distributed._planning import (
 from ccd_warp.distributed._results import (
     DistributedCandidates,
     DistributedContacts,
-    DistributedIntersections,
     DistributedLineSearch,
     DistributedProximities,
     DistributedResult,
