@@ -14,8 +14,8 @@ both precisions, for every finite input.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ccd_warp._device_pairs import DeviceContacts, DeviceDisplacements, DeviceProximities
-from ccd_warp._device_results import HostLaunchResult, LaunchResult
+from ccd_warp._device_pairs import DeviceContacts
+from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, HostLaunchResult, LaunchResult
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._engine.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._display import MOST_ROWS, counted, html_table, kind_name, point_text, shortened
 from ccd_warp._pairs import ClosePairs, pair_corners
 from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
@@ -34,6 +35,7 @@ class Placed:
         return self
 
 
+@text_completed_by(ClosePairs)
 @dataclass(frozen=True, repr=False, eq=False)
 class Contacts(Placed, ClosePairs):
     """Pairs that touch, ordered by :class:`ccd_warp.PairKind` and then lexicographically by primitives.
@@ -42,10 +44,6 @@ class Contacts(Placed, ClosePairs):
     slice, a mask or an array of indices, is a ``Contacts`` of these alone.
 
     Attributes:
-        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
-        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
-            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         toi: Earliest time of impact in [0, t_max], float64, shape [m].
         parameters: (u, v) of the closest points at toi, between which the gap is, as in :class:`ccd_warp.PairResult`,
             0 of a vertex and a plane, float64, shape [m, 2].
@@ -153,10 +151,6 @@ class Contacts(Placed, ClosePairs):
         if self._place is None:
             raise ValueError("contacts were made of arrays alone; expected those of a result, which knows its mesh")
         return self._place
-
-    def _first(self) -> "Contact | None":
-        """The earliest contact, the first where several are; None if there are none."""
-        return self[int(np.argmin(self.toi))] if len(self) else None
 
 
 class Contact:
@@ -270,16 +264,36 @@ def _by_kind(kinds: NDArray[np.int32]) -> str:
     return f": {', '.join(parts)}" if parts else ""
 
 
-def outcome(toi: float, world_toi: NDArray[np.float64], contacts: Contacts) -> str:
-    """The outcome of a step in a line: its toi, in how many worlds, how many contacts, and the first."""
-    if not np.isfinite(toi):
-        return "toi=inf, no contact"
-    parts = [f"toi={toi!r}"]
-    if len(world_toi) > 1:
-        parts.append(f"{np.isfinite(world_toi).sum():,} of {len(world_toi):,} worlds")
-    parts.append(counted(len(contacts), "contact", "contacts"))
-    first = contacts._first()
-    return ", ".join(parts) + (f", first: {first._described()}" if first else "")
+class Outcome:
+    """What follows from the toi of a step and its contacts, as a result on the host has them."""
+
+    toi: float
+    world_toi: NDArray[np.float64]
+    contacts: Contacts
+
+    @property
+    def hit(self) -> bool:
+        """Whether any pair has a finite toi."""
+        return bool(np.isfinite(self.toi))
+
+    @property
+    def first(self) -> Contact | None:
+        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
+        contacts = self.contacts
+        return contacts[int(np.argmin(contacts.toi))] if len(contacts) else None
+
+    def _outcome(self) -> str:
+        """In a line: the toi, in how many worlds, how many contacts, and the first."""
+        if not self.hit:
+            return "toi=inf, no contact"
+        parts = [f"toi={self.toi!r}"]
+        if len(self.world_toi) > 1:
+            parts.append(f"{np.isfinite(self.world_toi).sum():,} of {len(self.world_toi):,} worlds")
+        parts.append(counted(len(self.contacts), "contact", "contacts"))
+        return ", ".join(parts) + (f", first: {self.first._described()}" if self.first else "")
+
+    def _repr_html_(self) -> str:
+        return self.contacts._table(repr(self))
 
 
 def first_contacts(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contacts import Contacts, Placed
 from ccd_warp._pairs import PairTable
-from ccd_warp._proximities import Proximities
 
 
 class OnDevice:
@@ -143,8 +142,8 @@ class DeviceContacts(DevicePairs):
         """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.
 
         Args:
-            vertices_t0: Start positions, for ``points``, as :func:`ccd_warp.mesh_ccd` takes them. By default what the
-                arrays of the last launch hold now.
+            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
+                default what the arrays of the last launch hold now; give them if these have changed since.
             vertices_t1: End positions, of the same shape; both are given or neither is.
 
         Returns:
@@ -158,88 +157,3 @@ class DeviceContacts(DevicePairs):
             raise ValueError(f"{missing} is None; expected both vertices_t0 and vertices_t1, or neither")
         contacts = Contacts(**self._rows(Contacts))
         return contacts if self._place is None else self._place.locate(contacts, vertices_t0, vertices_t1)
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class DeviceProximities(DevicePairs):
-    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch_proximity` writes, the same ones each time.
-
-    The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
-    :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
-    captured graph uses, so keep it as long as the graph. What is beside the fields is computed as that of
-    :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
-
-    Attributes:
-        count: Number of pairs within the distance, which may exceed the capacity; int32, shape [1].
-        kind: int32, shape [max_contacts], as for all that follow up to ``features``.
-        primitives: vec2i.
-        parameters: vec2d.
-        distance: float64.
-        direction: vec3d; of a mesh in the plane z is 0.
-        features: int32.
-        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1]. With ``PAIRS_OVERFLOW`` or
-            ``CONTACTS_OVERFLOW`` pairs are missing from the list, with ``INVALID_INPUT`` those of a vertex with a
-            coordinate that is not finite.
-        world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
-        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [5].
-    """
-
-    count: wp.array
-    kind: wp.array
-    primitives: wp.array
-    parameters: wp.array
-    distance: wp.array
-    direction: wp.array
-    features: wp.array
-    flags: wp.array
-    world_flags: wp.array
-    num_pairs: wp.array
-
-    def to_host(self) -> Proximities:
-        """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.
-
-        Their points are those of the positions that the array of the last launch holds now.
-
-        Returns:
-            A copy that later launches do not change.
-        """
-        step = self._known()
-        mesh, columns = step.topology.mesh, self._rows(Proximities)
-        columns["direction"] = columns["direction"][:, : mesh.dimension]
-        return Proximities(**columns, mesh=mesh, positions=step.positions())
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class DeviceDisplacements(OnDevice):
-    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch_displacement_bounds` writes each time.
-
-    The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
-
-    Attributes:
-        bounds: For each vertex the length by which it may move, float64, shape [V], as
-            :func:`ccd_warp.displacement_bounds` gives it. It is 0 for the vertices of a pair beyond the capacity, and
-            in a world with a coordinate that is not finite, so the guarantee holds whatever the flags.
-        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
-        world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
-        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [5].
-    """
-
-    bounds: wp.array
-    flags: wp.array
-    world_flags: wp.array
-    num_pairs: wp.array
-    _step: Any = field(repr=False, compare=False)
-
-    def to_host(self) -> NDArray[np.float64]:
-        """The bounds as a NumPy array; this waits for the device.
-
-        Returns:
-            A copy that later launches do not change, shape [V].
-        """
-        bounds: NDArray[np.float64] = self.bounds.numpy().copy()
-        return bounds
-
-    def __repr__(self) -> str:
-        return f"DeviceDisplacements({len(self.bounds):,} vertices on {self.bounds.device}; to_host() reads them)"

@@ -9,15 +9,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contacts import Contact, Contacts, first_contacts, outcome
-from ccd_warp._device_pairs import DeviceContacts, OnDevice
+from ccd_warp._contacts import Contacts, Outcome, first_contacts
+from ccd_warp._device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._display import counted
+from ccd_warp._proximities import Proximities
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import LaunchFlag, PairKind
+from ccd_warp._texts import text_completed_by
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class HostLaunchResult:
+class HostLaunchResult(Outcome):
     """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
 
     Attributes:
@@ -60,22 +62,9 @@ class HostLaunchResult:
         """Index of the contact that gives the toi of a world, the first of several, -1 for none, int32, shape [W]."""
         return first_contacts(self.contacts.toi, self.contacts.world[:, None], self.world_toi)
 
-    @property
-    def hit(self) -> bool:
-        """Whether any pair has a finite toi."""
-        return bool(np.isfinite(self.toi))
-
-    @property
-    def first(self) -> Contact | None:
-        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
-        return self.contacts._first()
-
     def __repr__(self) -> str:
         flags = "" if not self.flags else f", {self.flags!r}"
-        return f"HostLaunchResult({outcome(self.toi, self.world_toi, self.contacts)}{flags})"
-
-    def _repr_html_(self) -> str:
-        return self.contacts._table(repr(self))
+        return f"HostLaunchResult({self._outcome()}{flags})"
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,19 +99,12 @@ class LaunchResult(OnDevice):
         """Let the contacts know the step to which they belong."""
         self.contacts._of(self._step)
 
+    @text_completed_by(DeviceContacts.to_host)
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
         """What all arrays hold now, on the host; this waits for the device.
 
-        Args:
-            vertices_t0: Start positions, for the points of the contacts, as :func:`ccd_warp.mesh_ccd` takes them. By
-                default what the arrays of the last launch hold now; give them if these have changed since.
-            vertices_t1: End positions, of the same shape; both are given or neither is.
-
         Returns:
             A copy that later launches do not change.
-
-        Raises:
-            ValueError: If one of the positions is given without the other, or they do not match the mesh.
         """
         contacts = self.contacts.to_host(vertices_t0, vertices_t1)
         names = ("world_toi", "body_toi", "vertex_toi", "world_flags")
@@ -140,3 +122,83 @@ class LaunchResult(OnDevice):
         sizes = [counted(len(self.body_toi), "body", "bodies"), f"{len(self.vertex_toi):,} vertices"]
         sizes += [f"{len(self.world_toi):,} worlds"] if len(self.world_toi) > 1 else []
         return f"LaunchResult({', '.join(sizes)}, arrays on {self.toi.device}; to_host() reads them)"
+
+
+@text_completed_by(LaunchResult)
+@dataclass(frozen=True, repr=False, eq=False)
+class DeviceProximities(DevicePairs):
+    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch_proximity` writes, the same ones each time.
+
+    The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
+    :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
+    captured graph uses, so keep it as long as the graph. What is beside the fields is computed as that of
+    :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
+
+    Attributes:
+        count: Number of pairs within the distance, which may exceed the capacity; int32, shape [1].
+        kind: int32, shape [max_contacts], as for all that follow up to ``features``.
+        primitives: vec2i.
+        parameters: vec2d.
+        distance: float64.
+        direction: vec3d; of a mesh in the plane z is 0.
+        features: int32.
+        flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1]. With ``PAIRS_OVERFLOW`` or
+            ``CONTACTS_OVERFLOW`` pairs are missing from the list, with ``INVALID_INPUT`` those of a vertex with a
+            coordinate that is not finite.
+    """
+
+    count: wp.array
+    kind: wp.array
+    primitives: wp.array
+    parameters: wp.array
+    distance: wp.array
+    direction: wp.array
+    features: wp.array
+    flags: wp.array
+    world_flags: wp.array
+    num_pairs: wp.array
+
+    def to_host(self) -> Proximities:
+        """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.
+
+        Their points are those of the positions that the array of the last launch holds now.
+
+        Returns:
+            A copy that later launches do not change.
+        """
+        step = self._known()
+        mesh, columns = step.topology.mesh, self._rows(Proximities)
+        columns["direction"] = columns["direction"][:, : mesh.dimension]
+        return Proximities(**columns, mesh=mesh, positions=step.positions())
+
+
+@text_completed_by(LaunchResult)
+@dataclass(frozen=True, repr=False, eq=False)
+class DeviceDisplacements(OnDevice):
+    """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch_displacement_bounds` writes each time.
+
+    The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
+
+    Attributes:
+        bounds: For each vertex the length by which it may move, float64, shape [V], as
+            :func:`ccd_warp.displacement_bounds` gives it. It is 0 for the vertices of a pair beyond the capacity, and
+            in a world with a coordinate that is not finite, so the guarantee holds whatever the flags.
+    """
+
+    bounds: wp.array
+    flags: wp.array
+    world_flags: wp.array
+    num_pairs: wp.array
+    _step: Any = field(repr=False, compare=False)
+
+    def to_host(self) -> NDArray[np.float64]:
+        """The bounds as a NumPy array; this waits for the device.
+
+        Returns:
+            A copy that later launches do not change, shape [V].
+        """
+        bounds: NDArray[np.float64] = self.bounds.numpy().copy()
+        return bounds
+
+    def __repr__(self) -> str:
+        return f"DeviceDisplacements({len(self.bounds):,} vertices on {self.bounds.device}; to_host() reads them)"

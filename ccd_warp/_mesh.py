@@ -34,6 +34,7 @@ from ccd_warp._input.trimesh_bodies import trimesh_bodies
 from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._texts import text_completed_by
 
 # Vertices of a mesh with half-spaces: a bit of their index tells contacts with these from others (`contact_key`).
 MOST_WITH_PLANES = 1 << 30
@@ -209,82 +210,6 @@ class CollisionMesh:
         ]
 
     @classmethod
-    def from_trimesh(
-        cls,
-        bodies: Any,
-        static: Iterable[int | str] = (),
-        self_collision: bool | Sequence[bool] = True,
-        codimensional_points: bool | Sequence[bool] = False,
-        *,
-        kinematic: Iterable[int | str] = (),
-        names: Sequence[str] | None = None,
-        body_pairs: ArrayLike | None = None,
-        exclusion_rings: int = 1,
-        exclude_pairs: Mapping[str, Any] | None = None,
-        vertex_world: ArrayLike | None = None,
-        radius: ArrayLike | None = None,
-    ) -> CollisionMesh:
-        """Build a mesh from objects of trimesh.
-
-        Args:
-            bodies: One object, or a list with one object for each body: a mesh (``trimesh.Trimesh``); a path of
-                straight lines (``trimesh.path.Path3D``), whose segments become codimensional edges; points
-                (``trimesh.PointCloud``), which become codimensional points; a scene (``trimesh.Scene``), which is
-                one body for each node that has a geometry, placed by the node's transformation and called by its name;
-                or a :class:`ccd_warp.HalfSpace`.
-            static: Indices or names of the bodies that do not move; their end positions are their start positions.
-            self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
-            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
-                one flag for all bodies or one for each. The points of a point cloud always are.
-            kinematic: Indices or names of the bodies that move as they are told: no line search shortens their motion,
-                and they are tested against bodies that are neither static nor kinematic, alone.
-            names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
-                own. By default those of a scene's nodes, and "body 0", "body 1" and so on.
-            body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
-                ignored (see ``self_collision``). By default all pairs may.
-            exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
-                than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
-                each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
-                diameter of the mesh as a graph costs no more than the diameter itself.
-            exclude_pairs: Single pairs that are excluded, as in :meth:`excluding`.
-            vertex_world: World of each vertex of all bodies, integer from 0 on and below V, as there are no more worlds
-                than vertices, shape [V]. Primitives of different worlds never collide, wherever they are, and each
-                world has its own toi. By default there is one world.
-            radius: Half the thickness of sheets, the radius of cables and particles: a length in the unit of the
-                positions, at least 0; one number, or one for each body, shape [B], 0 for a half-space, or for each
-                vertex, shape [V]. A pair counts as touching once its Euclidean distance is ``minimum_distance`` plus
-                the radii of its two primitives, each the largest of its vertices'. Where one is given, even 0,
-                distances are Euclidean, and :attr:`CollisionPipeline.radius` can change it on the device. An array that
-                could be either, with as many bodies as vertices, is refused unless both mean the same. By default there
-                is none.
-
-        Returns:
-            The mesh.
-
-        Raises:
-            TypeError: If ``bodies`` is no object of trimesh and no list of these.
-            ValueError: If there is no body, or an argument is not as described.
-        """
-        parts = trimesh_bodies(bodies)
-        given = validated_flags(codimensional_points, len(parts), "codimensional_points")
-        with_points = (given | np.array([part.is_cloud for part in parts], dtype=bool)).tolist()
-        if names is None and any(part.name for part in parts):
-            names = [str(part.name) for part in parts]
-        return cls.from_arrays(
-            [part.arrays for part in parts],
-            static,
-            self_collision,
-            with_points,
-            kinematic=kinematic,
-            names=names,
-            body_pairs=body_pairs,
-            exclusion_rings=exclusion_rings,
-            exclude_pairs=exclude_pairs,
-            vertex_world=vertex_world,
-            radius=radius,
-        )
-
-    @classmethod
     def from_arrays(
         cls,
         bodies: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace],
@@ -395,6 +320,58 @@ class CollisionMesh:
             planes=planes_of(half_spaces, joined.dimension, joined.offsets),
         )
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
+
+    @classmethod
+    @text_completed_by(from_arrays)
+    def from_trimesh(
+        cls,
+        bodies: Any,
+        static: Iterable[int | str] = (),
+        self_collision: bool | Sequence[bool] = True,
+        codimensional_points: bool | Sequence[bool] = False,
+        *,
+        kinematic: Iterable[int | str] = (),
+        names: Sequence[str] | None = None,
+        body_pairs: ArrayLike | None = None,
+        exclusion_rings: int = 1,
+        exclude_pairs: Mapping[str, Any] | None = None,
+        vertex_world: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
+    ) -> CollisionMesh:
+        """Build a mesh from objects of trimesh.
+
+        Args:
+            bodies: One object, or a list with one object for each body: a mesh (``trimesh.Trimesh``); a path of
+                straight lines (``trimesh.path.Path3D``), whose segments become codimensional edges; points
+                (``trimesh.PointCloud``), which become codimensional points; a scene (``trimesh.Scene``), which is
+                one body for each node that has a geometry, placed by the node's transformation and called by its name;
+                or a :class:`ccd_warp.HalfSpace`.
+            codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
+                one flag for all bodies or one for each. The points of a point cloud always are.
+            names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
+                own. By default those of a scene's nodes, and "body 0", "body 1" and so on.
+
+        Raises:
+            TypeError: If ``bodies`` is no object of trimesh and no list of these.
+        """
+        parts = trimesh_bodies(bodies)
+        given = validated_flags(codimensional_points, len(parts), "codimensional_points")
+        with_points = (given | np.array([part.is_cloud for part in parts], dtype=bool)).tolist()
+        if names is None and any(part.name for part in parts):
+            names = [str(part.name) for part in parts]
+        return cls.from_arrays(
+            [part.arrays for part in parts],
+            static,
+            self_collision,
+            with_points,
+            kinematic=kinematic,
+            names=names,
+            body_pairs=body_pairs,
+            exclusion_rings=exclusion_rings,
+            exclude_pairs=exclude_pairs,
+            vertex_world=vertex_world,
+            radius=radius,
+        )
 
     @classmethod
     def from_volume(

@@ -23,6 +23,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
+from ccd_warp._texts import text_completed_by
 
 
 def find_candidates(
@@ -59,7 +60,8 @@ def find_candidates(
 
     Args:
         mesh: The bodies.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W worlds of
+            one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
@@ -115,7 +117,8 @@ def find_intersections(
 
     Args:
         mesh: The bodies.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         **options: Options of :class:`ccd_warp.IntersectionOptions`.
 
     Returns:
@@ -150,7 +153,8 @@ def find_proximity(
 
     Args:
         mesh: The bodies. Where they have radii, those of both primitives are added to ``distance``.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         distance: Largest distance of a pair, a length in the unit of the positions, finite and at least 0.
         **options: Options of :class:`ccd_warp.ProximityOptions`.
 
@@ -191,7 +195,8 @@ def displacement_bounds(
 
     Args:
         mesh: The bodies.
-        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
+            worlds of one size, or [V, 2] in the plane.
         search_radius: Distance beyond which nothing counts as near, a length, finite and above 0. A few times the
             longest displacement is enough; the time grows with the number of pairs within it.
         **options: Options of :class:`ccd_warp.DisplacementOptions`.
@@ -229,7 +234,8 @@ def mesh_ccd(
 
     Args:
         mesh: The bodies; see :class:`ccd_warp.CollisionMesh`.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], or [V, 2] in the plane.
+        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W worlds of
+            one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
@@ -259,6 +265,7 @@ def mesh_ccd(
         return pipeline.mesh_ccd(vertices_t0, vertices_t1, check_start=check_start)
 
 
+@text_completed_by(mesh_ccd)
 def collision_free_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -270,9 +277,6 @@ def collision_free_step(
     """Largest step fraction that is certain to be free of collisions.
 
     Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`.
-        vertices_t1: End positions, as in :func:`mesh_ccd`.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
             ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
         **options: Options of :class:`ccd_warp.MeshOptions`. By default what starts within its distance may part and
@@ -281,14 +285,6 @@ def collision_free_step(
     Returns:
         A fraction of the step in [0, t_max], dimensionless; t_max if there is certainly no collision, 0 if bodies touch
         at the start, or approach each other from within their distance.
-
-    Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
-            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
-        TypeError: If there is no such option.
-
-    References:
-        Wang et al. 2021, section 4.
 
     Guarantee: that of :mod:`ccd_warp`: no pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks,
     touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
@@ -299,6 +295,7 @@ def collision_free_step(
         return pipeline.collision_free_step(vertices_t0, vertices_t1, check_start=check_start)
 
 
+@text_completed_by(mesh_ccd)
 def is_step_collision_free(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -313,24 +310,12 @@ def is_step_collision_free(
     first contact is at t_max itself.
 
     Args:
-        mesh: The bodies.
-        vertices_t0: Start positions, as in :func:`mesh_ccd`.
-        vertices_t1: End positions, as in :func:`mesh_ccd`.
         check_start: Whether surfaces that cross at the start count, too: a step is not free where an edge is through
             the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies.
-        **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
         True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or
         comes so close that this cannot be excluded; with ``check_start`` also if surfaces cross at the start.
-
-    Raises:
-        ValueError: If an option is out of its range, the positions do not match the mesh or are not finite, a static
-            body moves, or ``memory_limit`` is too small; the message then says the least that suffices.
-        TypeError: If there is no such option.
-
-    References:
-        Wang et al. 2021, section 4.
 
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
@@ -381,8 +366,8 @@ def line_search(
         safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
         max_rounds: Largest number of calls of :func:`mesh_ccd`, at least 3; with kinematic bodies there may be one
             more. Where they do not suffice, all vertices of a world move by one fraction, or not at all, and
-            ``is_limited`` is set. Bodies and vertices with toi 0 are
-            stopped at once where fewer than 6 rounds are left.
+            ``is_limited`` is set. Bodies and vertices with toi 0 are stopped at once where fewer than 6 rounds are
+            left.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.
@@ -412,3 +397,17 @@ def line_search(
         return pipeline.line_search(
             vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds, check_start=check_start
         )
+
+
+for _function in (
+    find_candidates,
+    find_intersections,
+    find_proximity,
+    displacement_bounds,
+    mesh_ccd,
+    collision_free_step,
+    is_step_collision_free,
+    line_search,
+):
+    # a pipeline has its options, so none of them is unknown to its methods
+    text_completed_by(_function, without=("TypeError",))(getattr(CollisionPipeline, _function.__name__))

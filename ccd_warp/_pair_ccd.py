@@ -19,9 +19,10 @@ from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, borrowed_batch, table_inputs, table_outputs
+from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
+from ccd_warp._texts import text_completed_by
+from ccd_warp.kernels.narrow_phase.sinks import TABLE
 from ccd_warp.kernels.step.contacts import lift
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 
@@ -74,11 +75,7 @@ class PairResult:
         return f"PairResult({pairs}, {hits})"
 
 
-def vertex_face_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+def vertex_face_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of vertex-face pairs whose points move on straight lines.
 
     Args:
@@ -104,39 +101,19 @@ def vertex_face_ccd(
     return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
 
 
-def edge_edge_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def edge_edge_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of edge-edge pairs whose points move on straight lines.
 
     Args:
         points_t0: Start positions of ea0, ea1, eb0, eb1, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
             shape [n, 4].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
 
 
-def point_segment_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def point_segment_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
 
     In 3D a point meets a segment only by coincidence; with a minimum separation the pair is what cables and particles
@@ -145,29 +122,12 @@ def point_segment_ccd(
     Args:
         points_t0: Start positions of p, a, b, in one length unit, shape [n, 3, 2] or [n, 3, 3]; or a Warp array of
             vec2d or vec3d, shape [n, 3].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
 
 
-def point_point_ccd(
-    points_t0: ArrayLike,
-    points_t1: ArrayLike,
-    **options: Unpack[PairOptions],
-) -> PairResult:
+@text_completed_by(vertex_face_ccd)
+def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
 
     Two points meet only by coincidence; with a minimum separation the pair is what particles need.
@@ -175,50 +135,8 @@ def point_point_ccd(
     Args:
         points_t0: Start positions of p, q, in one length unit, shape [n, 2, 2] or [n, 2, 3]; or a Warp array of vec2d
             or vec3d, shape [n, 2].
-        points_t1: End positions, of the same type and shape.
-        **options: Options of :class:`ccd_warp.PairOptions`.
-
-    Returns:
-        toi, status, parameters, gap, width and iterations of each pair.
-
-    Raises:
-        ValueError: If an option is out of its range, a shape or dtype does not match, or a coordinate is not finite.
-        TypeError: If there is no such option.
-
-    References:
-        As for :func:`vertex_face_ccd`.
-
-    Guarantee: that of :mod:`ccd_warp`: no toi is late, and ``inf`` is certain.
     """
     return _points_ccd(PairKind.POINT_POINT, points_t0, points_t1, options)
-
-
-@dataclass(frozen=True)
-class PairArrays:
-    """Outputs of a narrow-phase kernel on the device."""
-
-    toi: wp.array
-    status: wp.array
-    parameters: wp.array
-    gap: wp.array
-    width: wp.array
-    iterations: wp.array
-
-    @classmethod
-    def empty(cls, count: int, device: Any) -> PairArrays:
-        dtypes = (wp.float64, wp.int32, wp.vec2d, wp.float64, wp.float64, wp.int32)
-        return cls(*(wp.empty(count, dtype=dtype, device=device) for dtype in dtypes))
-
-    def with_points(self, points_t0: wp.array, points_t1: wp.array) -> Any:
-        """The table of the pairs that have these points, as the kernel's struct."""
-        table = Table()
-        table.points_t0, table.points_t1 = points_t0, points_t1
-        for name, array in vars(self).items():
-            setattr(table, name, array)
-        return table
-
-    def as_list(self) -> list[wp.array]:
-        return [self.toi, self.status, self.parameters, self.gap, self.width, self.iterations]
 
 
 _STATUS = 1  # position of the status among the outputs
@@ -272,9 +190,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
         )
 
     out = _solve(kind, device_t0, device_t1, options, device)
-    if on_device:
-        return PairResult(*out.as_list())
-    return PairResult(*(array.numpy() for array in out.as_list()))
+    return out if on_device else PairResult(**{name: array.numpy() for name, array in vars(out).items()})
 
 
 def _solve_few(
@@ -290,14 +206,14 @@ def _solve_few(
     return results
 
 
-def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairArrays:
+def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairResult:
     """Launch the solver; on the CPU in two rounds, the second for the pairs that the first leaves open."""
     is_one_round = device.is_cuda or device.is_capturing  # the host or the graph does not know which pairs are open
     first = int(options.max_iterations) if is_one_round else options.first_iterations
     out = _launch(kind, points_t0, points_t1, options, first, device)
     is_open = None if is_one_round else _open_pairs(out.status.numpy(), options)
     if is_open is not None:
-        results = [array.numpy() for array in out.as_list()]
+        results = [array.numpy() for array in vars(out).values()]
         _solve_open(kind, points_t0.numpy(), points_t1.numpy(), results, is_open, options, device)
     return out
 
@@ -323,7 +239,7 @@ def _solve_open(
     open_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
     open_t1: wp.array = wp.array(points_t1[is_open], dtype=wp.vec3d, device=device)
     solved = _launch(kind, open_t0, open_t1, options, int(options.max_iterations), device)
-    for array, new in zip(results, solved.as_list(), strict=True):
+    for array, new in zip(results, vars(solved).values(), strict=True):
         array[is_open] = new.numpy()
 
 
@@ -334,15 +250,16 @@ def _launch(
     options: Options,
     max_iterations: int,
     device: Any,
-) -> PairArrays:
+) -> PairResult:
+    """Launch the solver, and return the arrays to which it writes."""
     count = points_t0.shape[0]
-    out = PairArrays.empty(count, device)
+    out = PairResult(**{name: wp.empty(count, dtype=dtype, device=device) for name, dtype in OUTPUTS.items()})
     is_first = max_iterations == options.first_iterations
     is_long = not is_first or count > _LONG_PART * options.threads
     stop = StopFlag(device) if is_long and not device.is_capturing else None
     packed = options.for_kernel(options.length_scale, max_iterations, stop.array if stop else None)
     execution = Execution(device, options.threads, stop)
-    outputs = table_outputs(out.with_points(points_t0, points_t1))
+    outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
         inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]

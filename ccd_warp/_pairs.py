@@ -120,7 +120,14 @@ class PairTable:
 
 
 class ClosePairs(PairTable):
-    """Pairs of the kinds that CCD knows, with their closest points: contacts, and what is near."""
+    """Pairs of the kinds that CCD knows, with their closest points: contacts, and what is near.
+
+    Attributes:
+        kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
+        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
+            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
+            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
+    """
 
     parameters: NDArray[np.float64]
 

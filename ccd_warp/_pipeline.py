@@ -13,8 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
-from ccd_warp._device_results import LaunchResult
+from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.candidates import Candidates, validated_inflation
 from ccd_warp._engine.device_input import LineSearch
 from ccd_warp._engine.device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
@@ -470,41 +469,13 @@ class CollisionPipeline:
         return self._workspace.buffers.num_allocations if self._workspace else 0
 
     def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
-        """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which.
-
-        Args:
-            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
-            vertices_t1: End positions, as in that function.
-            inflation: Enlargement of every box on every side, a length.
-
-        Returns:
-            The pairs, in an order that does not depend on the number of threads, the memory limit or earlier calls.
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; every pair that passes the filter and whose boxes overlap is found exactly
-        once.
-        """
+        """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation))
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
-        """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`).
-
-        Args:
-            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
-
-        Returns:
-            The pairs that touch or pass through each other, by kind and then in lexicographic order.
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; every such pair that passes the filter is found, and no other.
-        """
-
+        """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
         from ccd_warp._engine.intersection_step import IntersectionStep  # few programs need it
 
         return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
@@ -512,17 +483,7 @@ class CollisionPipeline:
     def find_proximity(self, positions: ArrayLike, distance: float) -> Proximities:
         """Find the pairs within a Euclidean distance at one time (:func:`ccd_warp.find_proximity`).
 
-        Args:
-            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
-            distance: Largest Euclidean distance of a pair, a length; separations of the pipeline play no part.
-
-        Returns:
-            The pairs, by kind and then in lexicographic order.
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; every pair that passes the filter and is within the distance is found.
+        Separations of the pipeline play no part.
         """
         from ccd_warp._engine.proximity_step import ProximityStep  # few programs need it
 
@@ -531,20 +492,9 @@ class CollisionPipeline:
         return self._run(ProximityStep, lambda: self._one_frame(positions), lambda step: step.proximities(distance))
 
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
-        """Lengths by which vertices may move, with the ``minimum_distance`` of the pipeline.
+        """Lengths by which vertices may move (:func:`ccd_warp.displacement_bounds`).
 
-        Args:
-            positions: Positions of all vertices, shape [V, 3] or [W, V / W, 3].
-            search_radius: Distance beyond which nothing counts as near, a length.
-
-        Returns:
-            For each vertex the length by which it may move, float64, shape [V].
-
-        Raises:
-            ValueError: As in that function, or if the pipeline has a ``minimum_separation``, which is none in the
-                Euclidean norm.
-
-        Guarantee: as for that function; while no vertex leaves its ball, no pair that passes the filter touches.
+        They keep the ``minimum_distance`` of the pipeline, which must have no ``minimum_separation``.
         """
         from ccd_warp._engine.proximity_step import DisplacementStep
 
@@ -558,21 +508,7 @@ class CollisionPipeline:
         return frame, frame
 
     def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False) -> MeshResult:
-        """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`).
-
-        Args:
-            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
-            vertices_t1: End positions, as in that function.
-            check_start: Whether to look for surfaces that cross at the start, too.
-
-        Returns:
-            The result, NumPy arrays.
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; no toi is late and no contact is missed.
-        """
+        """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
         result = self._on_step(vertices_t0, vertices_t1, Step.contacts)
@@ -592,21 +528,7 @@ class CollisionPipeline:
     def collision_free_step(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
     ) -> float:
-        """Largest fraction of a step that is certain to be free of collisions (:func:`ccd_warp.collision_free_step`).
-
-        Args:
-            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
-            vertices_t1: End positions, as in that function.
-            check_start: Whether to look for surfaces that cross at the start, too.
-
-        Returns:
-            A fraction of the step in [0, t_max].
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; no pair touches before the returned fraction.
-        """
+        """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
         toi = min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
@@ -653,21 +575,7 @@ class CollisionPipeline:
     def is_step_collision_free(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
     ) -> bool:
-        """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`).
-
-        Args:
-            vertices_t0: Start positions, shape [V, 3].
-            vertices_t1: End positions, as in that function.
-            check_start: Whether surfaces that cross at the start count, too.
-
-        Returns:
-            True if no pair touches in [0, t_max], both ends included.
-
-        Raises:
-            ValueError: As in that function.
-
-        Guarantee: as for that function; True is certain.
-        """
+        """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
         is_free = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True)) == np.inf
@@ -683,24 +591,7 @@ class CollisionPipeline:
         max_rounds: int = DEFAULT_MAX_ROUNDS,
         check_start: bool = False,
     ) -> LineSearchResult:
-        """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`).
-
-        Args:
-            vertices_t0: Start positions, shape [V, 3] or [W, V / W, 3].
-            vertices_t1: Desired end positions, as in that function.
-            per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
-            safety: Fraction of its toi by which a vertex in contact may move.
-            max_rounds: Largest number of calls of :meth:`mesh_ccd`.
-            check_start: Whether to look for surfaces that cross at the start, too.
-
-        Returns:
-            The end positions of the shortened step, and the fractions by which the vertices move.
-
-        Raises:
-            ValueError: As in that function, and if the pipeline's ``t_max`` is not 1.
-
-        Guarantee: as for that function; no pair with a vertex that moves touches on the way to the end positions.
-        """
+        """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
         with naming("line_search"):
             check_step_is_whole(self._options.t_max)
             per, safety = validated_line_search(per, safety)

@@ -11,6 +11,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pairs import ClosePairs
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
+from ccd_warp._texts import text_completed_by
 
 # Bits of `features`, one for each column of `vertices`; what spans the inside of a face, or of both edges.
 _BITS = np.array([1, 2, 4, 8], dtype=np.int32)
@@ -18,6 +19,7 @@ _ALL = 15
 _NONE = np.iinfo(np.int32).max
 
 
+@text_completed_by(ClosePairs)
 @dataclass(frozen=True, repr=False, eq=False)
 class Proximities(ClosePairs):
     """Pairs of primitives that are near at one time: :func:`ccd_warp.find_proximity`.
@@ -30,10 +32,6 @@ class Proximities(ClosePairs):
     closest point of each primitive, and :meth:`unique` keeps each such proximity once.
 
     Attributes:
-        kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
-        primitives: Indices of a vertex and a face, of two edges, of the vertex and the edge of a codimensional point
-            and a codimensional edge (in the plane of any vertex and edge), of the vertices of two codimensional points,
-            or of a vertex and a plane of ``mesh.planes``, int32, shape [m, 2].
         parameters: (u, v) of the closest points, as in :class:`ccd_warp.PairResult`, float64, shape [m, 2].
         distance: Euclidean distance of the closest points, a length, float64, shape [m]. Radii are not subtracted. Of a
             vertex inside a half-space it is negative, its depth.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import Contact, Contacts, outcome
+from ccd_warp._contacts import Contact, Contacts, Outcome
 from ccd_warp._display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._status import CCDStatus, PairKind
@@ -81,7 +81,7 @@ class Counts:
 
 
 @dataclass(frozen=True, repr=False)
-class MeshResult:
+class MeshResult(Outcome):
     """Result of :func:`ccd_warp.mesh_ccd`.
 
     Attributes:
@@ -115,16 +115,6 @@ class MeshResult:
     hidden_gaps: str = ""
 
     @property
-    def hit(self) -> bool:
-        """Whether any pair has a finite toi."""
-        return bool(np.isfinite(self.toi))
-
-    @property
-    def first(self) -> Contact | None:
-        """The earliest contact, the first where several have the same toi; None if there is certainly none."""
-        return self.contacts._first()
-
-    @property
     def pairs_at_start(self) -> Counter[tuple[str, str]]:
         """Number of pairs in contact at the start already, by the names of their bodies, lower index first.
 
@@ -140,7 +130,4 @@ class MeshResult:
         at_start = start_sentence(self.pairs_at_start)
         at_start = "; ".join(filter(None, [at_start, self.hidden_gaps, crossing_at_start(self.start)]))
         at_start = f";\n{at_start}" if at_start else ""
-        return f"MeshResult({outcome(self.toi, self.world_toi, self.contacts)}{at_start})"
-
-    def _repr_html_(self) -> str:
-        return self.contacts._table(repr(self))
+        return f"MeshResult({self._outcome()}{at_start})"

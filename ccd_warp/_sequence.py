@@ -14,11 +14,12 @@ from ccd_warp._files.frames import Body, InputError, body_between
 from ccd_warp._files.mesh import Mesh
 from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.series import Series, find_series
-from ccd_warp._frames import Frames, checked_static, mesh_of, static_bodies
+from ccd_warp._frames import Frames, checked_static, mesh_of, read_frames, static_bodies
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_count, check_flag, check_items, check_path, shown
 from ccd_warp._input.messages import printable
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._texts import text_completed_by
 
 
 class FrameSequence:
@@ -129,6 +130,7 @@ class FrameSequence:
         return self.mesh if same else self._make_mesh(bodies)
 
 
+@text_completed_by(read_frames)
 def read_sequence(
     paths: str | Path | Iterable[str | Path],
     *,
@@ -147,16 +149,11 @@ def read_sequence(
             the order of its times; a temporal collection (.xdmf); or an archive (.npz) of ``positions``, shape
             [frames, n, 3], and ``faces``, shape [m, 3]. Or a list of these, a body each, or of mesh files, where files
             whose names differ in more than their last number are bodies of their own.
-        static: Mesh files of bodies that do not move, or half-spaces.
-        kinematic: Indices or names of the bodies that move as they are told, as of
-            :meth:`ccd_warp.CollisionMesh.from_arrays`.
-        self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
         displacement: Name of the field at the points of VTK and XDMF files that is added to their positions.
         faces: Mesh file whose faces a .npz takes that holds positions alone.
         surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
             :meth:`ccd_warp.CollisionMesh.from_volume`: positions of all nodes, of which those inside collide with
             nothing. Otherwise they are refused.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
         The frames, as a sequence of positions, with their mesh and times.
@@ -164,8 +161,6 @@ def read_sequence(
     Raises:
         ValueError: If a path is missing, damaged or not known, there are fewer than two frames, bodies differ in their
             number of frames or their times, or another argument is not as described.
-
-    Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
     """
     given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
     if not given:

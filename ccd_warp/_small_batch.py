@@ -5,7 +5,7 @@ Only one call at a time uses a recorded launch: the call takes it out of the lis
 it succeeds.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import load
 from ccd_warp._runtime.packed import PackedLaunch
+from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
 from ccd_warp.kernels.step.minima import Minima
@@ -23,14 +24,7 @@ from ccd_warp.kernels.step.step import ContactList
 
 CAPACITY = 512  # pairs, some 240 bytes each; beyond it solving takes longer than launching, and threads share it
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
-_OUTPUTS = {
-    "toi": wp.float64,
-    "status": wp.int32,
-    "parameters": wp.vec2d,
-    "gap": wp.float64,
-    "width": wp.float64,
-    "iterations": wp.int32,
-}
+OUTPUTS = dtypes_of(Table)
 # Positions among the kernel's parameters.
 _OPTIONS, _COUNT = 11, 15
 # So many that each takes one chunk of the pairs.
@@ -45,8 +39,9 @@ def table_inputs(packed: Any, count: int, counts: wp.array | None = None) -> lis
     return [counts, *of_mesh, packed, 0, 0, 0.0, count]
 
 
-def table_outputs(table: Any) -> list[Any]:
-    """Its outputs."""
+def table_outputs(points: Sequence[wp.array], found: Mapping[str, wp.array]) -> list[Any]:
+    """Its outputs, where these arrays take what is found of pairs that have these points at both ends."""
+    table = struct_of(Table, {"points_t0": points[0], "points_t1": points[1], **found})
     return [table, Minima(), ContactList(), None, None]
 
 
@@ -58,16 +53,12 @@ class SmallBatch:
         kernel = narrow_phase.solve_pairs
         load(kernel, device)
         inputs: list[wp.array] = [wp.zeros((CAPACITY, num_points), dtype=wp.vec3d, device=device) for _ in range(2)]
-        outputs = {name: wp.zeros(CAPACITY, dtype=dtype, device=device) for name, dtype in _OUTPUTS.items()}
-        table = Table()
-        table.points_t0, table.points_t1 = inputs
-        for name, array in outputs.items():
-            setattr(table, name, array)
+        outputs = {name: wp.zeros(CAPACITY, dtype=dtype, device=device) for name, dtype in OUTPUTS.items()}
         command: Any = wp.launch(
             kernel,
             dim=1,  # one solver takes all pairs
             inputs=[0, 1, narrow_phase.chunk_of_table, int(kind), TABLE, *table_inputs(packed, 1)],
-            outputs=table_outputs(table),
+            outputs=table_outputs(inputs, outputs),
             device=device,
             record_cmd=True,
         )

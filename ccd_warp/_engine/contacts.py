@@ -1,7 +1,7 @@
 """Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,15 +16,10 @@ from ccd_warp._engine.planes import planes_of
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.step import ContactList
-
-
-def dtypes_of(struct: Any) -> dict[str, Any]:
-    """The types of the columns of a list that kernels append to, by name."""
-    return {name: field.type.dtype for name, field in struct.vars.items() if name != "count"}
-
 
 CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
@@ -48,23 +43,12 @@ _FEW = 1 << 10
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
     """The struct of atomic minima: toi as bits, which order like the non-negative numbers, and flags."""
-    minima = Minima()
-    minima.vertex_body, minima.vertex_world = topology.vertex_body, topology.vertex_world
-    minima.body_kinematic = topology.body_kinematic
-    for name, array in arrays.items():
-        setattr(minima, name, array if "flags" in name else array.view(wp.int64))
-    return minima
+    of_mesh = {name: getattr(topology, name) for name in ("vertex_body", "vertex_world", "body_kinematic")}
+    bits = {name: array if "flags" in name else array.view(wp.int64) for name, array in arrays.items()}
+    return struct_of(Minima, of_mesh | bits)
 
 
-def new_list(struct: Any, arrays: Mapping[str, wp.array]) -> Any:
-    """A struct that kernels append to: the arrays of a list of pairs, and their count."""
-    pairs = struct()
-    for name, array in arrays.items():
-        setattr(pairs, name, array)
-    return pairs
-
-
-new_contact_list = partial(new_list, ContactList)
+new_contact_list = partial(struct_of, ContactList)
 
 
 @dataclass(frozen=True)
@@ -84,51 +68,50 @@ class Gathered:
 class _Ordered:
     """Arrays for sorted contacts, and for the first contact of every vertex, body and world.
 
+    They are parts of one allocation, which CUDA reads at once.
+
     Attributes:
-        arrays: The fields of the contacts.
-        views: The same arrays on the host, on the CPU; on CUDA they are parts of one allocation, which is read at once.
         keys: Keys by which the contacts are sorted; on CUDA the array has capacity for twice as many.
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
-    def __init__(self, topology: Topology, count: wp.array, capacity: int, is_cuda: bool) -> None:
-        """Make arrays for the contacts of a list, whose number is ``count``."""
+    def __init__(self, topology: Topology, count: wp.array, minima: Any, capacity: int, is_cuda: bool) -> None:
+        """Make arrays for the contacts of a list, whose number is ``count``, and which have these minima."""
         device, mesh = topology.device, topology.mesh
-        self._topology, self._capacity = topology, capacity
+        self._topology, self._minima, self._capacity = topology, minima, capacity
         self._bounds = [0, *itertools.accumulate((mesh.num_vertices, mesh.num_bodies, mesh.num_worlds))]
-        if is_cuda:
-            self._all_first = self._allocate_as_one()
-        else:
-            self.arrays = {n: wp.empty(capacity, dtype=dtype, device=device) for n, dtype in CONTACT_DTYPES.items()}
-            self.views = {name: array.numpy() for name, array in self.arrays.items()}
-            self._all_first = wp.empty(self._bounds[-1], dtype=wp.int32, device=device)
-        self._contacts = new_contact_list({"count": count, **self.arrays})
+        sizes = [capacity * wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values()]
+        padded = [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes]
+        self._places = [0, *itertools.accumulate(padded)]
+        self._all: wp.array = wp.empty(self._places[-1] + 4 * self._bounds[-1], dtype=wp.uint8, device=device)
+        *at, at_first = (self._all.ptr + place for place in self._places)
+        arrays: dict[str, wp.array] = {
+            name: wp.array(ptr=place, dtype=dtype, shape=capacity, device=device)
+            for place, (name, dtype) in zip(at, CONTACT_DTYPES.items(), strict=True)
+        }
+        self._all_first: wp.array = wp.array(ptr=at_first, dtype=wp.int32, shape=self._bounds[-1], device=device)
+        self._contacts = new_contact_list({"count": count, **arrays})
         self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
         self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
+        self._views = None if is_cuda else self._views_of(self._all.numpy())
 
-    def _allocate_as_one(self) -> wp.array:
-        """Make the arrays of contacts parts of one allocation, at the end of which is the array that is returned."""
-        sizes = [self._capacity * wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values()]
-        padded = [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes]
-        self._places = [0, *itertools.accumulate(padded)]
-        device, num_bytes = self._topology.device, self._places[-1] + 4 * self._bounds[-1]
-        self._all = wp.empty(num_bytes, dtype=wp.uint8, device=device)
-        at = [self._all.ptr + place for place in self._places]
-        self.arrays = {
-            name: wp.array(ptr=place, dtype=dtype, shape=self._capacity, device=device)
-            for place, (name, dtype) in zip(at, CONTACT_DTYPES.items(), strict=False)
-        }
-        return wp.array(ptr=at[-1], dtype=wp.int32, shape=self._bounds[-1], device=device)
-
-    def read(self) -> tuple[dict[str, NDArray], NDArray[np.int32]]:
-        """On CUDA, the contacts and the first ones of all vertices, bodies and worlds."""
-        read = self._all.numpy() if self._capacity else np.empty(self._places[-1], np.uint8)
-        contacts = {
-            name: np.ndarray((self._capacity, *shape), dtype, read, place)
+    def _views_of(self, memory: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+        """The columns of the contacts in the allocation on the host, and the first ones."""
+        columns = {
+            name: np.ndarray((self._capacity, *shape), dtype, memory, place)
             for place, (name, (dtype, shape)) in zip(self._places, _ON_HOST.items(), strict=False)
         }
-        return contacts, read[self._places[-1] :].view(np.int32)
+        return columns, memory[self._places[-1] :].view(np.int32)
+
+    def read(self, count: int) -> tuple[dict[str, NDArray[Any]], list[NDArray[np.int32]]]:
+        """The columns of the contacts, and the first of ``count`` of every vertex, body and world, -1 for none."""
+        views = self._views
+        if views is None:
+            views = self._views_of(self._all.numpy() if count else np.empty(len(self._all), np.uint8))
+        columns, first = views
+        first = np.where(first == _LAST, _NO_CONTACT, first) if count else np.full(len(first), _NO_CONTACT)
+        return columns, [first[i:j] for i, j in itertools.pairwise(self._bounds)]
 
     def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
         """Compute the keys of the contacts of a list."""
@@ -147,31 +130,23 @@ class _Ordered:
         """Keys and order on the CPU, whose views Warp takes as long to make as few contacts take to sort."""
         return self.keys.numpy(), self.order.numpy()
 
-    @lazy_property
-    def _first_view(self) -> NDArray[np.int32]:
-        return self._all_first.numpy()
-
-    def fill(self, launcher: Execution | Recording, found: Any, minima: Any) -> None:
+    def fill(self, launcher: Execution | Recording, found: Any) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
         launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
         inputs = [self.order, found]
         launcher.launch(kernels.order_contacts, self._capacity, inputs=inputs, outputs=[self._contacts])
         corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
-        inputs = [self._contacts, *corners, minima]
+        inputs = [self._contacts, *corners, self._minima]
         launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
         if len(self._topology.mesh.planes):
             from ccd_warp.kernels.narrow_phase import meet_planes  # not before a scene needs it
 
-            inputs = [self._contacts, planes_of(self._topology).body, minima]
+            inputs = [self._contacts, planes_of(self._topology).body, self._minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
 
-    def first_contacts(self, count: int, found: NDArray[np.int32] | None = None) -> list[NDArray[np.int32]]:
-        """Index of the first of ``count`` contacts of every vertex, body and world, -1 where there is none."""
-        if count == 0:
-            return [np.full(len(first), -1, dtype=np.int32) for first in self._first]
-        found = self._first_view if found is None else found
-        found = np.where(found == _LAST, _NO_CONTACT, found)
-        return [found[i:j] for i, j in itertools.pairwise(self._bounds)]
+
+# Launches on a list of contacts, or on the slot of one.
+_Launches = Callable[[Execution | Recording, Any], None]
 
 
 class ContactStore:
@@ -251,50 +226,41 @@ class ContactStore:
 
     def gather(self) -> Gathered:
         """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
-        count = self.total
-        if count > _FEW or self._execution.is_cuda:
-            ordered = _Ordered(self._topology, self.count, count, self._execution.is_cuda)
-            if count > 0:
-                ordered.fill_keys(self._execution, self._list)
-                ordered.sort(count, self._execution)
-                ordered.fill(self._execution, self._list, self.minima)
-        else:
-            ordered = self._few
-            if count > 0:
-                self._play("keys", lambda found: ordered.fill_keys(self._recording, found))
-                ordered.sort(count, self._execution)
-                self._play("contacts", lambda found: ordered.fill(self._recording, found, self.minima))
-        first = None
-        if self._execution.is_cuda:
-            contacts, first = ordered.read()
+        count, is_cuda = self.total, self._execution.is_cuda
+        are_few = count <= _FEW and not is_cuda
+        ordered = self._few if are_few else _Ordered(self._topology, self.count, self.minima, count, is_cuda)
+        launched = self._play if are_few else self._launch
+        if count > 0:
+            launched("keys", ordered.fill_keys)
+            ordered.sort(count, self._execution)
+            launched("contacts", ordered.fill)
+        contacts, first = ordered.read(count)
+        if are_few:  # the arrays stay
+            contacts = {name: values[:count].copy() for name, values in contacts.items()}
+        if is_cuda:
             toi = self._toi.numpy() if self._read is None else self._read
         else:
-            is_kept = ordered is not self._few
-            contacts = {name: v if is_kept else v[:count].copy() for name, v in ordered.views.items()}
             toi = self._toi_view.copy()
         vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
-        return Gathered(
-            Contacts(**contacts),
-            float(scene_toi[0]),
-            vertex_toi,
-            body_toi,
-            world_toi,
-            *ordered.first_contacts(count, first),
-        )
+        return Gathered(Contacts(**contacts), float(scene_toi[0]), vertex_toi, body_toi, world_toi, *first)
 
     @lazy_property
     def _few(self) -> "_Ordered":
         """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
-        return _Ordered(self._topology, self.count, _FEW, is_cuda=False)
+        return _Ordered(self._topology, self.count, self.minima, _FEW, is_cuda=False)
 
-    def _play(self, section: str, record: Callable[[Slot], None]) -> None:
+    def _launch(self, section: str, launch: _Launches) -> None:
+        """Launch what a recording would have as a section."""
+        launch(self._execution, self._list)
+
+    def _play(self, section: str, record: _Launches) -> None:
         """Run a section of the recording for few contacts, recorded at its first use."""
         if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
             self._recording = Recording(self._execution, {"found": None})
         self._recording.bind("found", self._list)
         if section not in self._recording:
             with self._recording.section(section):
-                record(Slot("found"))
+                record(self._recording, Slot("found"))
         self._recording.play(section)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._device_pairs import DeviceDisplacements, DeviceProximities
+from ccd_warp._device_results import DeviceDisplacements, DeviceProximities
 from ccd_warp._engine.contact_arrays import ContactArrays
 from ccd_warp._engine.device_input import Form, PreparedLaunch
 from ccd_warp._engine.device_step import Capacities, DeviceStep

@@ -7,9 +7,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.buffers import Buffers
-from ccd_warp._engine.contacts import dtypes_of, new_list, sort_places
+from ccd_warp._engine.contacts import sort_places
 from ccd_warp._engine.topology import Topology
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.at_one_time import proximity as kernels
 
 PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
@@ -23,7 +24,7 @@ def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.
     return reach
 
 
-new_proximity_list = partial(new_list, kernels.ProximityList)
+new_proximity_list = partial(struct_of, kernels.ProximityList)
 
 
 def largest_bound(search_radius: float, is_alone: bool) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from ccd_warp._input.arguments import check_path, shown
 from ccd_warp._input.arrays import as_array
 from ccd_warp._input.edges import unique_edges
+from ccd_warp._texts import text_completed_by
 from ccd_warp.datasets._paths import replacing
 
 
@@ -58,6 +59,7 @@ def write_truth(path: str | Path, truth: np.ndarray) -> None:
     _write_json(path, truth.tolist())
 
 
+@text_completed_by(read_truth)
 def read_boxes(path: str | Path) -> np.ndarray:
     """Read the primitives of the queries of a simulation.
 
@@ -70,10 +72,6 @@ def read_boxes(path: str | Path) -> np.ndarray:
 
     Raises:
         ValueError: If the file is not JSON (the message names the line) or not a list of pairs of ids.
-        OSError: If the file cannot be read.
-
-    References:
-        Belgrod et al. 2023.
     """
     entries = _read_json_list(check_path("path", path))
     for i, pair in enumerate(entries):
@@ -82,21 +80,15 @@ def read_boxes(path: str | Path) -> np.ndarray:
     return np.array(entries, dtype=np.int64).reshape(-1, 2)
 
 
+@text_completed_by(write_truth)
 def write_boxes(path: str | Path, ids: np.ndarray) -> None:
     """Write the primitives of the queries of a simulation.
 
     Args:
-        path: JSON file, replaced where it exists.
         ids: Ids of both primitives of each query, any integer dtype, shape [n, 2]; see `read_boxes`.
 
     Raises:
         ValueError: If ``ids`` has another dtype or shape, or holds a negative number.
-        OSError: If the file cannot be written.
-
-    References:
-        Belgrod et al. 2023.
-
-    Guarantee: after an error the file is as it was.
     """
     path = check_path("path", path)
     ids = as_array(ids, "ids", "integers of shape (n, 2)")

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._intersections import Crossings
+from ccd_warp._intersections import Crossings, Intersections
+from ccd_warp._texts import text_completed_by
 from ccd_warp.distributed._results import PairsOnRanks
 
 
+@text_completed_by(Intersections)
 @dataclass(frozen=True, repr=False, eq=False)
 class DistributedIntersections(Crossings, PairsOnRanks):
     """Pairs that touch or pass through each other at one time and that this rank has found; each is on one rank.
@@ -19,14 +21,8 @@ class DistributedIntersections(Crossings, PairsOnRanks):
     They are ordered as those of :class:`ccd_warp.Intersections`.
 
     Attributes:
-        kind: :class:`ccd_warp.IntersectionKind` of each pair, int32, shape [m].
         primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
-        parameters: (u, v) of the common point, as in ``ccd_warp.Intersections.parameters``, float64, shape [m, 2].
-        edge_parameter: Of an edge through a face the place on the edge, 0 for all other kinds, float64, shape [m].
-        points: The common points, a length, float64, shape [m, 3], or [m, 2] in the plane.
         vertices: Ids of the vertices, as in ``ccd_warp.Intersections.vertices``, int64, shape [m, 5].
-        bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
-        world: World of each pair, int32, shape [m].
         num_intersections: Number of pairs of the whole mesh, the same on all ranks.
     """
 

@@ -32,6 +32,7 @@ from ccd_warp._input.options import naming, options_of, resolve_device
 from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
+from ccd_warp._texts import text_completed_by
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
@@ -160,37 +161,23 @@ class DistributedPipeline:
         with self._together("mesh_ccd"):
             return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
 
+    @text_completed_by(mesh_ccd)
     def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
         """Largest fraction of a step of the whole mesh certain to be free of collisions; all ranks call it together.
 
-        Args:
-            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, of the same shape.
-
         Returns:
             A fraction of the step in [0, t_max], the same on all ranks.
-
-        Raises:
-            ValueError: As in :meth:`mesh_ccd`.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
         return min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
 
+    @text_completed_by(mesh_ccd)
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
         """Whether a step of the whole mesh is certain to be free of collisions; all ranks call it together.
 
-        Args:
-            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, of the same shape.
-
         Returns:
             True on all ranks if no pair touches in [0, t_max].
-
-        Raises:
-            ValueError: As in :meth:`mesh_ccd`.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: True is certain.
         """
@@ -218,22 +205,17 @@ class DistributedPipeline:
             inflation = self._holding_inflation if holds else self._inflation
             return self._collectively(vertices_t0, vertices_t1, inflation, work)
 
+    @text_completed_by(mesh_ccd)
     def find_candidates(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
     ) -> DistributedCandidates:
         """Find the pairs of the whole mesh whose swept boxes overlap; all ranks call it together.
 
         Args:
-            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: End positions, of the same shape.
             inflation: Enlargement of every box on every side, a length, the same on all ranks.
 
         Returns:
             The pairs that this rank has found, in lexicographic order.
-
-        Raises:
-            ValueError: As in :meth:`mesh_ccd`.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
         """
@@ -251,6 +233,7 @@ class DistributedPipeline:
             self._check_same_length("inflation", inflation)
             return self._collectively(vertices_t0, vertices_t1, inflation, work)
 
+    @text_completed_by(mesh_ccd)
     def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedProximities:
         """Find the pairs of the whole mesh within a distance at one time; all ranks call it together.
 
@@ -260,10 +243,6 @@ class DistributedPipeline:
 
         Returns:
             The pairs that this rank has found.
-
-        Raises:
-            ValueError: As in :meth:`mesh_ccd`.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: every pair that passes the filter and is within the distance is found once, on one rank.
         """
@@ -282,6 +261,7 @@ class DistributedPipeline:
             self._check_same_length("distance", distance)
             return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
 
+    @text_completed_by(mesh_ccd)
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
         """For each vertex on this rank a length by which it may move; all ranks call it together.
 
@@ -295,7 +275,6 @@ class DistributedPipeline:
         Raises:
             ValueError: As in :meth:`mesh_ccd`, or if the pipeline has a ``minimum_separation``, which is none in the
                 Euclidean norm.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
         """
@@ -316,6 +295,7 @@ class DistributedPipeline:
             inflation = half_up(sum_up(search_radius, self._options.minimum_distance))
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
+    @text_completed_by(mesh_ccd)
     def find_intersections(self, positions: ArrayLike) -> DistributedIntersections:
         """Find the pairs of the whole mesh that touch or cross at one time; all ranks call it together.
 
@@ -324,10 +304,6 @@ class DistributedPipeline:
 
         Returns:
             The pairs that this rank has found, and the number of those of all ranks.
-
-        Raises:
-            ValueError: As in :meth:`mesh_ccd`.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: every pair that passes the filter and touches or passes through each other is found once, on one
         rank, and no other pair is.
@@ -351,6 +327,7 @@ class DistributedPipeline:
         if least != -negative:
             raise ValueError(f"{name} is {least} on one rank and {-negative} on another; expected the same on all")
 
+    @text_completed_by(mesh_ccd)
     def line_search(
         self,
         vertices_t0: ArrayLike,
@@ -374,7 +351,6 @@ class DistributedPipeline:
 
         Raises:
             ValueError: As in :meth:`mesh_ccd`, and if ``t_max`` is not 1.
-            RuntimeError: As in :meth:`mesh_ccd`.
 
         Guarantee: as for :func:`ccd_warp.line_search`, for the whole mesh.
         """

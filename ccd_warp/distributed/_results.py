@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from ccd_warp._display import counted
 from ccd_warp._engine.candidates import Candidates
 from ccd_warp._intersections import Intersections
-from ccd_warp._results import Counts
+from ccd_warp._proximities import Proximities
+from ccd_warp._results import Contacts, Counts
 from ccd_warp._status import IntersectionKind, PairKind, primitives_of
+from ccd_warp._texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp.distributed._part import Part, PartTopology
@@ -79,6 +81,7 @@ def of_part(table: type[_PairsT], part: Part, pairs: Any, ranks: Ranks, **more: 
     return table(**columns, **more)._of(ranks)
 
 
+@text_completed_by(Contacts)
 @dataclass(frozen=True, repr=False, eq=False)
 class DistributedContacts(PairsOnRanks):
     """Contacts that this rank has found; each contact of the whole mesh is on one rank.
@@ -88,17 +91,10 @@ class DistributedContacts(PairsOnRanks):
     half-space is its number in ``mesh.planes``.
 
     Attributes:
-        kind: :class:`ccd_warp.PairKind` of each contact, int32, shape [m].
         primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
         vertices: Ids of the vertices, as in ``ccd_warp.Contacts.vertices``, int64, shape [m, 4].
         bodies: Bodies of the first and the second primitive, int32, shape [m, 2].
-        toi: Earliest time of impact, float64, shape [m].
-        parameters: (u, v) at toi, float64, shape [m, 2].
-        normal: Unit normal at toi, float64, shape [m, 3], of a mesh in the plane [m, 2].
         points: Position at toi, a length, float64, shape [m, 3], of a mesh in the plane [m, 2].
-        status: :class:`ccd_warp.CCDStatus`, int32, shape [m].
-        gap: Upper bound of the gap at toi, a length, float64, shape [m].
-        width: Width of the time interval left open, float64, shape [m].
     """
 
     vertices: NDArray[np.int64]
@@ -215,6 +211,7 @@ class DistributedLineSearch:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"
 
 
+@text_completed_by(Proximities)
 @dataclass(frozen=True, repr=False, eq=False)
 class DistributedProximities(PairsOnRanks):
     """Pairs that are near at one time and that this rank has found; each pair is on one rank.
@@ -222,14 +219,8 @@ class DistributedProximities(PairsOnRanks):
     They are ordered as those of :class:`ccd_warp.Proximities`.
 
     Attributes:
-        kind: :class:`ccd_warp.PairKind` of each pair, int32, shape [m].
         primitives: Indices of both primitives in the whole mesh, int64, shape [m, 2].
         vertices: Ids of the vertices, as in ``ccd_warp.Proximities.vertices``, int64, shape [m, 4].
-        parameters: (u, v) of the closest points, float64, shape [m, 2].
-        distance: Euclidean distance of the closest points, a length, float64, shape [m].
-        direction: Unit vector from the closest point of the second primitive to that of the first, shape [m, 3], or
-            [m, 2] in the plane.
-        features: Which of the vertices span the closest features, as there, int32, shape [m].
     """
 
     vertices: NDArray[np.int64]
