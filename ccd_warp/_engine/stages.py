@@ -16,7 +16,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.pair.norm import shape_of
-from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
+from ccd_warp.kernels.search.search_types import CULL, LIST
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
 from ccd_warp.kernels.step.step import Step
@@ -222,7 +222,6 @@ class Stages:
             is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
         """
         query, target = tree_pair.query, tree_pair.target
-        end = CULL if self.num_aabbs == 2 else CULL_OF_BOXES
         level = (0 if launcher.is_cuda else 1) if level is None else level
         if items is None:
             items = range(query.primitives.count if level == 0 else query.levels[0])
@@ -238,7 +237,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            self._search_on(tree_pair, end, is_cuda=False),
+            self._search_on(tree_pair, CULL, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),

@@ -10,7 +10,6 @@ from .collision_filter import CollisionFilter
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
 LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
-CULL_OF_BOXES = "cull_of_boxes"  # it culls pairs of trees that hold one box and not those of both ends of a step
 
 
 @wp.struct
