@@ -295,7 +295,11 @@ PLANTED = [
         ("launch",),
     ),
     Fault(
-        "a lost mark of overflow", _CULL, "elif part.marks_overflow != 0:", "elif part.marks_overflow > 1:", _ONE_PLACE
+        "a lost mark of overflow",
+        "kernels/search/search_types.py",
+        "elif part.marks_overflow != 0:",
+        "elif part.marks_overflow > 1:",
+        _ONE_PLACE,
     ),
     Fault("short lists not noted", _CULL, "claim(step.counts, 0, ANY_UNLISTED, 1)", "pass", ("short lists",)),
     Fault(
