@@ -20,7 +20,7 @@ from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
+from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, HOLD, NEAR
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
@@ -538,15 +538,15 @@ class HostPlan:
 
     def list_proximities(self) -> None:
         """List the pairs of a batch that are near."""
-        self.play("distances", lambda stages, recording: stages.list_proximities(recording))
+        self.play("distances", lambda stages, recording: stages.measure_pairs(recording, NEAR, self._norm))
 
     def lower_holds(self) -> None:
         """Lower the holds of the vertices of the pairs of a batch."""
-        self.play("distances", lambda stages, recording: stages.lower_holds(recording, self._norm))
+        self.play("distances", lambda stages, recording: stages.measure_pairs(recording, HOLD, self._norm))
 
     def bound_displacements(self) -> None:
         """Lower the bounds of the vertices of the pairs of a batch."""
-        self.play("distances", lambda stages, recording: stages.bound_displacements(recording))
+        self.play("distances", lambda stages, recording: stages.measure_pairs(recording, DISPLACEMENT, self._norm))
 
     def some_keys(self, kind: PairKind, count: int, most: int) -> NDArray[np.int64]:
         """Keys of at most ``most`` of the ``count`` pairs of a batch that the narrow phase has not marked yet."""

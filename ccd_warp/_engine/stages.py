@@ -376,24 +376,28 @@ class Stages:
                 kernel = self.narrow_phase.solve_pairs
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
-    def list_proximities(self, launcher: Launcher) -> None:
-        """In place of the narrow phase: list the pairs that are near at the start."""
-        from ccd_warp.kernels.at_one_time.proximity import list_proximities  # few programs need it
+    def measure_pairs(self, launcher: Launcher, sink: int, norm: str) -> None:
+        """In place of the narrow phase: measure the pairs at the start, in a norm.
 
-        self._at_one_time(launcher, list_proximities, [], [self.step.minima, self.proximities])
+        Args:
+            launcher: Where to launch, or to record.
+            sink: Where what is found goes: with `NEAR` near pairs are listed; with `DISPLACEMENT` the bounds of the
+                vertices are lowered, with `HOLD` their holds, which are both the minima of the vertices.
+            norm: That of the distance; `HOLD` alone knows others than the Euclidean.
+        """
+        from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
 
-    def bound_displacements(self, launcher: Launcher) -> None:
-        """In place of the narrow phase: lower the bounds, which are the minima of the vertices."""
-        from ccd_warp.kernels.at_one_time.proximity import bound_displacements
-
-        self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.step.minima])
-
-    def lower_holds(self, launcher: Launcher, norm: str) -> None:
-        """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
-
-        self._at_one_time(
-            launcher, specialised("at_one_time.start_holds", norm=shape_of(norm)).lower_holds, [], [self.step.minima]
-        )
+        kernel = specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+        chunk = 1 if launcher.is_cuda else _CHUNK
+        body_static = self.topology.body_static if sink == DISPLACEMENT else None
+        outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]
+        with launcher.at_once():
+            for kind, keys in self.keys.items():
+                solvers = None
+                if launcher.is_cuda:
+                    solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
+                inputs = [sink, *self._pairs(kind), self.step.vertices_t0, self.reach, body_static]
+                self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, num_solvers=solvers)
 
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""
@@ -413,17 +417,6 @@ class Stages:
         inputs += [self.step.vertices_t0, self.reach]
         outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
-
-    def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel for the pairs of each kind that the search has found."""
-        chunk = 1 if launcher.is_cuda else _CHUNK
-        with launcher.at_once():
-            for kind, keys in self.keys.items():
-                solvers = None
-                if launcher.is_cuda:
-                    solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                pairs = [*self._pairs(kind), self.step.vertices_t0, self.reach, *inputs]
-                self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs, num_solvers=solvers)
 
     def _pairs(self, kind: PairKind) -> list[Any]:
         """The pairs of a kind as kernels take them."""
