@@ -146,11 +146,12 @@ class Stages:
             others = [specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates]
         else:
             solvers = [narrow_phase.solve_pairs]
-            others = [box_tree.fill_vertex_aabbs, device_step.reset]
+            others = [contacts.first_contacts] if sink == CONTACTS else []
+            others += [device_step.reset, box_tree.fill_vertex_aabbs]
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
-            others += [contacts.first_contacts] if sink == CONTACTS else []
         search = self._search_on(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
-        load_all([*solvers[::-1], search, *others], launcher.device)
+        # the first to be compiled makes Warp's header for all: one that begins soon, beside the solver
+        load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
         """Compute the AABBs of the given vertices, empty ones for those of bodies that are not active."""
