@@ -50,11 +50,15 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
                 kernels = getattr(queued, name)
                 for stage, kernel in zip(STAGES if kernels else (), kernels, strict=True):
                     modules[f"queued_pairs {name} {stage} {real.__name__}{of_norm}"] = kernel.module
+    shapes = {"ball": EUCLIDEAN_NORM} | ({"box": MAXIMUM_NORM} if with_distances else {})
+    for shape, norm in shapes.items():
+        modules[f"measure_pairs {shape}"] = specialised("at_one_time.measure_pairs", norm=norm).measure_pairs.module
     modules["candidate_cull"] = specialised("search.candidate_cull").cull_candidates.module
     if with_distances:
         modules["candidate_cull thick"] = specialised("search.candidate_cull", is_thick=True).cull_candidates.module
-        for norm, shape in ((EUCLIDEAN_NORM, "ball"), (MAXIMUM_NORM, "box")):
-            modules[f"holds {shape}"] = specialised("at_one_time.start_holds", norm=norm).lower_holds.module
+        for shape, norm in shapes.items():
+            of_start = specialised("at_one_time.start_holds", norm=norm)
+            modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, with_distances)):
         if is_thick and end == LIST:
             continue  # lists candidates with radii as it does without

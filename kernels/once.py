@@ -4,9 +4,11 @@ Warp's registry of modules is not thread-safe: if two threads define the same ke
 that is registered in no module. A result is kept only when it is complete: a builder that was interrupted runs again.
 """
 
+import gc
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import Any
 
@@ -14,6 +16,21 @@ from typing import Any
 building = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=building.acquire, after_in_parent=building.release, after_in_child=building.release)
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Leave the garbage collector out where kernels are defined or compiled, with `building` locked.
+
+    What is made there stays, and is so much that the collector would take a fifth of the time to find it all in use.
+    """
+    was_enabled = gc.isenabled()
+    try:
+        gc.disable()
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
@@ -28,7 +45,7 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
         if defaults:
             arguments = arguments + defaults[len(arguments) - num_required :]
         if arguments not in made:
-            with building:
+            with building, uncollected():
                 if arguments not in made:
                     made[arguments] = make(*arguments)
         return made[arguments]

@@ -19,7 +19,7 @@ from typing import Any
 
 from . import parameters
 from .kept_code import KeptCode
-from .once import building, once
+from .once import building, once, uncollected
 
 _FOLDER = Path(__file__).parent
 # What a file imports from here: how many folders up, a module and its names, or a folder and modules.
@@ -105,6 +105,6 @@ def specialised(name: str, **values: Any) -> Any:
         module = sys.modules.get(f"{__package__}.{name}")
         if module is not None and not getattr(module.__spec__, "_initializing", False):
             return module
-        with building:  # before the locks of imports: a thread that specialises imports with it locked
+        with building, uncollected():  # before the locks of imports: a thread that specialises imports with it locked
             return importlib.import_module(f"{__package__}.{name}")
     return _specialise(name, given)

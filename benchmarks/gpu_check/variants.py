@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.kernels.pair.norm import MAXIMUM_NORM
-from ccd_warp.kernels.search.search_types import BOXES, CULL, CULL_OF_BOXES
+from ccd_warp.kernels.search.search_types import BOXES, CULL
 
 from ccd_warp._runtime.lanes import narrow_phase_on, search_on
 
@@ -36,8 +36,7 @@ def cpu_modules() -> list[Any]:
     cpu = wp.get_device("cpu")
     modules = {module for name, module in cuda_modules().items() if not name.startswith(_ONLY_CUDA)}
     modules |= {narrow_phase_on(cpu, real, MAXIMUM_NORM).solve_pairs.module for real in (wp.float64, wp.float32)}
-    searches = [*product(("search_trees", "search_hashes"), (BOXES, CULL)), ("search_trees", CULL_OF_BOXES)]
-    for (walk, end), with_lists in product(searches, (False, True)):
+    for walk, end, with_lists in product(("search_trees", "search_hashes"), (BOXES, CULL), (False, True)):
         modules.add(search_on(cpu, walk, end, with_lists, is_cuda=False).module)
     return list(modules)
 

@@ -27,6 +27,7 @@ from ccd_warp._input.interop import without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Recording, Slot
 from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 
 _SLOTS = ("inflation", "search options", "reach", "largest")
@@ -161,7 +162,7 @@ class DeviceProximityStep(DeviceAtOneTime):
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:
             stages.list_near_planes(recording)
-        stages.list_proximities(recording)
+        stages.measure_pairs(recording, NEAR, EUCLIDEAN_NORM)
 
 
 class DeviceDisplacementStep(DeviceAtOneTime):
@@ -193,4 +194,4 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:
             stages.bound_by_half_spaces(recording)
-        stages.bound_displacements(recording)
+        stages.measure_pairs(recording, DISPLACEMENT, EUCLIDEAN_NORM)

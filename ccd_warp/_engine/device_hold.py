@@ -17,6 +17,7 @@ from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.at_one_time import device_hold as kernels
+from ccd_warp.kernels.narrow_phase.sinks import HOLD
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -102,5 +103,5 @@ class DeviceHold:
         start = stages.step.vertices_t0
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
-        of_start.lower_holds(recording, self._norm)
+        of_start.measure_pairs(recording, HOLD, self._norm)
         recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.step.minima], outputs=[self._hold])

@@ -363,9 +363,9 @@ class HostPlan(Plan):
         section = "narrow phase, second round" if is_second else "narrow phase"
         self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
 
-    def play_distances(self, record: Callable[[Stages, Recording], None]) -> None:
-        """In place of the narrow phase: measure the distances of the pairs of a batch."""
-        self.play("distances", record)
+    def measure_pairs(self, sink: int) -> None:
+        """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
+        self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
 
     def found_keys(self, kind: PairKind, count: int) -> wp.array:
         """The keys of a batch, which has so many of a kind; those that the narrow phase leaves open are marked."""

@@ -23,6 +23,7 @@ from ccd_warp._results import Contacts, Counts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -72,7 +73,7 @@ class ProximityStep(StepAtOneTime):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
                 plan.bind(proximities=store.begin_batch(sum(batch.found.values())))
-                plan.play_distances(Stages.list_proximities)
+                plan.measure_pairs(NEAR)
                 store.end_batch()
         with self.timed("gather"):
             arrays = store.gather()
@@ -121,7 +122,7 @@ class DisplacementStep(StepAtOneTime):
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
-                plan.play_distances(Stages.bound_displacements)
+                plan.measure_pairs(DISPLACEMENT)
         with self.timed("gather"):
             bounds: wp.array = minima.vertex.view(wp.float64)
             result = bounds.numpy().copy()
@@ -147,7 +148,7 @@ class HoldStep(StepAtOneTime):
         for batch in self.timed_batches(batches):
             with self.timed("distances"):
                 self.survivors.update(batch.found)
-                plan.play_distances(lambda stages, recording: stages.lower_holds(recording, plan.norm))
+                plan.measure_pairs(HOLD)
         with self.timed("gather"):
             holds: wp.array = minima.vertex.view(wp.float64)
             result = holds.numpy().copy()

@@ -18,7 +18,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.pair.norm import shape_of
-from ccd_warp.kernels.search.search_types import CULL, CULL_OF_BOXES, LIST
+from ccd_warp.kernels.search.search_types import CULL, LIST
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
 from ccd_warp.kernels.step.step import Step
@@ -148,11 +148,12 @@ class Stages:
             others = [specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates]
         else:
             solvers = [narrow_phase.solve_pairs]
-            others = [box_tree.fill_vertex_aabbs, device_step.reset]
+            others = [contacts.first_contacts] if sink == CONTACTS else []
+            others += [device_step.reset, box_tree.fill_vertex_aabbs]
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
-            others += [contacts.first_contacts] if sink == CONTACTS else []
         search = self.search_kernel(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
-        load_all([*solvers[::-1], search, *others], launcher.device)
+        # the first to be compiled makes Warp's header for all: one that begins soon, beside the solver
+        load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
         """Compute the AABBs of the given vertices, empty ones for those of bodies that are not active."""
@@ -261,7 +262,6 @@ class Stages:
             is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
         """
         query, target = tree_pair.query, tree_pair.target
-        end = CULL if self.num_aabbs == 2 else CULL_OF_BOXES
         level = (0 if launcher.is_cuda else 1) if level is None else level
         if items is None:
             items = range(query.primitives.count if level == 0 else query.levels[0])
@@ -277,7 +277,7 @@ class Stages:
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
-            self.search_kernel(tree_pair, end, is_cuda=False),
+            self.search_kernel(tree_pair, CULL, is_cuda=False),
             count,
             inputs=[
                 search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
@@ -414,24 +414,28 @@ class Stages:
                 kernel = self.narrow_phase.solve_pairs
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
-    def list_proximities(self, launcher: Launcher) -> None:
-        """In place of the narrow phase: list the pairs that are near at the start."""
-        from ccd_warp.kernels.at_one_time.proximity import list_proximities  # few programs need it
+    def measure_pairs(self, launcher: Launcher, sink: int, norm: str) -> None:
+        """In place of the narrow phase: measure the pairs at the start, in a norm.
 
-        self._at_one_time(launcher, list_proximities, [], [self.step.minima, self.proximities])
+        Args:
+            launcher: Where to launch, or to record.
+            sink: Where what is found goes: with `NEAR` near pairs are listed; with `DISPLACEMENT` the bounds of the
+                vertices are lowered, with `HOLD` their holds, which are both the minima of the vertices.
+            norm: That of the distance; `HOLD` alone knows others than the Euclidean.
+        """
+        from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
 
-    def bound_displacements(self, launcher: Launcher) -> None:
-        """In place of the narrow phase: lower the bounds, which are the minima of the vertices."""
-        from ccd_warp.kernels.at_one_time.proximity import bound_displacements
-
-        self._at_one_time(launcher, bound_displacements, [self.topology.body_static], [self.step.minima])
-
-    def lower_holds(self, launcher: Launcher, norm: str) -> None:
-        """In place of the narrow phase: lower the holds, which are the minima of the vertices."""
-
-        self._at_one_time(
-            launcher, specialised("at_one_time.start_holds", norm=shape_of(norm)).lower_holds, [], [self.step.minima]
-        )
+        kernel = specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+        chunk = 1 if launcher.is_cuda else _CHUNK
+        body_static = self.topology.body_static if sink == DISPLACEMENT else None
+        outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]
+        with launcher.at_once():
+            for kind, keys in self.keys.items():
+                solvers = None
+                if launcher.is_cuda:
+                    solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
+                inputs = [sink, *self._pairs(kind), self.step.vertices_t0, self.reach, body_static]
+                self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, num_solvers=solvers)
 
     def list_near_planes(self, launcher: Launcher) -> None:
         """List the planes of half-spaces that are near vertices at the start."""
@@ -451,17 +455,6 @@ class Stages:
         inputs += [self.step.vertices_t0, self.reach]
         outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
-
-    def _at_one_time(self, launcher: Launcher, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel for the pairs of each kind that the search has found."""
-        chunk = 1 if launcher.is_cuda else _CHUNK
-        with launcher.at_once():
-            for kind, keys in self.keys.items():
-                solvers = None
-                if launcher.is_cuda:
-                    solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                pairs = [*self._pairs(kind), self.step.vertices_t0, self.reach, *inputs]
-                self._launch_solvers(launcher, kernel, kind, chunk, pairs, outputs, num_solvers=solvers)
 
     def _pairs(self, kind: PairKind) -> list[Any]:
         """The pairs of a kind as kernels take them."""

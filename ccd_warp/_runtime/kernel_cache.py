@@ -8,6 +8,8 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.shared_header import one_header
+
 _ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
 _is_said = False
 
@@ -55,7 +57,8 @@ def _say_once() -> None:
 
 
 def _load(kernel: Any, device: Any, block_dim: int | None) -> None:
-    wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+    with one_header():
+        wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
     if device.is_cpu:  # an object file of zeros, as a crash of the machine leaves it, is loaded and holds nothing
         key = (device.context, block_dim)
         if kernel.module.execs[key].get_kernel_hooks(kernel).forward is None:

@@ -16,7 +16,7 @@ from ccd_warp._runtime.kernel_cache import load_or_repair, unwritable_cache
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
-from ccd_warp.kernels.once import building
+from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
 _MOST_ITEMS = 1 << 19
@@ -58,7 +58,7 @@ def load_all(kernels: Iterable[Any], device: Any) -> None:
         load_or_repair(kernel, device, block_dim_of(kernel, device))
 
     def load_modules() -> None:
-        with building:
+        with building, uncollected():
             if device.is_capturing:
                 for kernel in missing.values():
                     load_module(kernel)

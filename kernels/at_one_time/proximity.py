@@ -1,21 +1,16 @@
-"""What is near at one time: pairs within a distance, and for each vertex how far it may move.
+"""What is near at one time: the list of pairs within a distance, and for each vertex how far it may move.
 
-Both take the place of the narrow phase. The first appends each pair within the distance to a list; the second lowers,
-for each vertex of a pair, the length by which it may move, an atomic minimum as those of the toi. A pair for which the
-search has no capacity lowers that length to 0 (`mark_overflow`).
+The length by which a vertex may move is an atomic minimum as those of the toi; a pair for which the search has no
+capacity lowers it to 0 (`mark_overflow`). The kernel that measures the pairs is `measure_pairs`.
 """
 
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim_int
-from ..boxes.thickness import distance_of
-from ..interrupts import is_stopped
 from ..pair.rounding import RELATIVE, UNIT_ROUNDOFF
-from ..pair.single_points import points_of
-from ..pair_key import pair_of
 from ..step.contacts import sort_key
-from ..step.minima import CONTACTS_OVERFLOW, FOUND, INVALID_INPUT, Minima, flag_world, world_of
-from .pair_distance import UNDERFLOW, PairDistance, measured
+from ..step.minima import CONTACTS_OVERFLOW, INVALID_INPUT, Minima, flag_world, world_of
+from .pair_distance import UNDERFLOW, PairDistance
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -64,41 +59,6 @@ def record_proximity(
     proximities.features[n] = found.features
 
 
-@wp.kernel
-def list_proximities(
-    begin: int,
-    # in
-    num_solvers: int,
-    chunk: int,
-    kind: int,
-    counts: wp.array2d[wp.int64],
-    pairs: wp.array[wp.int64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    x: wp.array[wp.vec3d],
-    reach: Reach,
-    # out
-    minima: Minima,
-    proximities: ProximityList,
-):
-    """List the pairs of a solver, which are every ``num_solvers``-th chunk, that are within the distance."""
-    count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-    first = (begin + wp.tid()) * chunk
-    while first < count:
-        if is_stopped(reach.stop):
-            return
-        for k in range(first, wp.min(first + chunk, count)):
-            pair = pair_of(pairs[k])
-            a = first_corners[pair[0]]
-            b = second_corners[pair[1]]
-            found = measured(kind, points_of(kind, a, b, x))
-            if found.least <= distance_of(reach.distance, reach.radius, a, b):  # a NaN is not
-                record_proximity(kind, pair, a[0], found, minima, proximities)
-        if first > 2147483647 - num_solvers * chunk:
-            return
-        first += num_solvers * chunk
-
-
 @wp.func
 def lower_bounds(c: wp.vec3i, bits: wp.int64, minima: Minima):
     """Lower the bounds of the vertices of a primitive."""
@@ -126,42 +86,6 @@ def bound_pair(
         lower_bounds(a, bits, minima)
     if not is_static_b:
         lower_bounds(b, bits, minima)
-
-
-@wp.kernel
-def bound_displacements(
-    begin: int,
-    # in
-    num_solvers: int,
-    chunk: int,
-    kind: int,
-    counts: wp.array2d[wp.int64],
-    pairs: wp.array[wp.int64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    x: wp.array[wp.vec3d],
-    reach: Reach,
-    body_static: wp.array[wp.int32],
-    # out
-    minima: Minima,
-):
-    """Lower the bounds of the vertices of the pairs of a solver."""
-    count = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
-    first = (begin + wp.tid()) * chunk
-    while first < count:
-        if is_stopped(reach.stop):
-            return
-        for k in range(first, wp.min(first + chunk, count)):
-            pair = pair_of(pairs[k])
-            a = first_corners[pair[0]]
-            b = second_corners[pair[1]]
-            least = measured(kind, points_of(kind, a, b, x)).least
-            if not (least >= _ZERO):
-                least = _ZERO  # a coordinate that is not finite
-            bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
-        if first > 2147483647 - num_solvers * chunk:
-            return
-        first += num_solvers * chunk
 
 
 @wp.kernel

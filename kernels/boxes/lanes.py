@@ -75,14 +75,17 @@ OVERLAP = {
 
 MOVING_OVERLAP = {
     "scalar": """
-    const float* b = nodes.data + (long long)block * 192;
-    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
+    const int end = 96 * (num_aabbs - 1);
+    const float* b = nodes.data + (long long)block * (end + 96);
+    const float* c = b + end;
+    const float* q = query_nodes.data + (long long)query_block * (end + 96) + query_lane;
+    const float* r = q + end;
     unsigned mask = 0;
     for (int k = 0; k < 16; ++k) {
         bool meet = true;
         for (int n = 0; n < 48; n += 16) {
-            meet = meet && (b[n + k] <= q[n + 48] || b[n + 96 + k] <= q[n + 144]);
-            meet = meet && (b[n + 48 + k] >= q[n] || b[n + 144 + k] >= q[n + 96]);
+            meet = meet && (b[n + k] <= q[n + 48] || c[n + k] <= r[n + 48]);
+            meet = meet && (b[n + 48 + k] >= q[n] || c[n + 48 + k] >= r[n]);
         }
         mask |= (unsigned)meet << k;
     }
@@ -90,10 +93,11 @@ MOVING_OVERLAP = {
 """,
     "vector": _LANES
     + """
-    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * 192);
-    const Lanes* c = b + 6;
-    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
-    const float* r = q + 96;
+    const int end = 96 * (num_aabbs - 1);
+    const Lanes* b = (const Lanes*)(nodes.data + (long long)block * (end + 96));
+    const Lanes* c = b + end / 16;
+    const float* q = query_nodes.data + (long long)query_block * (end + 96) + query_lane;
+    const float* r = q + end;
     Mask m = (b[0] <= (Lanes)q[48]) | (c[0] <= (Lanes)r[48]);
     m &= (b[1] <= (Lanes)q[64]) | (c[1] <= (Lanes)r[64]);
     m &= (b[2] <= (Lanes)q[80]) | (c[2] <= (Lanes)r[80]);
@@ -104,10 +108,11 @@ MOVING_OVERLAP = {
 """,
     "avx512": _COMPARE
     + """
-    const float* b = nodes.data + (long long)block * 192;
-    const float* c = b + 96;
-    const float* q = query_nodes.data + (long long)query_block * 192 + query_lane;
-    const float* r = q + 96;
+    const int end = 96 * (num_aabbs - 1);
+    const float* b = nodes.data + (long long)block * (end + 96);
+    const float* c = b + end;
+    const float* q = query_nodes.data + (long long)query_block * (end + 96) + query_lane;
+    const float* r = q + end;
     unsigned mask = CCD_COMPARE(b, q[48], 2) | CCD_COMPARE(c, r[48], 2);
     mask &= CCD_COMPARE(b + 16, q[64], 2) | CCD_COMPARE(c + 16, r[64], 2);
     mask &= CCD_COMPARE(b + 32, q[80], 2) | CCD_COMPARE(c + 32, r[80], 2);
@@ -275,11 +280,11 @@ def moving_overlap_mask(
     query_nodes: wp.array[wp.float32],
     query_block: int,
     query_lane: int,
-    with_open: int,
+    num_aabbs: int,
 ) -> wp.uint32:
-    """`overlap_mask` for endpoint AABBs: boxes that no axis separates from the query in the same order at both ends.
+    """Mask of the sixteen boxes of a block that no axis separates from a query box in the same order at both ends.
 
-    ``with_open`` is ignored; it gives the two functions the same signature.
+    With endpoint AABBs, ``num_aabbs`` 2. A box with a single AABB is that at both ends.
     """
     ...
 

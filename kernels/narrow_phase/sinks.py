@@ -1,6 +1,6 @@
 """Where what is found of pairs goes: a table of pairs given by their points, a list of contacts, a bound of the toi.
 
-At one time: a list of what is near, or bounds of displacements.
+At one time: a list of what is near, bounds of displacements, or how near vertices are to anything.
 """
 
 import warp as wp
@@ -11,6 +11,7 @@ CONTACTS = wp.constant(1)
 BOUND = wp.constant(2)
 NEAR = wp.constant(3)
 DISPLACEMENT = wp.constant(4)
+HOLD = wp.constant(5)
 
 
 @wp.struct

@@ -12,12 +12,9 @@ iterate is a certain lower bound.
 
 import warp as wp
 
-from ..narrow_phase.whole_warp import first_share, latest, num_shares
 from ..parameters import norm, on_warp, real
-from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, turn_of_side, with_largest_one
 from .closest_point import closest_on_patch, closest_weights
 from .contact_test import point_in_box
-from .facets import Facet, clip_facet, widest_facet
 from .inclusion import clip, clip_beyond
 from .norm import is_ball
 from .patch import Corners, corners_at, num_sides
@@ -62,49 +59,6 @@ def advance_volume(problem: Problem, t_start: real, t_max: real) -> real:
 
 
 @wp.func
-def advance_facets(patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool) -> real:
-    """Clip with the widest facet, and with every facet if ``thorough`` or if the widest one gains nothing.
-
-    It may gain nothing because its side vanishes.
-    """
-    separation = problem.separation
-    error = problem.error
-    t = clip_facet(patch.t0, patch.t1, separation, error, facet.number, t_start, t_max, _FACET_STEPS)
-    if (thorough or t <= t_start) and facet.slack > real(0.0):
-        for number in range(3 + 3 * num_sides(patch.is_face)):
-            s = clip_facet(patch.t0, patch.t1, separation, error, real(number), t_start, t_max, _FACET_STEPS)
-            t = wp.max(t, s)
-    return t
-
-
-@wp.func
-def advance_facets_on_warp(
-    patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
-) -> real:
-    """Clip with facets by the threads of a warp, which share them; one clip in the source keeps the kernel small."""
-    t = t_start
-    number = facet.number
-    count = int(0)  # of those that are tried after the widest
-    k = first_share() - num_shares()
-    is_widest = bool(True)
-    while is_widest or k < count:
-        s = clip_facet(patch.t0, patch.t1, problem.separation, problem.error, number, t_start, t_max, _FACET_STEPS)
-        if is_widest and (thorough or s <= t_start) and facet.slack > real(0.0):
-            count = 3 + 3 * num_sides(patch.is_face)
-        t = wp.max(t, s)
-        k += num_shares()
-        number = real(k)
-        is_widest = False
-    if count > 0:
-        t = latest(t)
-    return t
-
-
-if on_warp:
-    advance_facets = advance_facets_on_warp
-
-
-@wp.func
 def is_within(d: vec3, size: vec3) -> bool:
     """Whether d lies in [-size, size]."""
     return wp.abs(d[0]) <= size[0] and wp.abs(d[1]) <= size[1] and wp.abs(d[2]) <= size[2]
@@ -132,42 +86,94 @@ def point_of(c: Corners, wb: real, wc: real, from_w11: bool) -> vec3:
     return origin + wb * (c.w01 - origin) + wc * (c.w10 - origin)
 
 
-@wp.func
-def advance_from_ball(
-    patch: Patch,
-    problem: Problem,
-    c: Corners,
-    d: vec3,
-    velocity: vec3,
-    t_start: real,
-    t_max: real,
-    thorough: bool,
-) -> real:
-    """Clip with the closest pair's direction, now and where the pair reaches the ball, and as it turns with a side.
+if is_euclidean:
+    from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, turn_of_side, with_largest_one
 
-    d is the closest pair's direction and length at ``t_start``, with the velocity of its point; ``thorough`` tries
-    every side.
-    """
-    separation = problem.separation
-    error = problem.error
-    h = time_to_ball(d, velocity, separation[0], t_max - t_start)
-    ahead = with_largest_one(d + h * velocity)
-    d = with_largest_one(d)
-    t = clip_beyond(d, offset(d, error, separation), t_start, patch.t0, patch.t1, patch.is_triangle)
-    if t > t_max:
+    @wp.func
+    def advance_from_ball(
+        patch: Patch,
+        problem: Problem,
+        c: Corners,
+        d: vec3,
+        velocity: vec3,
+        t_start: real,
+        t_max: real,
+        thorough: bool,
+    ) -> real:
+        """Clip with the closest pair's direction, now and where the pair reaches the ball, and as it turns with a side.
+
+        d is the closest pair's direction and length at ``t_start``, with the velocity of its point; ``thorough`` tries
+        every side.
+        """
+        separation = problem.separation
+        error = problem.error
+        h = time_to_ball(d, velocity, separation[0], t_max - t_start)
+        ahead = with_largest_one(d + h * velocity)
+        d = with_largest_one(d)
+        t = clip_beyond(d, offset(d, error, separation), t_start, patch.t0, patch.t1, patch.is_triangle)
+        if t > t_max:
+            return t
+        s = clip_beyond(ahead, offset(ahead, error, separation), t_start, patch.t0, patch.t1, patch.is_triangle)
+        t = wp.max(t, s)
+        later = corners_at(patch.t0, patch.t1, t_start + h)
+        turn = turn_along(c, d, later, ahead, patch.is_face)
+        s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
+        t = wp.max(t, s)
+        if thorough:
+            for side in range(num_sides(patch.is_face)):
+                turn = turn_of_side(side, c, d, patch.is_face)
+                s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
+                t = wp.max(t, s)
         return t
-    s = clip_beyond(ahead, offset(ahead, error, separation), t_start, patch.t0, patch.t1, patch.is_triangle)
-    t = wp.max(t, s)
-    later = corners_at(patch.t0, patch.t1, t_start + h)
-    turn = turn_along(c, d, later, ahead, patch.is_face)
-    s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
-    t = wp.max(t, s)
-    if thorough:
-        for side in range(num_sides(patch.is_face)):
-            turn = turn_of_side(side, c, d, patch.is_face)
-            s = clip_turn(patch.t0, patch.t1, separation, error, turn, t_start, t_max, _TURN_STEPS)
-            t = wp.max(t, s)
-    return t
+
+else:
+    from .facets import Facet, clip_facet, widest_facet
+
+    if on_warp:
+        from ..narrow_phase.whole_warp import first_share, latest, num_shares
+
+        @wp.func
+        def advance_facets(
+            patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
+        ) -> real:
+            """Clip with facets by the threads of a warp, which share them; one clip in the source: a small kernel."""
+            t = t_start
+            number = facet.number
+            count = int(0)  # of those that are tried after the widest
+            k = first_share() - num_shares()
+            is_widest = bool(True)
+            while is_widest or k < count:
+                s = clip_facet(
+                    patch.t0, patch.t1, problem.separation, problem.error, number, t_start, t_max, _FACET_STEPS
+                )
+                if is_widest and (thorough or s <= t_start) and facet.slack > real(0.0):
+                    count = 3 + 3 * num_sides(patch.is_face)
+                t = wp.max(t, s)
+                k += num_shares()
+                number = real(k)
+                is_widest = False
+            if count > 0:
+                t = latest(t)
+            return t
+
+    else:
+
+        @wp.func
+        def advance_facets(
+            patch: Patch, problem: Problem, facet: Facet, t_start: real, t_max: real, thorough: bool
+        ) -> real:
+            """Clip with the widest facet, and with every facet if ``thorough`` or if the widest one gains nothing.
+
+            It may gain nothing because its side vanishes.
+            """
+            separation = problem.separation
+            error = problem.error
+            t = clip_facet(patch.t0, patch.t1, separation, error, facet.number, t_start, t_max, _FACET_STEPS)
+            if (thorough or t <= t_start) and facet.slack > real(0.0):
+                for number in range(3 + 3 * num_sides(patch.is_face)):
+                    s = clip_facet(patch.t0, patch.t1, separation, error, real(number), t_start, t_max, _FACET_STEPS)
+                    t = wp.max(t, s)
+            return t
 
 
 @wp.func

@@ -11,8 +11,6 @@ import warp as wp
 from ..pair_kind import VERTEX_FACE
 from ..parameters import norm, real, with_facets
 from . import simd
-from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
-from .facets import clip_facet, widest_facet
 from .inclusion import clip, clip_beyond
 from .lane_closest import LaneClosest, closest
 from .lane_pair import LanePair
@@ -104,6 +102,7 @@ class LaneStep:
 
 
 if is_euclidean:
+    from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
 
     @simd.func
     def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
@@ -159,6 +158,7 @@ else:
 
 
 if with_facets and not is_euclidean:
+    from .facets import clip_facet, widest_facet
 
     @simd.func
     def needs_facets(n: LanePair, volume: Volume) -> Mask:

@@ -10,7 +10,7 @@ import warp as wp
 from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from ..parameters import norm, real, width
 from ..template import specialised
-from . import ball, facets, simd
+from . import simd
 from .lane_pair import LanePair, narrowed, normalise, widened
 from .norm import EUCLIDEAN_NORM, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
@@ -25,11 +25,14 @@ FIRST_ROUNDS = wp.constant(2)
 _LATER_ROUNDS = wp.constant(8)
 _NONE = wp.constant(wp.uint32(0))
 
-
 is_euclidean = is_ball(norm)
 has_own = is_by_pair(norm)
+if is_euclidean:
+    from .ball import start_gap_share
+else:
+    from .facets import start_gap_share
+
 simd64 = specialised("pair.simd", width=width)
-start_gap_share = (ball if is_euclidean else facets).start_gap_share
 length64 = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
 three = wp.constant(real(3.0))
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))

@@ -9,7 +9,6 @@ import warp as wp
 from ..pair_kind import VERTEX_FACE
 from ..parameters import norm, real
 from ..template import specialised
-from . import ball, facets
 from .advance import CONTACT, LIMIT, SLOW, advance, point_of
 from .answer import Answer, parameters
 from .bisection import bisect
@@ -44,14 +43,17 @@ FAR = wp.constant(wp.float64(2.0**60))
 
 vec3d = wp.vec3d
 
-
 is_euclidean = is_ball(norm)
 has_own = is_by_pair(norm)
+if is_euclidean:
+    from .ball import start_gap_share
+else:
+    from .facets import start_gap_share
+
 vec3 = wp.types.vector(length=3, dtype=real)
 Corners64 = specialised("pair.patch").Corners
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
-start_gap_share = (ball if is_euclidean else facets).start_gap_share
 length64 = specialised("pair.support", norm=EUCLIDEAN_NORM).length
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))

@@ -12,43 +12,18 @@ from ..boxes.half_warp import HALF_WARP, claim_together, end_lane, first_lane, n
 from ..boxes.lanes import lowest_bit
 from ..boxes.thickness import distance_of
 from ..pair.single_points import corners, points_of
-from ..pair_key import pair_key, pair_of
-from ..pair_kind import EDGE_EDGE, VERTEX_FACE
+from ..pair_key import pair_of
 from ..parameters import is_thick
-from ..step.minima import ANY_UNLISTED, CANDIDATES, FOUND, Minima, mark_overflow
+from ..step.minima import ANY_UNLISTED, CANDIDATES, FOUND
 from ..step.step import Step
 from ..template import specialised
-from .search_types import SearchOptions, SearchRange
+from .search_types import SearchOptions, SearchRange, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
 
-@wp.func
-def has_volume(kind: int) -> bool:
-    """Whether the cull has a test for a pair kind; the patches of other kinds have no volume."""
-    return kind == EDGE_EDGE or kind == VERTEX_FACE
-
-
-@wp.func
-def write_pair(
-    first: int,
-    second: int,
-    a: wp.vec3i,  # vertices of the first primitive
-    b: wp.vec3i,
-    n: wp.int64,
-    part: SearchRange,
-    keys: wp.array[wp.int64],
-    minima: Minima,
-):
-    """Write the key of pair n; beyond the capacity lower its toi where no caller checks the count."""
-    if n < wp.int64(keys.shape[0]):
-        keys[n] = pair_key(first, second)
-    elif part.marks_overflow != 0:
-        mark_overflow(minima, a, b)
-
-
-free_lanes = specialised("search.cull", is_thick=is_thick).free_lanes
+cull = specialised("search.cull", is_thick=is_thick)
 module = wp.get_module(f"ccd_warp.candidate_cull{'.thick' if is_thick else ''}")
 # 128 registers: sixteen warps fit on a multiprocessor, and small blocks bring few candidates to all of them
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "block_dim": 64}, module=module)
@@ -63,13 +38,13 @@ def is_discarded(
     options: SearchOptions,
 ) -> bool:
     """Whether a test of the cull proves that a candidate does not touch in the step."""
-    if has_volume(kind):
+    if cull.has_volume(kind):
         c0 = corners(kind, points_of(kind, a, b, step.vertices_t0))
         c1 = corners(kind, points_of(kind, a, b, step.vertices_t1))
         if wp.static(is_thick):
             distance = distance_of(options.separation, options.radius, a, b)
-            return free_lanes(kind, c0, c1, distance, options.is_euclidean, options.t_end, _ONE) != _NONE
-        return free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, _ONE) != _NONE
+            return cull.free_lanes(kind, c0, c1, distance, options.is_euclidean, options.t_end, _ONE) != _NONE
+        return cull.free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, _ONE) != _NONE
     return False
 
 

@@ -18,10 +18,9 @@ from ..pair_kind import EDGE_EDGE
 from ..parameters import is_thick, width
 from ..step.minima import FOUND
 from ..template import specialised
-from .candidate_cull import has_volume, write_pair
-from .cull import free_lanes
+from .cull import free_lanes, has_volume
 from .lane_points import points_at
-from .search_types import Search, SearchOptions, is_turned
+from .search_types import Search, SearchOptions, is_turned, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
 

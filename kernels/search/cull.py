@@ -36,7 +36,7 @@ from ..pair.simd import (
     square_root,
     vec,
 )
-from ..pair_kind import VERTEX_FACE
+from ..pair_kind import EDGE_EDGE, VERTEX_FACE
 from ..parameters import is_thick, width
 from ..template import specialised
 
@@ -197,6 +197,12 @@ def is_free_by_sides(
     if is_triangle:
         free = free | is_free_along(cross(n, c0.q - c0.r), is_triangle, c0, c1, size, separation, is_euclidean, t_end)
     return free
+
+
+@wp.func
+def has_volume(kind: int) -> bool:
+    """Whether the cull has a test for a pair kind; the patches of other kinds have no volume."""
+    return kind == EDGE_EDGE or kind == VERTEX_FACE
 
 
 @wp.func

@@ -21,9 +21,9 @@ from ..boxes.lanes import lanes_before, lowest_bit
 from ..pair_key import pair_key
 from ..parameters import end, is_thick, with_lists
 from ..step.minima import CANDIDATES, FOUND
-from .candidate_cull import is_discarded, write_pair
+from .candidate_cull import is_discarded
 from .search_filter import is_left_out
-from .search_types import BOXES, LIST, Search, is_turned
+from .search_types import BOXES, LIST, Search, is_turned, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))

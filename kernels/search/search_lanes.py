@@ -27,15 +27,13 @@ from ..step.minima import CANDIDATES, FOUND
 from .collected import collect, cull_rest
 from .hash_lanes import corners_of
 from .search_filter import is_left_out
-from .search_types import BOXES, CULL, Search
+from .search_types import BOXES, Search
 
 _EVERY = wp.constant(wp.uint32(0xFFFF))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
 with_cull = end != BOXES
-# the trees of a search for contacts hold endpoint AABBs
-overlaps = moving_overlap_mask if end == CULL else overlap_mask
 most_registers = hash_registers = None  # the CPU has no limit
 
 
@@ -57,6 +55,23 @@ class Item:
     around: int  # place of the box around the block of queries; of a single query its own
     is_block: int  # 1: the boxes of a block; 0: a single box
     collected: wp.array[wp.int32]
+
+
+@wp.func
+def overlaps(
+    num_aabbs: int,
+    nodes: wp.array[wp.float32],
+    block: int,
+    query_nodes: wp.array[wp.float32],
+    query_block: int,
+    query_lane: int,
+    with_open: int,
+) -> wp.uint32:
+    """Mask of the sixteen boxes of a block that overlap a query box; ``with_open`` is for a search that ends there."""
+    if wp.static(end == BOXES):
+        return overlap_mask(nodes, block, query_nodes, query_block, query_lane, with_open)
+    else:
+        return moving_overlap_mask(nodes, block, query_nodes, query_block, query_lane, num_aabbs)
 
 
 @wp.func
@@ -97,7 +112,8 @@ def lanes_of(item: Item) -> wp.uint32:
 @wp.func
 def overlapping(search: Search, item: Item, block: int) -> wp.uint32:
     """The lanes of a block whose boxes overlap the box around the item."""
-    return overlaps(search.target.nodes, block, search.query.nodes, item.around / WIDTH, item.around % WIDTH, 0)
+    num_aabbs, query = search.target.num_aabbs, item.around
+    return overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query / WIDTH, query % WIDTH, 0)
 
 
 @wp.func
@@ -163,15 +179,17 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, tied: wp.uint3
 def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32) -> int:
     """Search some boxes of a block for partners of the queries; returns the number of candidates."""
     num_candidates = int(0)
+    num_aabbs = search.target.num_aabbs
     query_block = item.first / WIDTH
     left = wp.uint32(item.queries)
     if item.is_block != 0:
         parent = search.target.block_begin[1] + block / WIDTH
-        left = left & overlaps(search.query.nodes, query_block, search.target.nodes, parent, block % WIDTH, 0)
+        lane = block % WIDTH
+        left = left & overlaps(num_aabbs, search.query.nodes, query_block, search.target.nodes, parent, lane, 0)
     while left != _NONE:
         query_lane = lowest_bit(left)
         left = left & (left - _ONE)
-        both = overlaps(search.target.nodes, block, search.query.nodes, query_block, query_lane, 1)
+        both = overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query_block, query_lane, 1)
         mask = both & targets
         if block == item.own >> 4:  # WIDTH is 16
             mask = mask & lanes_after(query_lane)

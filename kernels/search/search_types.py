@@ -1,8 +1,13 @@
-"""What a search for pairs of boxes is given: the boxes, the options of the step, a range of items, and its outputs."""
+"""What a search for pairs of boxes is given: the boxes, the options of the step, a range of items, and its outputs.
+
+And how it writes a pair.
+"""
 
 import warp as wp
 
 from ..boxes.box_tree import BoxTree
+from ..pair_key import pair_key
+from ..step.minima import Minima, mark_overflow
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 
@@ -10,7 +15,6 @@ from .collision_filter import CollisionFilter
 BOXES = "boxes"  # it reports every pair whose boxes overlap
 CULL = "cull"  # it reports the pairs that the cull leaves open
 LIST = "list"  # it lists the candidates of a kernel that culls them afterwards
-CULL_OF_BOXES = "cull_of_boxes"  # it culls pairs of trees that hold one box and not those of both ends of a step
 
 
 @wp.struct
@@ -72,3 +76,21 @@ def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
     if tree_pair.symmetric != 0:
         return target < query
     return tree_pair.swapped != 0
+
+
+@wp.func
+def write_pair(
+    first: int,
+    second: int,
+    a: wp.vec3i,  # vertices of the first primitive
+    b: wp.vec3i,
+    n: wp.int64,
+    part: SearchRange,
+    keys: wp.array[wp.int64],
+    minima: Minima,
+):
+    """Write the key of pair n; beyond the capacity lower its toi where no caller checks the count."""
+    if n < wp.int64(keys.shape[0]):
+        keys[n] = pair_key(first, second)
+    elif part.marks_overflow != 0:
+        mark_overflow(minima, a, b)

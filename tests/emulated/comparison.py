@@ -96,7 +96,7 @@ CPU_ALONE = {
 RUN_ELSEWHERE = {
     "float32 euclidean": "those of float64",
     "own_box": "boxes are those of the maximum norm, and a separation of each pair is that of radii",
-    "holds box": "that of a ball, but for the distance of a pair",
+    **dict.fromkeys(["measure_pairs box", "near_contacts box"], "those of a ball, but for the distance of a pair"),
     "search_trees boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",
     "search_trees cull True thick": "likewise",
     "search_hashes boxes False thick": "likewise, the other way round",

@@ -1,8 +1,11 @@
 """Files of kernels as templates: one specialisation for each set of the parameters on which a file depends."""
 
+import gc
+
 import pytest
 import warp as wp
 from ccd_warp.kernels import atomics
+from ccd_warp.kernels.once import once
 from ccd_warp.kernels.pair import patch
 from ccd_warp.kernels.template import specialised
 
@@ -46,3 +49,25 @@ def test_a_plain_import_shares_its_code_with_specialisations():
 def test_a_parameter_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match=r"pair\.patch is asked for with breadth; expected parameters"):
         specialised("pair.patch", breadth=8)
+
+
+@pytest.mark.parametrize("was_enabled", [True, False])
+def test_the_garbage_collector_is_off_while_something_is_made_and_then_as_it_was(was_enabled):
+    @once
+    def made(fails):
+        assert not gc.isenabled()
+        if fails:
+            raise InterruptedError
+        return once(lambda: gc.isenabled())(), gc.isenabled()
+
+    assert gc.isenabled()
+    try:
+        if not was_enabled:
+            gc.disable()
+        with pytest.raises(InterruptedError):
+            made(True)
+        assert gc.isenabled() == was_enabled
+        assert made(False) == (False, False)
+        assert gc.isenabled() == was_enabled
+    finally:
+        gc.enable()

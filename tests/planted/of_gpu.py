@@ -44,6 +44,7 @@ _STAGES, _DRIVER, _CONTACTS = (
     "ccd_warp/_engine/device_step.py",
     "kernels/step/contacts.py",
 )
+_WRITING = "kernels/search/search_types.py"
 _ONE_PLACE = ("functions",)
 _LATEST = """; bits > 0; bits >>= 1) {
         const auto other = __shfl_xor_sync(0xFFFFFFFFu, t, bits);
@@ -295,7 +296,11 @@ PLANTED = [
         ("launch",),
     ),
     Fault(
-        "a lost mark of overflow", _CULL, "elif part.marks_overflow != 0:", "elif part.marks_overflow > 1:", _ONE_PLACE
+        "a lost mark of overflow",
+        _WRITING,
+        "elif part.marks_overflow != 0:",
+        "elif part.marks_overflow > 1:",
+        _ONE_PLACE,
     ),
     Fault("short lists not noted", _CULL, "claim(step.counts, 0, ANY_UNLISTED, 1)", "pass", ("short lists",)),
     Fault(
@@ -351,7 +356,7 @@ PLANTED = [
     ),
     Fault(
         "the place of a key of 32 bits",
-        _CULL,
+        _WRITING,
         "if n < wp.int64(keys.shape[0]):\n        keys[n]",
         "if wp.int32(n) < keys.shape[0]:\n        keys[wp.int32(n)]",
         _ONE_PLACE,

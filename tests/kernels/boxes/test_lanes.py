@@ -51,12 +51,19 @@ def make_overlap(sources, version):
         query_block: int,
         query_lane: int,
         with_open: int,
+        num_aabbs: int,
     ) -> wp.uint32: ...
 
     @wp.kernel(module="unique", enable_backward=False)
-    def run(nodes: wp.array[wp.float32], queries: wp.array[wp.float32], with_open: int, out: wp.array2d[wp.uint32]):
+    def run(
+        nodes: wp.array[wp.float32],
+        queries: wp.array[wp.float32],
+        with_open: int,
+        num_aabbs: int,
+        out: wp.array2d[wp.uint32],
+    ):
         i, j = wp.tid()
-        out[i, j] = overlap(nodes, j, queries, i / 16, i % 16, with_open)
+        out[i, j] = overlap(nodes, j, queries, i / 16, i % 16, with_open, num_aabbs)
 
     return run
 
@@ -65,12 +72,17 @@ def cases(sources):
     return [(name, version) for name, versions in sources.items() for version in versions]
 
 
-@pytest.mark.parametrize(("name", "version"), cases({"OVERLAP": lanes.OVERLAP, "MOVING_OVERLAP": lanes.MOVING_OVERLAP}))
-def test_overlap(name, version):
+@pytest.mark.parametrize(
+    ("name", "version", "num_aabbs"),
+    [
+        *((*case, 1) for case in cases({"OVERLAP": lanes.OVERLAP, "MOVING_OVERLAP": lanes.MOVING_OVERLAP})),
+        *((*case, 2) for case in cases({"MOVING_OVERLAP": lanes.MOVING_OVERLAP})),
+    ],
+)
+def test_overlap(name, version, num_aabbs):
     if not supports(version):
         pytest.skip(f"this processor has no {version}")
     rng = np.random.default_rng(1)
-    num_aabbs = 2 if name == "MOVING_OVERLAP" else 1
     boxes, queries = blocks(rng, 20, num_aabbs), blocks(rng, 4, num_aabbs)
     b = boxes.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, 1, -1)
     q = queries.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, -1, 1)
@@ -80,9 +92,9 @@ def test_overlap(name, version):
     else:
         closed = (b[:, :3] <= q[:, 3:]).any(axis=0).all(axis=0) & (b[:, 3:] >= q[:, :3]).any(axis=0).all(axis=0)
         opened = closed
-    for with_open in (0, 1) if num_aabbs == 1 else (0,):
+    for with_open in (0, 1) if name == "OVERLAP" else (0,):
         out = wp.zeros((64, 20), dtype=wp.uint32, device="cpu")
-        inputs = [on_cpu(boxes, wp.float32), on_cpu(queries, wp.float32), with_open]
+        inputs = [on_cpu(boxes, wp.float32), on_cpu(queries, wp.float32), with_open, num_aabbs]
         wp.launch(make_overlap(getattr(lanes, name), version), dim=(64, 20), inputs=inputs, outputs=[out], device="cpu")
         weight = 1 << np.arange(WIDTH, dtype=np.uint32)
         expected = (closed.reshape(64, 20, WIDTH) * weight).sum(axis=2)
