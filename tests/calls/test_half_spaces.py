@@ -457,16 +457,3 @@ def test_a_mesh_keeps_its_half_spaces_as_they_were_given():
     assert mesh.moving_vertices.tolist() == list(range(8)) and not mesh.planes.points.flags.writeable
     same = pickle.loads(pickle.dumps(mesh))
     assert same.planes == mesh.planes and not same.planes.normals.flags.writeable and same.planes != GROUND
-
-
-def test_a_graph_replays_what_vertices_and_planes_do():
-    mesh, start, end = sheet_over_ground()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", broad_phase="hash", **CAPACITIES)
-    result = pipeline.reserve()
-    vertices_t0, vertices_t1 = on_device(start), on_device(start)
-    with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(vertices_t0, vertices_t1)
-    for positions in (end, 0.5 * start + 0.5 * end, start):
-        vertices_t1.assign(positions)
-        wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, start, positions, device="cpu"))

@@ -476,21 +476,6 @@ def test_rounding_afterwards_goes_through_the_face():
     pytest.fail("rounding never crossed the face")
 
 
-def test_line_search_in_a_graph(device):
-    mesh, start = stacked(0.0, 1.0)
-    vertices_t0, vertices_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-    pipeline.launch_line_search(vertices_t0, vertices_t1)
-    with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch_line_search(vertices_t0, vertices_t1)
-    for fall, expected in ((2.0, 1 - 0.9 * 1.0), (0.5, 0.5), (10.0, 1 - 0.9 * 1.0)):
-        wished = start.copy()
-        wished[3:, 2] -= fall
-        vertices_t1.assign(wished)
-        wp.capture_launch(capture.graph)
-        assert vertices_t1.numpy()[3:, 2].min() == pytest.approx(expected, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

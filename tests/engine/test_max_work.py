@@ -5,7 +5,6 @@ from functools import cache
 import faults
 import numpy as np
 import pytest
-import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
@@ -49,33 +48,6 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
             [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], vertex_world=mesh.vertex_world
         )
         assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
-
-
-@pytest.mark.parametrize("method", ["clipping", "bisection"])
-@pytest.mark.parametrize("of_worlds", [True, False])
-@pytest.mark.parametrize("kind", KINDS)
-def test_pairs_that_share_too_little_work_are_the_same_whatever_the_threads_and_the_memory(kind, of_worlds, method):
-    count = 120 if of_worlds else 20
-    mesh, start, end = scene_of(kind, count, of_worlds=of_worlds)
-    share = Options(method=method).first_iterations + 64
-    options = OPTIONS | {"max_work": share * count, "max_iterations": 6000, "method": method}
-    truth = ccd.mesh_ccd(mesh, start, end, num_threads=1, **options)
-    step = ccd.collision_free_step(mesh, start, end, num_threads=1, **options)
-    assert (truth.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).any() or not of_worlds
-    assert step >= truth.toi  # it shares the work among the earliest pairs alone
-    for num_threads in (2, 4):
-        for memory_limit in (None, 4 << 20):
-            given = options | {"num_threads": num_threads, "memory_limit": memory_limit}
-            result = ccd.mesh_ccd(mesh, start, end, **given)
-            for name in ("toi", "vertex_toi", "world_toi", "vertex_contact", "contacts"):
-                expected, found = (faults.arrays_of(getattr(r, name)) for r in (truth, result))
-                assert faults.difference(found, expected) == "", name
-            assert ccd.collision_free_step(mesh, start, end, **given) == step
-        pipeline = ccd.CollisionPipeline(mesh, num_threads=num_threads, **options)
-        launched = pipeline.launch(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end)))
-        assert launched.toi.numpy()[0] == truth.toi
-        np.testing.assert_array_equal(launched.vertex_toi.numpy(), truth.vertex_toi)
-        np.testing.assert_array_equal(launched.world_toi.numpy(), truth.world_toi)
 
 
 @pytest.mark.parametrize("kind", KINDS)

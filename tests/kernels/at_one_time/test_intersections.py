@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import itertools
-import pickle
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from oracles import listing
 from scenes import sheet, sheet_over_floor, single
 
 import ccd_warp as ccd
-from ccd_warp._engine import exact_intersections, intersection_points, intersection_step
+from ccd_warp._engine import exact_intersections, intersection_points
 from ccd_warp._engine.edge_points import MeshWithEdgePoints
 
 KIND = ccd.IntersectionKind
@@ -330,23 +329,6 @@ def test_edges_and_faces_cover_most_other_pairs(monkeypatch):
 
     monkeypatch.setattr(MeshWithEdgePoints, "__init__", init_without_cover)
     assert results() == covered and all(covered)
-
-
-def test_no_result_depends_on_threads_memory_or_earlier_calls(monkeypatch):
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    mesh = ccd.CollisionMesh.from_trimesh([ball, ball])
-    x = np.vstack([ball.vertices, np.round(8 * ball.vertices) / 8 + [0.5, 0, 0]])
-    expected = pickle.dumps(ccd.find_intersections(mesh, x, num_threads=1).points)
-    pipeline = ccd.CollisionPipeline(mesh, num_threads=2, minimum_separation=0.1, t_max=0.5)
-    for _ in range(3):
-        pipeline.mesh_ccd(x, x)
-        assert pickle.dumps(pipeline.find_intersections(x).points) == expected
-    assert pipeline.counts.num_vertices == mesh.num_vertices and pipeline.timings["total"] > 0
-    with pytest.raises(ValueError, match=r"memory_limit is 1000 bytes; expected at least \d+ for this step") as error:
-        ccd.find_intersections(mesh, x, memory_limit=1000)
-    least = int(str(error.value).split("at least ")[1].split()[0])
-    monkeypatch.setattr(intersection_step, "_CHUNK", 100)
-    assert pickle.dumps(ccd.find_intersections(mesh, x, memory_limit=least).points) == expected
 
 
 def test_worlds_do_not_meet_and_may_have_an_axis():

@@ -297,12 +297,6 @@ def test_power_of_two_scale_changes_no_bit(exponent, kind, precision):
         assert a.parameters.tobytes() == b.parameters.tobytes()
 
 
-def test_num_threads_changes_no_bit():
-    p0, p1 = FAMILIES["random"]("edge-edge", 5000, np.random.default_rng(28))
-    results = [ccd.edge_edge_ccd(p0, p1, num_threads=n) for n in (1, 2, 3)]
-    assert all(r.toi.tobytes() == results[0].toi.tobytes() for r in results)
-
-
 # --- single geometries ---
 
 

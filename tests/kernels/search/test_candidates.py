@@ -276,18 +276,6 @@ def test_inflation_is_rounded_outward(device):
     assert check_candidates(mesh, start, start, np.nextafter(0.1, 0), device)
 
 
-@pytest.mark.parametrize("num_faces", [20, 3000])
-def test_result_does_not_depend_on_num_threads(num_faces):
-    rng = np.random.default_rng(15)
-    start, faces = soup(rng, num_faces, 0.05)
-    start[: 3 * num_faces // 4] *= 0.2  # a dense corner, so that the first guess of the pair count is wrong
-    reference = find_candidates(single(start, faces), start, start + 0.01, num_threads=1)
-    for num_threads in (2, 3, 8):
-        found = find_candidates(single(start, faces), start, start + 0.01, num_threads=num_threads)
-        assert np.array_equal(found.vertex_face, reference.vertex_face)
-        assert np.array_equal(found.edge_edge, reference.edge_edge)
-
-
 def test_many_pairs_a_query(device):
     """More pairs than the first guess of the capacity."""
     rng = np.random.default_rng(16)
