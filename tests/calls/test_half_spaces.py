@@ -409,42 +409,12 @@ def test_kinds_of_pairs_choose_planes_or_leave_them_out():
     assert result.toi < 1 and list(result.counts.num_searches) == [VERTEX_PLANE]
 
 
-@pytest.mark.parametrize(
-    ("half_space", "message"),
-    [
-        (ccd.HalfSpace([0, 0, 0], [0, 0, 0]), r"normal of body 1 \(floor\) is \[0.0, 0.0, 0.0\]; expected a direction"),
-        (ccd.HalfSpace([0, 0, 0], [0, np.nan, 1]), r"normal of body 1 \(floor\) is \[0.0, nan, 1.0\]; expected finite"),
-        (ccd.HalfSpace([0, 0, 0], [0, 0, np.inf]), r"normal of body 1 \(floor\) is \[0.0, 0.0, inf\]; expected finite"),
-        (ccd.HalfSpace([0, -np.inf, 0], UP), r"point of body 1 \(floor\) is \[0.0, -inf, 0.0\]; expected finite"),
-        (ccd.HalfSpace([[0, 0, 0]], UP), r"point of body 1 \(floor\) has shape \(1, 3\); expected \(3,\)"),
-        (ccd.HalfSpace([0, 0], [0, 1]), r"point of body 1 \(floor\) has shape \(2,\); expected \(3,\)"),
-        (ccd.HalfSpace([0, 0, 0], 1.0), r"normal of body 1 \(floor\) is 1.0; expected 3 numbers"),
-        (ccd.HalfSpace(["a", "b", "c"], UP), r"point of body 1 \(floor\) has dtype .*; expected real numbers"),
-    ],
-)
-def test_half_spaces_that_are_none_are_named(half_space, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), half_space], names=["cloth", "floor"])
-
-
 def test_half_spaces_have_no_radius():
     bodies, names = [(TRIANGLE, FACE), GROUND], ["cloth", "floor"]
     assert ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0]).radius.tolist() == [0.1] * 3
     assert ccd.CollisionMesh.from_arrays(bodies, radius=0.1).radius.tolist() == [0.1] * 3
     with pytest.raises(ValueError, match=r"radius holds 0.2 for body 1 \(floor\); expected 0, as a half-space has no"):
         ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0.2], names=names)
-
-
-def test_half_spaces_alone_are_no_mesh():
-    for make, bodies in (
-        (ccd.CollisionMesh.from_arrays, [GROUND]),
-        (ccd.CollisionMesh.from_trimesh, GROUND),
-        (ccd.CollisionMesh.from_trimesh, [GROUND, GROUND]),
-    ):
-        with pytest.raises(
-            ValueError, match="bodies holds half-spaces alone; expected at least one body with vertices"
-        ):
-            make(bodies)
 
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given():

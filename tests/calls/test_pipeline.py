@@ -441,23 +441,3 @@ def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
 
 
 # --- bad input ---
-
-
-@pytest.mark.parametrize("solve", [ccd.mesh_ccd, ccd.collision_free_step])
-def test_bad_frames(solve):
-    mesh, start, end = bullet_and_wall()
-    n = mesh.num_vertices
-    with pytest.raises(ValueError, match=rf"vertices_t0 has shape \({n - 1}, 3\); expected \({n}, 3\)"):
-        solve(mesh, start[:-1], end)
-    with pytest.raises(ValueError, match=rf"vertices_t1 has shape \({n - 1}, 3\)"):
-        solve(mesh, start, end[:-1])
-    with pytest.raises(ValueError, match="vertices_t1 has shape"):
-        solve(mesh, start, end[:, :2])
-    broken = end.copy()
-    broken[0, 1] = np.inf
-    with pytest.raises(ValueError, match="vertices_t1 holds inf in row 0; expected finite values"):
-        solve(mesh, start, broken)
-    with pytest.raises(ValueError, match="tolerance is 0"):
-        solve(mesh, start, end, tolerance=0)
-    with pytest.raises(ValueError, match="device is 'abacus'"):
-        solve(mesh, start, end, device="abacus")

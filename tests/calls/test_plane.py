@@ -208,23 +208,6 @@ def test_a_path_of_trimesh_in_the_plane_is_a_body():
     assert mesh.dimension == 2 and mesh.num_edges == 4 and mesh.num_faces == 0
 
 
-@pytest.mark.parametrize(
-    "bodies, message",
-    [
-        ([(SEGMENT, EDGE), (np.eye(3), [[0, 1, 2]])], r"body 1 has 3 columns and those of body 0 2; expected all"),
-        ([(np.eye(3), [[0, 1, 2]]), (SEGMENT, EDGE)], r"body 0 has 3 columns and those of body 1 2; expected all"),
-        ([(SEGMENT, [[0, 1, 1]])], r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
-        ([(SEGMENT, [], EDGE)], r"body 0 is in the plane and has 3 arrays; expected a pair \(vertices, edges\)"),
-        ([(SEGMENT, [[0, 2]])], r"edges of body 0 holds index 2; expected indices in \[0, 2\)"),
-        ([(SEGMENT + [np.inf, 0], EDGE)], r"vertices of body 0 holds .* in row 0; expected finite"),
-        ([(np.zeros((4, 4)), EDGE)], r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
-    ],
-)
-def test_bodies_that_make_no_mesh_in_the_plane(bodies, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays(bodies)
-
-
 def test_positions_of_the_other_dimension_are_named():
     plane = ccd.CollisionMesh.from_arrays([(SEGMENT, EDGE)])
     space = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])

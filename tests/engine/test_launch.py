@@ -399,54 +399,7 @@ def test_no_rows(device):
     assert pipeline.launch_line_search(empty, empty).toi.numpy()[0] == np.inf
 
 
-def launch_on_cpu(mesh, vertices_t0, vertices_t1=None, **arrays):
-    return ccd.CollisionPipeline(mesh, device="cpu").launch(vertices_t0, vertices_t1, **arrays)
-
-
 TRIANGLE = np.eye(3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((TRIANGLE, None), "neither of vertices_t1 and displacements is given; expected one of them"),
-        ((TRIANGLE[:2], TRIANGLE), "vertices_t0 has 2 rows; expected 3, one a vertex"),
-        ((TRIANGLE, TRIANGLE.astype(np.float32)), "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"),
-        ((TRIANGLE.astype(int), TRIANGLE), "vertices_t0 has dtype int64; expected float32 or float64"),
-        ((TRIANGLE, TRIANGLE[::-1]), r"vertices_t1 has strides \(-24, 8\); expected a contiguous array"),
-        ((TRIANGLE.T, TRIANGLE), r"vertices_t0 has strides \(8, 24\); expected a contiguous array"),
-        ((TRIANGLE.tolist(), TRIANGLE), "vertices_t0 is a list; expected an array of Warp, NumPy, or with DLPack"),
-        (
-            (TRIANGLE.ravel(), TRIANGLE),
-            r"vertices_t0 has dtype float64 and shape \(9,\); expected vec3f or vec3d and \(n,\)",
-        ),
-    ],
-)
-def test_bad_arrays_are_named(arguments, message):
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
-    with pytest.raises(ValueError, match=message):
-        launch_on_cpu(mesh, *arguments)
-
-
-def test_both_ends_and_displacements_are_one_too_many():
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
-    with pytest.raises(ValueError, match="both of vertices_t1 and displacements is given"):
-        launch_on_cpu(mesh, TRIANGLE, TRIANGLE, displacements=TRIANGLE)
-
-
-@pytest.mark.parametrize(
-    ("capacity", "message"),
-    [
-        ({"max_pairs": 0}, "max_pairs is 0; expected a positive integer"),
-        ({"max_pairs": 2**29}, "max_pairs is 536870912; expected a positive integer up to 268435456"),
-        ({"max_contacts": 1.5}, "max_contacts is 1.5; expected a positive integer"),
-        ({"vertices": np.full((3, 3), np.nan)}, "vertices holds nan in row 0"),
-    ],
-)
-def test_bad_capacities_are_named(capacity, message):
-    pipeline = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])]))
-    with pytest.raises(ValueError, match=message):
-        pipeline.reserve(**capacity)
 
 
 def test_capture_without_capacity_says_what_to_do():
@@ -454,21 +407,6 @@ def test_capture_without_capacity_says_what_to_do():
     pipeline = ccd.CollisionPipeline(mesh, device="cpu")
     with pytest.raises(RuntimeError, match=r"call reserve\(\) before the capture"), wp.ScopedCapture(device="cpu"):
         pipeline.launch(on_device(TRIANGLE), on_device(TRIANGLE))
-
-
-@pytest.mark.parametrize(
-    ("worlds", "message"),
-    [
-        ([0, 0], r"vertex_world has dtype int64 and shape \(2,\); expected integers and \(3,\)"),
-        ([0.0, 0.0, 0.0], "vertex_world has dtype float64"),
-        ([-1, 0, 0], "vertex_world holds -1; expected worlds from 0 on, below the number of vertices, 3"),
-        ([3, 3, 3], "vertex_world holds 3; expected worlds from 0 on, below the number of vertices, 3"),
-        ([0, 0, 1], r"vertex_world gives face 0 worlds \[0, 0, 1\]; expected one"),
-    ],
-)
-def test_bad_worlds_are_named(worlds, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])], vertex_world=worlds)
 
 
 def test_few_positions_of_numpy_are_copied():

@@ -478,38 +478,3 @@ def test_shuffled_mesh_is_sorted_by_place():
     assert other.counts.num_sorted_sets == 0
     assert as_bytes(result) == as_bytes(other)
     assert result.counts.num_candidates == other.counts.num_candidates
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"memory_limit": 0}, "memory_limit is 0; expected a positive integer"),
-        ({"memory_limit": 1.5}, "memory_limit is 1.5"),
-        ({"broad_phase": "grid"}, "broad_phase is 'grid'; expected 'tree' or 'hash'"),
-        ({"broad_phase": None}, "broad_phase is None; expected 'tree' or 'hash'"),
-        ({"pair_kinds": []}, r"pair_kinds is \[\]; expected a list of 'vertex_face', 'edge_edge'"),
-        ({"pair_kinds": "vertex_face"}, "pair_kinds is 'vertex_face'; expected a list"),
-        ({"pair_kinds": ["vertex"]}, r"pair_kinds is \['vertex'\]"),
-    ],
-)
-def test_bad_options_are_named(options, message):
-    mesh = single(np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=message):
-        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"body_pairs": np.ones((1, 1))},
-            r"body_pairs has dtype float64 and shape \(1, 1\); expected bool and \(2, 2\)",
-        ),
-        ({"body_pairs": [[True, False], [True, True]]}, r"body_pairs differs at \(0, 1\) and \(1, 0\)"),
-        ({"exclusion_rings": 0}, "exclusion_rings is 0; expected a positive integer"),
-    ],
-)
-def test_bad_collision_filters_are_named(options, message):
-    body = (np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays([body, body], **options)

@@ -158,7 +158,7 @@ PLANTED = [
         "ccd_warp/_engine/candidates.py",
         "if is_cut and not self._is_sorted:",
         "if False:",
-        ("calls/test_invariance.py::test_memory_changes_no_bit",),
+        ("kernels/search/test_candidate_order.py::test_blocks_of_boxes_that_exceed_the_memory_limit",),
     ),
     Fault(
         "neighbours by one end of an edge",
@@ -201,14 +201,14 @@ PLANTED = [
         "ccd_warp/_input/excluded_pairs.py",
         "is_out = (column < 0) | (column >= count)",
         "is_out = (column < 0) | (column > count)",
-        ("input/test_excluded_pairs.py::test_pairs_that_the_mesh_does_not_have_are_named",),
+        ("input/test_bad_arguments.py::test_a_mesh_that_cannot_be_is_refused_with_what_was_expected",),
     ),
     Fault(
         "a radius that is not finite",
         "ccd_warp/_input/mesh_checks.py",
         "is_invalid = ~(np.isfinite(given) & (given >= 0))",
         "is_invalid = given < 0",
-        ("calls/test_thickness.py::test_bad_radius_is_a_value_error_that_names_it",),
+        ("input/test_bad_arguments.py::test_a_mesh_that_cannot_be_is_refused_with_what_was_expected",),
     ),
     Fault(
         "a side between two cells kept",

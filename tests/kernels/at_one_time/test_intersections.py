@@ -438,33 +438,6 @@ def test_pairs_in_contact_at_the_start_of_a_step_are_those_that_touch():
 # --- bad input ---
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda x: x[:-1], r"positions has shape \(5, 3\); expected \(6, 3\) one row a vertex of the mesh"),
-        (lambda x: x[:, :2], r"positions has shape \(6, 2\)"),
-        (lambda x: np.where(x == 4, np.nan, x), "positions .*nan"),
-        (lambda x: np.where(x == 4, np.inf, x), "positions .*inf"),
-        (lambda x: x.astype(complex), "positions"),
-        (lambda x: None, "positions"),
-    ],
-)
-def test_bad_positions_are_refused(change, message):
-    mesh = two_triangles([[1, 1, -1], [1, 1, 1], [2, 2, 1]])
-    with pytest.raises(ValueError, match=message):
-        ccd.find_intersections(mesh, change(mesh.vertices.copy()))
-
-
-def test_bad_options_are_refused():
-    mesh = two_triangles([[1, 1, -1], [1, 1, 1], [2, 2, 1]])
-    with pytest.raises(TypeError, match=r"find_intersections\(\) does not take the option 'tolerance'"):
-        ccd.find_intersections(mesh, mesh.vertices, tolerance=1e-3)
-    with pytest.raises(ValueError, match="find_intersections: num_threads is 0"):
-        ccd.find_intersections(mesh, mesh.vertices, num_threads=0)
-    with pytest.raises(ValueError, match=r"mesh is .*; expected a CollisionMesh"):
-        ccd.find_intersections([mesh], mesh.vertices)
-
-
 # --- beside CGAL ---
 
 

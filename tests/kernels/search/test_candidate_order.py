@@ -1,10 +1,12 @@
 """Candidates belong to the caller, are sorted on demand, and keep their order where static boxes are kept."""
 
+import re
+
 import numpy as np
 import pytest
-from scenes import soup, three_bodies, with_static_at_rest
+from scenes import all_in_one_place, soup, three_bodies, with_static_at_rest
 
-from ccd_warp import CollisionMesh, CollisionPipeline, find_candidates
+from ccd_warp import CollisionMesh, CollisionPipeline, PairKind, find_candidates
 
 NAMES = ("vertex_face", "edge_edge", "point_segment", "point_point")
 
@@ -12,6 +14,22 @@ NAMES = ("vertex_face", "edge_edge", "point_segment", "point_point")
 def assert_same(found, expected):
     for name in NAMES:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_blocks_of_boxes_that_exceed_the_memory_limit(device):
+    """The least limit holds the partners of one box a thread; a block of sixteen, which have more, is cut."""
+    mesh, *frames = all_in_one_place(2, 280, 900)
+    expected = find_candidates(mesh, *frames, device=device, num_threads=1)
+    for num_threads in (1, 3):
+        with pytest.raises(ValueError, match="memory_limit is 1 bytes; expected at least") as error:
+            CollisionPipeline(mesh, memory_limit=1, num_threads=num_threads).find_candidates(*frames)
+        limit = int(re.search(r"at least (\d+)", str(error.value)).group(1))
+        pipeline = CollisionPipeline(mesh, device=device, memory_limit=limit, num_threads=num_threads)
+        assert_same(pipeline.find_candidates(*frames), expected)
+        assert pipeline.counts.num_batches > 10
+        if device == "cpu":  # a block that is not cut takes a launch at most
+            for kind, queries in (("EDGE_EDGE", 1900), ("POINT_POINT", 450), ("VERTEX_FACE", 2600)):
+                assert pipeline.counts.num_searches[PairKind[kind]] > queries // 16
 
 
 def test_static_bodies_whose_boxes_an_earlier_step_has_made(device):

@@ -289,31 +289,6 @@ def test_many_pairs_a_query(device):
     assert len(found.vertex_face) == 600 * 199 and len(found.edge_edge) == 600 * 599 // 2 - 600
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"inflation": -1.0}, "inflation is -1.0; expected a finite length that is not negative"),
-        ({"inflation": np.nan}, "inflation is nan"),
-        ({"inflation": np.inf}, "inflation is inf"),
-        ({"inflation": "1"}, "inflation is '1'"),
-        ({"inflation": np.zeros(2)}, "inflation is array"),
-        ({"inflation": 10**400}, "inflation is 1000"),
-        ({"num_threads": 0}, "num_threads is 0; expected a positive integer"),
-        ({"num_threads": 1.5}, r"num_threads is 1\.5"),
-    ],
-)
-def test_bad_options_are_named(options, message):
-    mesh = single(np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=message):
-        find_candidates(mesh, mesh.vertices, mesh.vertices, **options)
-
-
-def test_bad_frames_are_named():
-    mesh = single(np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=r"vertices_t1 has shape \(3, 2\); expected \(3, 3\) like vertices_t0"):
-        find_candidates(mesh, mesh.vertices, mesh.vertices[:, :2])
-
-
 @requires_data
 @pytest.mark.parametrize("scene", simulation_scenes())
 def test_published_pairs_are_found(scene, device):
