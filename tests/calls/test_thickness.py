@@ -368,6 +368,16 @@ def test_bodies_and_worlds_and_static_bodies_keep_their_distances():
 # ---- Extremes --------------------------------------------------------------------------------------------------------
 
 
+def test_boxes_that_touch_overlap_though_they_grow_by_a_radius_and_an_inflation_that_rounding_would_drop():
+    """Rounded to nearest, neither reaches half way to the other: each half of a last bit is lost twice."""
+    half = 2.0**-53
+    places = np.array([[1.0, 0, 0], [1.0 + 4 * half, 0, 0]])
+    mesh = ccd.CollisionMesh.from_arrays([(places, NO_FACES)], codimensional_points=True, radius=half)
+    for broad_phase in ("tree", "hash"):
+        found = ccd.find_candidates(mesh, places, places, half, broad_phase=broad_phase, device="cpu")
+        assert found.point_point.tolist() == [[0, 1]]
+
+
 @pytest.mark.parametrize("largest", [5e-324, 1e-300, 1e-160, 1e150, 1.7e308])
 def test_tiny_and_huge_radii_are_never_late(largest):
     mesh, start, end = crowd(98, count=6)

@@ -8,6 +8,7 @@ import pytest
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
+from scenes import FACE
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options
@@ -48,6 +49,29 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
             [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], vertex_world=mesh.vertex_world
         )
         assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work(kind):
+    """Of many hard pairs one is open before the time at which a face meets another: all of the work is its."""
+    start, end = needles(kind)
+    solve = getattr(ccd, f"{kind}_ccd")
+    exact, cut = solve(start, end, **OPTIONS), solve(start, end, max_iterations=Options().first_iterations, **OPTIONS)
+    first = np.argmin(exact.toi)
+    later = np.flatnonzero(cut.toi > 1.1 * exact.toi[first])
+    assert len(later) > 10 and cut.toi[first] < exact.toi[first]
+    bound = 0.5 * (exact.toi[first] + cut.toi[later].min())
+    chosen = np.append(first, later)
+    hard = [x[chosen].reshape(-1, 3) for x in (start, end)]
+    number = 4 * np.arange(len(chosen))[:, None]
+    edges = np.concatenate([number + [0, 1], number + [2, 3]])
+    body = (hard[0], number + [1, 2, 3]) if kind == "vertex_face" else (hard[0], np.zeros((0, 3), int), edges)
+    faces = [np.array([[0.0, 0, z], [1, 0, z], [0, 1, z]]) for z in (0.0, bound)]
+    worlds = np.append(np.repeat(np.arange(len(chosen)), 4), np.full(6, len(chosen)))
+    mesh = ccd.CollisionMesh.from_arrays([body, *((face, FACE) for face in faces)], vertex_world=worlds)
+    positions = mesh.vertices, np.concatenate([hard[1], faces[0] + [0, 0, 1.0], faces[1]])
+    enough = int(exact.iterations[first]) + 1
+    assert ccd.collision_free_step(mesh, *positions, max_work=enough, **OPTIONS) == exact.toi[first]
 
 
 @pytest.mark.parametrize("kind", KINDS)

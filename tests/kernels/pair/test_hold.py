@@ -211,6 +211,19 @@ def test_pairs_at_their_distance_are_not_stuck_when_they_are_pulled_apart_at_any
     np.testing.assert_array_equal(shortened_by_launch(pipeline, x, y, per="world"), y)
 
 
+@pytest.mark.parametrize("norm", NORMS)
+def test_cable_slides_from_one_cable_to_the_next_without_losing_height(norm):
+    """It is the second edge of both pairs, and takes along what it kept of the first."""
+    across = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    above = np.array([[-0.2, 0.0, 0.9 * DISTANCE], [0.2, 0.0, 0.9 * DISTANCE]])
+    cables = [(x, np.zeros((0, 3), dtype=int), [[0, 1]]) for x in (across, across + [1.0, 0.0, 0.0], above)]
+    mesh = ccd.CollisionMesh.from_arrays(cables)
+    end = mesh.vertices + [1.0, 0.1, 0.0] * (mesh.vertex_body == 2)[:, None]
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", **NORMS[norm])
+    for way, reached in ways(pipeline, mesh.vertices, end):
+        np.testing.assert_array_equal(reached, end, err_msg=way)
+
+
 def layers_on_a_ball(num_layers=2, count=12):
     """Sheets of cloth above a ball: mesh, start, and the rows of the cloth."""
     ball = trimesh.creation.icosphere(2, radius=0.3)

@@ -9,6 +9,7 @@ from launches import on_device
 from oracles import brute_force
 from scenes import (
     FACE,
+    NO_FACES,
     TRIANGLE,
     cables_and_particles,
     cloth_and_ball_in_worlds,
@@ -207,6 +208,22 @@ def test_every_scene_has_the_same_pairs_and_results(name):
     check_results(mesh, start, end, length_scale=1.0)
     check_candidates(mesh, start, end)
     assert check_candidates(mesh, start, end, 1e-3, with_brute_force=mesh.num_worlds == 1) > 0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one(axis):
+    """It begins by less than a rounding below a face of the cells; at its upper end, two cells on, is a particle."""
+    sides = np.float32(2.0) ** np.float32(-np.arange(8) / 4)  # as cells have them, and the floats beside those
+    for upper in np.concatenate([np.nextafter(sides, np.float32(0)), sides, np.nextafter(sides, np.float32(2))]):
+        edges = np.zeros((40, 3))  # the first one, and short ones far away, by which the cells are small
+        edges[2:, (axis + 1) % 3] = np.repeat(np.arange(19) - 9, 2) / 8 + 0.5
+        edges[3::2, axis] = 2.0**-10
+        edges[0, axis], edges[1, axis] = -(2.0**-60), upper
+        particle = np.where(np.arange(3) == axis, upper, 0.0)[None].astype(float)
+        bodies = [(edges, NO_FACES, np.arange(40).reshape(-1, 2)), (particle, NO_FACES)]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, self_collision=False)
+        found = ccd.find_candidates(mesh, mesh.vertices, mesh.vertices, broad_phase="hash")
+        assert found.point_segment.tolist() == [[40, 0]]
 
 
 # --- at random ---
