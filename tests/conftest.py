@@ -22,6 +22,7 @@ wp.config.log_level = wp.LOG_WARNING
 # Files with seconds to minutes of work in few tests.
 _LONGEST = [
     "test_emulated",
+    "test_invariance",
     "test_gpu_check",
     "test_distributed",
     "test_cuda",

@@ -17,7 +17,7 @@ Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 
 EVERY_PER = ("scene", "world", "body", "vertex")
 _OF_SEARCH = ("broad_phase", "pair_kinds", "num_threads")
-_VECTORS = {("float64", 3): wp.vec3d, ("float32", 3): wp.vec3f, ("float64", 2): wp.vec2d, ("float32", 2): wp.vec2f}
+VECTORS = {("float64", 3): wp.vec3d, ("float32", 3): wp.vec3f, ("float64", 2): wp.vec2d, ("float32", 2): wp.vec2f}
 
 
 @dataclass(frozen=True)
@@ -136,20 +136,45 @@ def line_searches(case: StepCase, precision: str, device: str = "cpu") -> Output
     return found
 
 
-def batches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
-    """The calls on the host with as little memory as they can do with, which each device counts by itself."""
+# What a memory limit divides, with all options of a step, or with those of a search alone.
+_DIVIDED: dict[str, Callable[[ccd.CollisionPipeline, np.ndarray, np.ndarray], Any]] = {
+    "mesh_ccd": lambda pipeline, start, end: pipeline.mesh_ccd(start, end),
+    "collision_free_step": lambda pipeline, start, end: pipeline.collision_free_step(start, end),
+    "is_step_collision_free": lambda pipeline, start, end: pipeline.is_step_collision_free(start, end),
+}
+_DIVIDED_SEARCHES: dict[str, Callable[[ccd.CollisionPipeline, np.ndarray, np.ndarray], Any]] = {
+    "find_candidates": lambda pipeline, start, end: pipeline.find_candidates(start, end, 0.02),
+    "find_intersections": lambda pipeline, start, end: pipeline.find_intersections(end),
+    "find_proximity": lambda pipeline, start, end: _rows(pipeline.find_proximity(end, 0.03)),
+    "displacement_bounds": lambda pipeline, start, end: pipeline.displacement_bounds(end, 0.03),
+}
+
+
+def batches(
+    case: StepCase, precision: str, device: str = "cpu", *, is_limited: bool = True, with_order: bool = False
+) -> Outputs:
+    """The calls on the host with as little memory as they can do with, and with twice that; or with enough.
+
+    The order of candidates may be compared between calls on the CPU; a GPU has its own.
+    """
     mesh, start, end = case.make()
     options = {**case.options, "precision": precision, "device": device}
+    of_search = {"device": device} | {name: case.options[name] for name in _OF_SEARCH if name in case.options}
     found: Outputs = {}
-    for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.is_step_collision_free):
-        limit, result = 1, None
-        while result is None:
-            try:
-                result = call(mesh, start, end, memory_limit=limit, **options)
-            except ValueError as error:
-                limit = int(re.search(r"at least (\d+)", str(error))[1])
-        found |= outputs_of(result, f"{call.__name__} in the least memory")
-        found |= outputs_of(call(mesh, start, end, memory_limit=2 * limit, **options), f"{call.__name__} in twice that")
+    for name, call in {**_DIVIDED, **_DIVIDED_SEARCHES}.items():
+        least = 1
+        for size in ("the least memory", "twice that"):
+            while True:
+                limit = {"memory_limit": least if size == "the least memory" else 2 * least} if is_limited else {}
+                pipeline = ccd.CollisionPipeline(mesh, **(options if name in _DIVIDED else of_search), **limit)
+                try:
+                    result = call(pipeline, start, end)
+                    found |= outputs_of(result, f"{name} in {size}")
+                    if with_order and isinstance(result, ccd.Candidates):
+                        found |= outputs_of(vars(result), f"order in {size}")
+                    break
+                except ValueError as error:  # each device counts by itself what it needs
+                    least = int(re.search(r"at least (\d+)", str(error))[1])  # type: ignore[index]
     return found
 
 
@@ -196,7 +221,7 @@ def launched_line_searches(case: StepCase, precision: str, device: str = "cpu") 
 def at_one_time(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """What is near, and how far vertices may move, on the host and in launches, also of static bodies that moved."""
     mesh, start, end = case.make()
-    of_search = {name: case.options[name] for name in ("broad_phase",) if name in case.options}
+    of_search = {name: case.options[name] for name in ("broad_phase", "num_threads") if name in case.options}
     pipeline = ccd.CollisionPipeline(mesh, device=device, **case.capacities, **of_search)
     found: Outputs = {}
     for k, (positions, distance) in enumerate(((start, 0.03), (end, 0.03), (start, 0.08))):
@@ -210,25 +235,45 @@ def at_one_time(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     return found
 
 
-def replays(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
-    """Launches that a graph holds, replayed with other positions in the same arrays."""
+def replays(case: StepCase, precision: str, device: str = "cpu", *, is_captured: bool = True) -> Outputs:
+    """Launches that a graph holds, replayed with other positions in the same arrays; or the launches themselves."""
     mesh, start, end = case.make()
     options = {name: value for name, value in case.options.items() if name != "t_max"}
-    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device=device, **case.capacities, **options)
+    options |= {"precision": precision, "device": device, **case.capacities}
+    # what a pipeline launches shares its results
+    pipeline, searcher = (ccd.CollisionPipeline(mesh, **options) for _ in range(2))
+    of_search = {name: case.options[name] for name in ("broad_phase", "num_threads") if name in case.options}
+    finder = ccd.CollisionPipeline(mesh, device=device, **case.capacities, **of_search)
     pipeline.reserve()
+    searcher.reserve()
     t0, t1, shortened = (_on_device(x, "float64", device) for x in (start, end, end))
-    pipeline.launch(t0, t1)
-    pipeline.launch_line_search(t0, shortened, per="world")
-    with wp.ScopedCapture(device=device) as capture:
+
+    def launch() -> tuple[Any, ...]:
         result = pipeline.launch(t0, t1)
-        points = result.contacts.count
-        pipeline.launch_line_search(t0, shortened, per="world")
+        of_contacts = {name: getattr(result.contacts, name) for name in ("points", "vertices", "bodies", "world")}
+        of_contacts["points at"] = result.contacts.points_at(t0, shortened)
+        order = result.contacts.order_by_toi()
+        near, bounds = finder.launch_proximity(t1, 0.03), finder.launch_displacement_bounds(t1, 0.03)
+        searched = searcher.launch_line_search(t0, shortened, per="world")
+        return result, of_contacts, order, near, bounds, searched
+
+    launched = launch()
+    if is_captured:
+        with wp.ScopedCapture(device=device) as capture:
+            launched = launch()
     found: Outputs = {}
     for k, share in enumerate((1.0, 0.3, 0.0)):
         for array in (t1, shortened):
             array.assign(start + share * (end - start))
-        wp.capture_launch(capture.graph)
-        found |= outputs_of(result, f"replay {k}") | outputs_of(points, f"replay {k} contacts")
+        if is_captured:
+            wp.capture_launch(capture.graph)
+        else:
+            launched = launch()
+        result, of_contacts, order, near, bounds, searched = launched
+        first = order.numpy()[: result.contacts.count.numpy()[0]]
+        found |= {f"replay {k} {name}": array.numpy()[first] for name, array in of_contacts.items()}
+        found |= outputs_of(result, f"replay {k}") | outputs_of(searched, f"replay {k} of a line search")
+        found |= outputs_of(_rows(near.to_host()), f"replay {k} near") | outputs_of(bounds.bounds, f"replay {k} bounds")
         found |= outputs_of(shortened, f"replay {k} positions")
     return found
 
@@ -271,7 +316,7 @@ def pairs(
     found = outputs_of(call(start, end, **options), "many") | outputs_of(call(start[:3], end[:3], **options), "few")
     start, end = start.copy(), end.copy()
     start[-2, 0, 0], end[-1, -1, -1] = np.nan, np.inf
-    dtype = _VECTORS["float64", start.shape[2]]
+    dtype = VECTORS["float64", start.shape[2]]
     result = call(*(wp.array(x, dtype=dtype, device=device) for x in (start, end)), **options)
     return found | outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
 
@@ -289,5 +334,5 @@ def _points_at(contacts: ccd.DeviceContacts, t0: wp.array, t1: wp.array) -> np.n
 
 
 def _on_device(positions: np.ndarray, dtype: str, device: str) -> wp.array:
-    vector = _VECTORS[dtype, positions.shape[1]]
+    vector = VECTORS[dtype, positions.shape[1]]
     return wp.array(np.ascontiguousarray(positions, dtype=dtype), dtype=vector, device=device)

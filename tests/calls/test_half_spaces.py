@@ -409,42 +409,12 @@ def test_kinds_of_pairs_choose_planes_or_leave_them_out():
     assert result.toi < 1 and list(result.counts.num_searches) == [VERTEX_PLANE]
 
 
-@pytest.mark.parametrize(
-    ("half_space", "message"),
-    [
-        (ccd.HalfSpace([0, 0, 0], [0, 0, 0]), r"normal of body 1 \(floor\) is \[0.0, 0.0, 0.0\]; expected a direction"),
-        (ccd.HalfSpace([0, 0, 0], [0, np.nan, 1]), r"normal of body 1 \(floor\) is \[0.0, nan, 1.0\]; expected finite"),
-        (ccd.HalfSpace([0, 0, 0], [0, 0, np.inf]), r"normal of body 1 \(floor\) is \[0.0, 0.0, inf\]; expected finite"),
-        (ccd.HalfSpace([0, -np.inf, 0], UP), r"point of body 1 \(floor\) is \[0.0, -inf, 0.0\]; expected finite"),
-        (ccd.HalfSpace([[0, 0, 0]], UP), r"point of body 1 \(floor\) has shape \(1, 3\); expected \(3,\)"),
-        (ccd.HalfSpace([0, 0], [0, 1]), r"point of body 1 \(floor\) has shape \(2,\); expected \(3,\)"),
-        (ccd.HalfSpace([0, 0, 0], 1.0), r"normal of body 1 \(floor\) is 1.0; expected 3 numbers"),
-        (ccd.HalfSpace(["a", "b", "c"], UP), r"point of body 1 \(floor\) has dtype .*; expected real numbers"),
-    ],
-)
-def test_half_spaces_that_are_none_are_named(half_space, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), half_space], names=["cloth", "floor"])
-
-
 def test_half_spaces_have_no_radius():
     bodies, names = [(TRIANGLE, FACE), GROUND], ["cloth", "floor"]
     assert ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0]).radius.tolist() == [0.1] * 3
     assert ccd.CollisionMesh.from_arrays(bodies, radius=0.1).radius.tolist() == [0.1] * 3
     with pytest.raises(ValueError, match=r"radius holds 0.2 for body 1 \(floor\); expected 0, as a half-space has no"):
         ccd.CollisionMesh.from_arrays(bodies, radius=[0.1, 0.2], names=names)
-
-
-def test_half_spaces_alone_are_no_mesh():
-    for make, bodies in (
-        (ccd.CollisionMesh.from_arrays, [GROUND]),
-        (ccd.CollisionMesh.from_trimesh, GROUND),
-        (ccd.CollisionMesh.from_trimesh, [GROUND, GROUND]),
-    ):
-        with pytest.raises(
-            ValueError, match="bodies holds half-spaces alone; expected at least one body with vertices"
-        ):
-            make(bodies)
 
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given():
@@ -457,16 +427,3 @@ def test_a_mesh_keeps_its_half_spaces_as_they_were_given():
     assert mesh.moving_vertices.tolist() == list(range(8)) and not mesh.planes.points.flags.writeable
     same = pickle.loads(pickle.dumps(mesh))
     assert same.planes == mesh.planes and not same.planes.normals.flags.writeable and same.planes != GROUND
-
-
-def test_a_graph_replays_what_vertices_and_planes_do():
-    mesh, start, end = sheet_over_ground()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", broad_phase="hash", **CAPACITIES)
-    result = pipeline.reserve()
-    vertices_t0, vertices_t1 = on_device(start), on_device(start)
-    with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(vertices_t0, vertices_t1)
-    for positions in (end, 0.5 * start + 0.5 * end, start):
-        vertices_t1.assign(positions)
-        wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, start, positions, device="cpu"))

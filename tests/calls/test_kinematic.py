@@ -253,21 +253,6 @@ def test_what_is_at_rest_and_struck_does_not_keep_the_others_from_moving():
     assert len(result.contacts.to_host().toi) == len(found.struck)
 
 
-@pytest.mark.parametrize("per", EVERY_PER)
-def test_a_graph_of_a_line_search_says_anew_what_is_struck(per, device):
-    mesh, start, end = wall_sweeps_over_a_ball(kinematic=["wall"])
-    pipeline = ccd.CollisionPipeline(mesh, device=device)
-    t0, t1 = on_device(start, device), on_device(end, device)
-    pipeline.launch_line_search(t0, t1, per=per)
-    with wp.ScopedCapture(device=device) as capture:
-        result = pipeline.launch_line_search(t0, t1, per=per)
-    for share in (1.0, 0.4, 0.9, 0.0):
-        t1.assign(start + share * (end - start))
-        wp.capture_launch(capture.graph)
-        assert result.flags.numpy()[0] == (ccd.LaunchFlag.STRUCK if share > 0.445 else 0)
-        assert (result.contacts.count.numpy()[0] > 0) == (share > 0.445)
-
-
 # --- a program ---
 
 

@@ -135,38 +135,6 @@ def test_points_with_a_flag_meet_each_other_and_others_edges_alone():
         assert ccd.mesh_ccd(mesh, start, through).hit
 
 
-@pytest.mark.parametrize("real", VECTORS)
-@pytest.mark.parametrize("static", [[], ["segments"]])
-def test_launches_say_what_the_host_says(device, real, static):
-    mesh, start, end = crowd_in_plane(np.random.default_rng(4), static=static)
-    start, end = (x.astype(real).astype(np.float64) for x in (start, end))
-    expected = ccd.mesh_ccd(mesh, start, end, device=device)
-    assert expected.hit
-    pipeline = ccd.CollisionPipeline(mesh, device=device, **CAPACITIES)
-    x, y = (wp.array(v.astype(real), dtype=VECTORS[real], device=device) for v in (start, end))
-    result = pipeline.launch(x, y)
-    check_same(result, expected)
-    host = result.to_host()
-    np.testing.assert_allclose(host.contacts.points, expected.contacts.points, rtol=0, atol=1e-15)
-    assert host.contacts.normal.shape == host.contacts.points.shape == (len(expected.contacts), 2)
-    assert not result.contacts.normal.numpy()[: len(expected.contacts), 2].any()
-    np.testing.assert_array_equal(result.to_host(start, end).contacts.points, expected.contacts.points)
-    order = result.contacts.order_by_toi().numpy()[: len(expected.contacts)]
-    for on_the_device in (result.contacts.points, result.contacts.points_at(x, y)):
-        points = on_the_device.numpy()[order]
-        np.testing.assert_array_equal(points[:, :2], host.contacts.sorted_by_toi().points)
-        assert not points[:, 2].any()
-    moving = mesh.moving_vertices
-    for rows in (slice(None), moving):
-        scalars = wp.array(end[rows].astype(real), dtype=getattr(wp, real), device=device)
-        check_same(pipeline.launch(x, scalars), expected)
-    pipeline.launch(x, displacements=wp.array((end - start).astype(real), dtype=VECTORS[real], device=device))
-    if device == "cpu":
-        check_same(pipeline.launch(start.astype(real), end.astype(real)), expected)
-    pipeline.reserve(vertices=end)
-    check_same(pipeline.launch(x, y), expected)
-
-
 @pytest.mark.parametrize("per", ["scene", "body", "vertex"])
 def test_shortened_steps_are_free(device, per):
     mesh, start, end = crowd_in_plane(np.random.default_rng(5), static=["segments"])
@@ -238,23 +206,6 @@ def test_a_path_of_trimesh_in_the_plane_is_a_body():
     path = trimesh.load_path(np.array([[0.0, 0], [1, 0], [1, 1]]))
     mesh = ccd.CollisionMesh.from_trimesh([path, path])
     assert mesh.dimension == 2 and mesh.num_edges == 4 and mesh.num_faces == 0
-
-
-@pytest.mark.parametrize(
-    "bodies, message",
-    [
-        ([(SEGMENT, EDGE), (np.eye(3), [[0, 1, 2]])], r"body 1 has 3 columns and those of body 0 2; expected all"),
-        ([(np.eye(3), [[0, 1, 2]]), (SEGMENT, EDGE)], r"body 0 has 3 columns and those of body 1 2; expected all"),
-        ([(SEGMENT, [[0, 1, 1]])], r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
-        ([(SEGMENT, [], EDGE)], r"body 0 is in the plane and has 3 arrays; expected a pair \(vertices, edges\)"),
-        ([(SEGMENT, [[0, 2]])], r"edges of body 0 holds index 2; expected indices in \[0, 2\)"),
-        ([(SEGMENT + [np.inf, 0], EDGE)], r"vertices of body 0 holds .* in row 0; expected finite"),
-        ([(np.zeros((4, 4)), EDGE)], r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
-    ],
-)
-def test_bodies_that_make_no_mesh_in_the_plane(bodies, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_arrays(bodies)
 
 
 def test_positions_of_the_other_dimension_are_named():

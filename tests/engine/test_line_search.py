@@ -155,21 +155,6 @@ def test_the_held_object_gives_the_same():
         ccd.CollisionPipeline(mesh, t_max=0.5).line_search(start, end)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'"),
-        ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
-        ({"safety": float("nan")}, "safety is nan"),
-        ({"max_rounds": 2}, "max_rounds is 2; expected an integer of at least 3"),
-    ],
-)
-def test_bad_options_are_named(options, message):
-    mesh, start = stacked(0.0, 1.0)
-    with pytest.raises(ValueError, match=message):
-        ccd.line_search(mesh, start, start, **options)
-
-
 @every_per
 def test_stationary_coordinates_do_not_move_by_a_rounding(per):
     mesh, start = stacked(0.0, 1.0)
@@ -474,35 +459,6 @@ def test_rounding_afterwards_goes_through_the_face():
         if (x[:3, 2] <= level).any():
             return
     pytest.fail("rounding never crossed the face")
-
-
-def test_line_search_in_a_graph(device):
-    mesh, start = stacked(0.0, 1.0)
-    vertices_t0, vertices_t1 = (wp.array(start, dtype=wp.vec3d, device=device) for _ in range(2))
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-    pipeline.launch_line_search(vertices_t0, vertices_t1)
-    with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch_line_search(vertices_t0, vertices_t1)
-    for fall, expected in ((2.0, 1 - 0.9 * 1.0), (0.5, 0.5), (10.0, 1 - 0.9 * 1.0)):
-        wished = start.copy()
-        wished[3:, 2] -= fall
-        vertices_t1.assign(wished)
-        wp.capture_launch(capture.graph)
-        assert vertices_t1.numpy()[3:, 2].min() == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"per": "face"}, "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'"),
-        ({"safety": 1.0}, "safety is 1.0; expected a number between 0 and 1"),
-        ({"num_rounds": 2}, "num_rounds is 2; expected an integer of at least 3"),
-    ],
-)
-def test_bad_options_on_the_device_are_named(options, message):
-    mesh, start = stacked(0.0, 1.0)
-    with pytest.raises(ValueError, match=message):
-        _launched(mesh, start, start, **options)
 
 
 def test_part_of_a_step_is_no_line_search_on_the_device():

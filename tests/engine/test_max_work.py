@@ -5,10 +5,10 @@ from functools import cache
 import faults
 import numpy as np
 import pytest
-import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
+from scenes import FACE
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options
@@ -51,31 +51,27 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
         assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
 
 
-@pytest.mark.parametrize("method", ["clipping", "bisection"])
-@pytest.mark.parametrize("of_worlds", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_pairs_that_share_too_little_work_are_the_same_whatever_the_threads_and_the_memory(kind, of_worlds, method):
-    count = 120 if of_worlds else 20
-    mesh, start, end = scene_of(kind, count, of_worlds=of_worlds)
-    share = Options(method=method).first_iterations + 64
-    options = OPTIONS | {"max_work": share * count, "max_iterations": 6000, "method": method}
-    truth = ccd.mesh_ccd(mesh, start, end, num_threads=1, **options)
-    step = ccd.collision_free_step(mesh, start, end, num_threads=1, **options)
-    assert (truth.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).any() or not of_worlds
-    assert step >= truth.toi  # it shares the work among the earliest pairs alone
-    for num_threads in (2, 4):
-        for memory_limit in (None, 4 << 20):
-            given = options | {"num_threads": num_threads, "memory_limit": memory_limit}
-            result = ccd.mesh_ccd(mesh, start, end, **given)
-            for name in ("toi", "vertex_toi", "world_toi", "vertex_contact", "contacts"):
-                expected, found = (faults.arrays_of(getattr(r, name)) for r in (truth, result))
-                assert faults.difference(found, expected) == "", name
-            assert ccd.collision_free_step(mesh, start, end, **given) == step
-        pipeline = ccd.CollisionPipeline(mesh, num_threads=num_threads, **options)
-        launched = pipeline.launch(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end)))
-        assert launched.toi.numpy()[0] == truth.toi
-        np.testing.assert_array_equal(launched.vertex_toi.numpy(), truth.vertex_toi)
-        np.testing.assert_array_equal(launched.world_toi.numpy(), truth.world_toi)
+def test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work(kind):
+    """Of many hard pairs one is open before the time at which a face meets another: all of the work is its."""
+    start, end = needles(kind)
+    solve = getattr(ccd, f"{kind}_ccd")
+    exact, cut = solve(start, end, **OPTIONS), solve(start, end, max_iterations=Options().first_iterations, **OPTIONS)
+    first = np.argmin(exact.toi)
+    later = np.flatnonzero(cut.toi > 1.1 * exact.toi[first])
+    assert len(later) > 10 and cut.toi[first] < exact.toi[first]
+    bound = 0.5 * (exact.toi[first] + cut.toi[later].min())
+    chosen = np.append(first, later)
+    hard = [x[chosen].reshape(-1, 3) for x in (start, end)]
+    number = 4 * np.arange(len(chosen))[:, None]
+    edges = np.concatenate([number + [0, 1], number + [2, 3]])
+    body = (hard[0], number + [1, 2, 3]) if kind == "vertex_face" else (hard[0], np.zeros((0, 3), int), edges)
+    faces = [np.array([[0.0, 0, z], [1, 0, z], [0, 1, z]]) for z in (0.0, bound)]
+    worlds = np.append(np.repeat(np.arange(len(chosen)), 4), np.full(6, len(chosen)))
+    mesh = ccd.CollisionMesh.from_arrays([body, *((face, FACE) for face in faces)], vertex_world=worlds)
+    positions = mesh.vertices, np.concatenate([hard[1], faces[0] + [0, 0, 1.0], faces[1]])
+    enough = int(exact.iterations[first]) + 1
+    assert ccd.collision_free_step(mesh, *positions, max_work=enough, **OPTIONS) == exact.toi[first]
 
 
 @pytest.mark.parametrize("kind", KINDS)

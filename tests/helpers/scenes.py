@@ -33,6 +33,24 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
 
 
+def three_bodies(seed, counts, size=0.1, speed=0.05, **options):
+    """Three bodies of so many faces at random places that move at random, but for static ones."""
+    rng = np.random.default_rng(seed)
+    mesh = ccd.CollisionMesh.from_arrays([soup(rng, count, size) for count in counts], **options)
+    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def all_in_one_place(seed, num_faces=60, num_particles=200):
+    """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
+    rng = np.random.default_rng(seed)
+    bodies = [(*soup(rng, num_faces, 0.2, spread=0.0), []) for _ in range(2)]
+    particles = 0.01 * rng.standard_normal((num_particles, 3))
+    cables = np.arange(num_particles // 2).reshape(-1, 2)
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
+
+
 def cables_and_particles(rng, count, size):
     """Faces, cables of two segments and particles at random places, mixed; vertices, faces and codimensional edges."""
     start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))

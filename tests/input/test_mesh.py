@@ -123,22 +123,6 @@ def test_messages_call_bodies_by_their_names():
     assert repr(mesh) == "CollisionMesh(2 bodies (cloth, ball), 7 vertices, 9 edges, 5 faces)"
 
 
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["cloth"], "names has 1 entries; expected 2, one a body"),
-        (["cloth", "cloth"], "names holds 'cloth' twice; expected a name of its own"),
-        (["cloth", 7], "names holds 7; expected printable texts"),
-        (["cloth", ""], "names holds ''; expected printable texts"),
-        (["cloth", "a\nb"], r"names holds 'a\\nb'; expected printable texts"),
-        ("cloth", "names is 'cloth'; expected a list of texts"),
-    ],
-)
-def test_bad_names_are_refused(names, message):
-    with pytest.raises(ValueError, match=message):
-        CollisionMesh.from_arrays([TRIANGLE, TRIANGLE], names=names)
-
-
 def test_codimensional_edges_are_added_to_the_edges_of_faces():
     cable = (np.zeros((5, 3)), [[0, 1, 2]], [[3, 2], [4, 3], [2, 3], [1, 0], [4, 4]])
     mesh = CollisionMesh.from_arrays([TRIANGLE, cable, (np.zeros((2, 3)), [], [[1, 0]])])
@@ -279,49 +263,6 @@ def test_mesh_does_not_freeze_the_arrays_of_the_caller():
     vertices = np.eye(3)
     CollisionMesh.from_arrays([(vertices, [[0, 1, 2]])])
     vertices[0, 0] = 2.0
-
-
-@pytest.mark.parametrize(
-    ("bodies", "options", "message"),
-    [
-        ([], {}, "bodies is empty; expected at least one body"),
-        ([TRIANGLE, (np.eye(5, 3), [[0, 1, 7]])], {}, r"faces of body 1 holds index 7; expected indices in \[0, 5\)"),
-        ([(np.eye(5, 3), [[0, 1, -1]])], {}, r"faces of body 0 holds index -1; expected indices in \[0, 5\)"),
-        ([(np.zeros((0, 3)), [[0, 1, 2]])], {}, r"faces of body 0 holds index 0; expected indices in \[0, 0\)"),
-        ([(np.eye(3), [[0, 1]])], {}, r"faces of body 0 has shape \(1, 2\); expected \(n, 3\)"),
-        ([(np.eye(3), [[0.0, 1.0, 2.0]])], {}, "faces of body 0 has dtype float64; expected integers"),
-        ([(np.eye(4), [[0, 1, 1]])], {}, r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
-        ([(np.full((3, 3), np.nan), [])], {}, "vertices of body 0 holds nan in row 0; expected finite values"),
-        ([(np.eye(3, dtype=complex), [])], {}, "vertices of body 0 has dtype complex128; expected real numbers"),
-        (
-            [np.eye(3)],
-            {},
-            r"body 0 is a ndarray; expected a pair \(vertices, faces\) or a triple \(vertices, faces, edges",
-        ),
-        ([(*TRIANGLE, [[0, 3]])], {}, r"edges of body 0 holds index 3; expected indices in \[0, 3\)"),
-        ([(*TRIANGLE, [[0, 1, 2]])], {}, r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
-        ([(*TRIANGLE, [[0.0, 1.0]])], {}, "edges of body 0 has dtype float64; expected integers"),
-        (
-            [TRIANGLE],
-            {"codimensional_points": [True, False]},
-            r"codimensional_points has shape \(2,\); expected a bool or \(1,\)",
-        ),
-        (
-            [TRIANGLE],
-            {"codimensional_points": [0]},
-            r"codimensional_points is \[0\]; expected a bool or one bool a body",
-        ),
-        ([TRIANGLE], {"static": [1]}, r"static holds 1; expected body indices in \[0, 1\)"),
-        ([TRIANGLE], {"static": [-1]}, r"static holds -1; expected body indices in \[0, 1\)"),
-        ([TRIANGLE], {"static": [True]}, r"static holds True; expected body indices"),
-        ([TRIANGLE], {"static": 0}, "static is 0; expected a list of body indices"),
-        ([TRIANGLE], {"self_collision": [True, False]}, r"self_collision has shape \(2,\); expected a bool or \(1,\)"),
-        ([TRIANGLE], {"self_collision": 1}, "self_collision is 1; expected a bool or one bool a body"),
-    ],
-)
-def test_bad_bodies_are_named(bodies, options, message):
-    with pytest.raises(ValueError, match=message):
-        CollisionMesh.from_arrays(bodies, **options)
 
 
 def test_from_trimesh_names_what_is_not_a_mesh():

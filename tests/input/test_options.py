@@ -90,28 +90,6 @@ def test_an_option_of_another_function_is_told_from_a_misspelled_one(name, optio
         call(name, **{option: None})
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize(("option", "value"), [("num_threads", 0), ("device", "abacus")])
-def test_a_bad_value_is_told_with_the_function_that_got_it(name, option, value):
-    with pytest.raises(ValueError, match=rf"^{name}: {option} is {value!r}; expected"):
-        call(name, **{option: value})
-
-
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("line_search", {"safety": 2}),
-        ("line_search", {"max_rounds": 2}),
-        ("find_candidates", {"inflation": -1}),
-        ("CollisionPipeline", {"max_pairs": 0}),
-    ],
-)
-def test_a_bad_argument_beside_the_options_is_told_with_the_function(name, options):
-    ((argument, value),) = options.items()
-    with pytest.raises(ValueError, match=rf"^{name}: {argument} is {value}; expected"):
-        call(name, **options)
-
-
 def test_points_on_another_device_are_told_with_the_function():
     points = wp.zeros((1, 4), dtype=wp.vec3d, device="cpu")
     with pytest.raises(ValueError, match=r"^vertex_face_ccd: device is 'abacus'; expected"):

@@ -431,24 +431,6 @@ def test_earlier_vertices_are_darker(tmp_path):
     assert left.mean() < right.mean() - 50
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"size": (10, 10)}, r"size is \(10, 10\); expected width and height in \[150, 4000\]"),
-        ({"size": 7}, "size is 7"),
-        ({"camera": (0, 0, 0)}, r"camera is \(0, 0, 0\); expected three finite numbers"),
-        ({"camera": "left"}, "camera is 'left'"),
-        ({"colour": "red"}, "colour is 'red'; expected 'vertex_toi' or 'body'"),
-        ({"t_max": 0.0}, r"t_max is 0\.0; expected a number in \(0, 1\]"),
-    ],
-)
-def test_bad_options_are_refused(tmp_path, options, words):
-    mesh, start, end, result = _with_result(*_balls_over_box())
-    with pytest.raises(ValueError, match=words):
-        viz.render_step(mesh, start, end, result, tmp_path / "step.png", **options)
-    assert not list(tmp_path.iterdir())
-
-
 def test_results_and_files_that_do_not_fit_are_refused(tmp_path):
     mesh, start, end, result = _with_result(*_balls_over_box())
     box = trimesh.creation.box()

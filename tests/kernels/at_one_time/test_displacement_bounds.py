@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import scenes
-import warp as wp
-from exact_proximity import HALF_SPACES, SCENES, exact_bounds, few
+from exact_proximity import SCENES, exact_bounds, few
 from launches import on_device
 from scenes import FACE, TRIANGLE
 
@@ -133,18 +132,6 @@ def test_copies_of_a_body_that_moves_alone_have_its_bounds():
     assert ccd.displacement_bounds(pairs, pairs.vertices, 1.0).max() <= 0.5
 
 
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_launches_give_the_bounds_of_the_call_on_the_host(broad_phase, device):
-    mesh = few(6, static=[1], half_spaces=HALF_SPACES)
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.002, broad_phase=broad_phase, device=device, **CAPACITIES)
-    for shift, search_radius in ((0.0, 0.05), (0.3, 0.05), (0.3, 0.2), (0.0, 0.05)):
-        x = mesh.vertices + shift * mesh.vertices[:, :1]
-        result = pipeline.launch_displacement_bounds(on_device(x, device), search_radius)
-        expected = pipeline.displacement_bounds(x, search_radius)
-        np.testing.assert_array_equal(result.to_host(), expected)
-        np.testing.assert_array_equal(expected, ccd.displacement_bounds(mesh, x, search_radius, minimum_distance=0.002))
-
-
 def test_pairs_beyond_the_capacity_bound_their_vertices_by_zero():
     mesh = few(6)
     pipeline = ccd.CollisionPipeline(mesh, max_pairs=60)
@@ -170,37 +157,7 @@ def test_a_coordinate_that_is_not_finite_stops_its_world_and_no_other():
             ccd.displacement_bounds(mesh, x, 0.1)
 
 
-def test_a_graph_bounds_the_present_positions_beside_a_search_for_what_is_near():
-    mesh = few(4, static=[1])
-    pipeline = ccd.CollisionPipeline(mesh, **CAPACITIES)
-    x = on_device(mesh.vertices)
-    pipeline.launch_displacement_bounds(x, 0.1)
-    pipeline.launch_proximity(x, 0.3)
-    with wp.ScopedCapture(device="cpu") as capture:
-        near = pipeline.launch_proximity(x, 0.02)
-        result = pipeline.launch_displacement_bounds(x, 0.1)
-    for positions in (0.9 * mesh.vertices, mesh.vertices):
-        x.assign(positions)
-        wp.capture_launch(capture.graph)
-        np.testing.assert_array_equal(result.to_host(), ccd.displacement_bounds(mesh, positions, 0.1))
-        expected = ccd.find_proximity(mesh, positions, 0.02)
-        np.testing.assert_array_equal(near.to_host().distance, expected.distance)
-
-
 # --- arguments ---
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, None, "far", [0.1], True])
-def test_a_bad_search_radius_is_told_by_its_name(radius):
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)])
-    pipeline = ccd.CollisionPipeline(mesh)
-    for name, call in (
-        ("displacement_bounds", lambda: ccd.displacement_bounds(mesh, TRIANGLE, radius)),
-        ("displacement_bounds", lambda: pipeline.displacement_bounds(TRIANGLE, radius)),
-        ("launch_displacement_bounds", lambda: pipeline.launch_displacement_bounds(on_device(TRIANGLE), radius)),
-    ):
-        with pytest.raises(ValueError, match=rf"^{name}: search_radius is .*; expected a finite length above 0$"):
-            call()
 
 
 def test_a_separation_in_the_maximum_norm_is_refused():

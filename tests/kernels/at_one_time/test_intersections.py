@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import itertools
-import pickle
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from oracles import listing
 from scenes import sheet, sheet_over_floor, single
 
 import ccd_warp as ccd
-from ccd_warp._engine import exact_intersections, intersection_points, intersection_step
+from ccd_warp._engine import exact_intersections, intersection_points
 from ccd_warp._engine.edge_points import MeshWithEdgePoints
 
 KIND = ccd.IntersectionKind
@@ -332,23 +331,6 @@ def test_edges_and_faces_cover_most_other_pairs(monkeypatch):
     assert results() == covered and all(covered)
 
 
-def test_no_result_depends_on_threads_memory_or_earlier_calls(monkeypatch):
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    mesh = ccd.CollisionMesh.from_trimesh([ball, ball])
-    x = np.vstack([ball.vertices, np.round(8 * ball.vertices) / 8 + [0.5, 0, 0]])
-    expected = pickle.dumps(ccd.find_intersections(mesh, x, num_threads=1).points)
-    pipeline = ccd.CollisionPipeline(mesh, num_threads=2, minimum_separation=0.1, t_max=0.5)
-    for _ in range(3):
-        pipeline.mesh_ccd(x, x)
-        assert pickle.dumps(pipeline.find_intersections(x).points) == expected
-    assert pipeline.counts.num_vertices == mesh.num_vertices and pipeline.timings["total"] > 0
-    with pytest.raises(ValueError, match=r"memory_limit is 1000 bytes; expected at least \d+ for this step") as error:
-        ccd.find_intersections(mesh, x, memory_limit=1000)
-    least = int(str(error.value).split("at least ")[1].split()[0])
-    monkeypatch.setattr(intersection_step, "_CHUNK", 100)
-    assert pickle.dumps(ccd.find_intersections(mesh, x, memory_limit=least).points) == expected
-
-
 def test_worlds_do_not_meet_and_may_have_an_axis():
     one = two_triangles([[1, 1, -1], [1, 1, 1], [9, 9, 0.5]])
     mesh = one.replicate(3)
@@ -454,33 +436,6 @@ def test_pairs_in_contact_at_the_start_of_a_step_are_those_that_touch():
 
 
 # --- bad input ---
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda x: x[:-1], r"positions has shape \(5, 3\); expected \(6, 3\) one row a vertex of the mesh"),
-        (lambda x: x[:, :2], r"positions has shape \(6, 2\)"),
-        (lambda x: np.where(x == 4, np.nan, x), "positions .*nan"),
-        (lambda x: np.where(x == 4, np.inf, x), "positions .*inf"),
-        (lambda x: x.astype(complex), "positions"),
-        (lambda x: None, "positions"),
-    ],
-)
-def test_bad_positions_are_refused(change, message):
-    mesh = two_triangles([[1, 1, -1], [1, 1, 1], [2, 2, 1]])
-    with pytest.raises(ValueError, match=message):
-        ccd.find_intersections(mesh, change(mesh.vertices.copy()))
-
-
-def test_bad_options_are_refused():
-    mesh = two_triangles([[1, 1, -1], [1, 1, 1], [2, 2, 1]])
-    with pytest.raises(TypeError, match=r"find_intersections\(\) does not take the option 'tolerance'"):
-        ccd.find_intersections(mesh, mesh.vertices, tolerance=1e-3)
-    with pytest.raises(ValueError, match="find_intersections: num_threads is 0"):
-        ccd.find_intersections(mesh, mesh.vertices, num_threads=0)
-    with pytest.raises(ValueError, match=r"mesh is .*; expected a CollisionMesh"):
-        ccd.find_intersections([mesh], mesh.vertices)
 
 
 # --- beside CGAL ---

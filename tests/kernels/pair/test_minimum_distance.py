@@ -347,21 +347,6 @@ def test_distance_of_one_call_does_not_hold_in_the_next():
 # ---- Arguments -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf, -math.inf, "1", None, True, [0.1], 1 + 0j])
-@pytest.mark.parametrize("call", ["pairs", "mesh", "step", "pipeline", "line_search"])
-def test_bad_distance_is_named(call, value):
-    mesh, start, end = crowd_of_all_kinds(85, count=4)
-    calls = {
-        "pairs": lambda **o: ccd.point_point_ccd(start[None, :2], end[None, :2], **o),
-        "mesh": lambda **o: ccd.mesh_ccd(mesh, start, end, **o),
-        "step": lambda **o: ccd.collision_free_step(mesh, start, end, **o),
-        "pipeline": lambda **o: ccd.CollisionPipeline(mesh, **o),
-        "line_search": lambda **o: ccd.line_search(mesh, start, end, **o),
-    }
-    with pytest.raises(ValueError, match=r"minimum_distance .*expected a finite length of at least 0"):
-        calls[call](minimum_distance=value, device="cpu")
-
-
 def test_only_one_of_the_two_can_be_given():
     start = np.zeros((1, 2, 3))
     with pytest.raises(ValueError, match=r"minimum_distance is 1.0 and minimum_separation is 0.1; expected one"):

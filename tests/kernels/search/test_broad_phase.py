@@ -5,11 +5,11 @@ The tree and the spatial hash find overlapping boxes in ways that have nothing i
 
 import numpy as np
 import pytest
-import warp as wp
-from launches import CAPACITIES, on_device
+from launches import on_device
 from oracles import brute_force
 from scenes import (
     FACE,
+    NO_FACES,
     TRIANGLE,
     cables_and_particles,
     cloth_and_ball_in_worlds,
@@ -25,47 +25,12 @@ from scenes import (
 )
 
 import ccd_warp as ccd
-from ccd_warp._engine.host_step import Step
-from ccd_warp._engine.workspace import Workspace
-from ccd_warp._input.options import Options
-from ccd_warp._runtime.launch import Execution
 
 BOTH = ("tree", "hash")
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "gap", "status")
 
 
 # --- what is compared ---
-
-
-def surviving(mesh, start, end, num_parts=1, **options):
-    """Candidates by kind, and the keys of the pairs that the cull leaves open, ascending."""
-    options = Options(num_threads=1, **options)
-    step = Step(Workspace(mesh, wp.get_device("cpu")), tuple(map(mesh._in_space, mesh.frames(start, end))), options)
-    plan = step.begin("contacts", options.t_max)
-    plan.set_search(options.t_max, step.inflation, step.separation)
-    keys = {kind: [] for kind in plan.kinds}
-    largest = 1 << 30
-    if num_parts > 1:
-        largest = max(1, sum(sum(b.found.values()) for b in plan.batches(largest)) // num_parts)
-        largest = max(largest, *(pair.target.primitives.count for pair in plan.tree_pairs))
-        plan.begin_candidates()
-    for batch in plan.batches(largest):
-        for kind, count in batch.found.items():
-            if count:
-                keys[kind].append(plan.found_keys(kind, count).numpy().copy())
-    found = {kind: np.sort(np.concatenate(parts)).tolist() if parts else [] for kind, parts in keys.items()}
-    return dict(plan.num_candidates), found
-
-
-def check_pairs(mesh, start, end, **options):
-    """Assert that both broad phases leave the same pairs, and no pair twice; returns how many."""
-    (tree_candidates, tree), (hash_candidates, hashed) = (
-        surviving(mesh, start, end, broad_phase=name, **options) for name in BOTH
-    )
-    assert tree == hashed
-    assert tree_candidates == hash_candidates
-    assert all(len(set(keys)) == len(keys) for keys in hashed.values())
-    return sum(map(len, tree.values()))
 
 
 def check_candidates(mesh, start, end, inflation=0.0, *, with_brute_force=False, **options):
@@ -88,43 +53,17 @@ def as_bytes(result):
 
 
 def check_results(mesh, start, end, **options):
-    """Assert that all calls on the host give the same bits."""
+    """Assert that all calls on the host give the same bits; returns how many pairs the cull leaves open."""
     for call in (ccd.mesh_ccd, ccd.collision_free_step, ccd.is_step_collision_free):
         tree, hashed = (call(mesh, start, end, broad_phase=name, **options) for name in BOTH)
         if call is ccd.mesh_ccd:
             assert as_bytes(tree) == as_bytes(hashed)
             assert tree.counts.num_candidates == hashed.counts.num_candidates
             assert tree.counts.num_after_cull == hashed.counts.num_after_cull
+            num_open = sum(tree.counts.num_after_cull.values())
         else:
             assert tree == hashed
-
-
-def check_all(mesh, start, end, **options):
-    """Pairs, candidates and results."""
-    check_candidates(mesh, start, end)
-    check_results(mesh, start, end, **options)
-    return check_pairs(mesh, start, end, **options)
-
-
-def launched(mesh, start, end, broad_phase, *, per=None, dtype=wp.vec3d, reserved=CAPACITIES, **options):
-    """All that a launch, or a line search, leaves on the device, as bytes; contacts sorted."""
-    pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, **options, **reserved)
-    device = pipeline._topology.device
-    vertices_t0, vertices_t1 = on_device(start, device, dtype), on_device(end, device, dtype)
-    if per is None:
-        result = pipeline.launch(vertices_t0, vertices_t1)
-    else:
-        result = pipeline.launch_line_search(vertices_t0, vertices_t1, per=per)
-    arrays = [result.toi, result.vertex_toi, result.body_toi, result.world_toi, result.flags, result.num_pairs]
-    found = [array.numpy().tobytes() for array in (*arrays, vertices_t1)]
-    return [*found, *(getattr(result.to_host().contacts, name).tobytes() for name in FIELDS)]
-
-
-def check_launches(mesh, start, end, **options):
-    """Assert that launches and line searches on the device leave the same bits."""
-    for per in (None, "scene", "body", "vertex"):
-        tree, hashed = (launched(mesh, start, end, name, per=per, **options) for name in BOTH)
-        assert tree == hashed
+    return num_open
 
 
 # --- laid out ---
@@ -266,20 +205,25 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_has_the_same_pairs_and_results(name):
     mesh, start, end = SCENES[name]()
-    check_all(mesh, start, end, length_scale=1.0)
+    check_results(mesh, start, end, length_scale=1.0)
+    check_candidates(mesh, start, end)
     assert check_candidates(mesh, start, end, 1e-3, with_brute_force=mesh.num_worlds == 1) > 0
 
 
-LAUNCHED = ("crowd", "sheet over ball", "giants of every size", "cables", "worlds", "in the plane")
-
-
-@pytest.mark.parametrize("name", LAUNCHED)
-def test_every_scene_has_the_same_launches(name):
-    mesh, start, end = SCENES[name]()
-    dtype = wp.vec2d if mesh.dimension == 2 else wp.vec3d
-    dimension = mesh.dimension
-    start, end = start.reshape(-1, dimension), end.reshape(-1, dimension)
-    check_launches(mesh, start, end, dtype=dtype, length_scale=1.0)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one(axis):
+    """It begins by less than a rounding below a face of the cells; at its upper end, two cells on, is a particle."""
+    sides = np.float32(2.0) ** np.float32(-np.arange(8) / 4)  # as cells have them, and the floats beside those
+    for upper in np.concatenate([np.nextafter(sides, np.float32(0)), sides, np.nextafter(sides, np.float32(2))]):
+        edges = np.zeros((40, 3))  # the first one, and short ones far away, by which the cells are small
+        edges[2:, (axis + 1) % 3] = np.repeat(np.arange(19) - 9, 2) / 8 + 0.5
+        edges[3::2, axis] = 2.0**-10
+        edges[0, axis], edges[1, axis] = -(2.0**-60), upper
+        particle = np.where(np.arange(3) == axis, upper, 0.0)[None].astype(float)
+        bodies = [(edges, NO_FACES, np.arange(40).reshape(-1, 2)), (particle, NO_FACES)]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, self_collision=False)
+        found = ccd.find_candidates(mesh, mesh.vertices, mesh.vertices, broad_phase="hash")
+        assert found.point_segment.tolist() == [[40, 0]]
 
 
 # --- at random ---
@@ -372,20 +316,11 @@ def test_a_hundred_random_scenes_have_the_same_pairs(block):
     found = 0
     for seed in range(100 * block, 100 * block + 100):
         mesh, start, end, options = random_scene(seed)
-        found += check_pairs(mesh, start, end, **options)
+        found += check_results(mesh, start, end, **options)
         if seed % 5 == 0:
             plain = mesh.body_pairs is None and mesh.exclusion_rings == 1
             check_candidates(mesh, start, end, with_brute_force=plain)
-        if seed % 10 == 0:
-            check_results(mesh, start, end, **options)
     assert found > 1000
-
-
-@pytest.mark.parametrize("seed", range(2000, 2012))
-def test_random_scenes_have_the_same_launches(seed):
-    mesh, start, end, options = random_scene(seed)
-    options["t_max"] = 1.0  # line searches look at whole steps
-    check_launches(mesh, start, end, **options)
 
 
 def test_points_far_beyond_the_ends_of_the_grid_are_searched_one_by_one():
@@ -402,23 +337,6 @@ def test_points_far_beyond_the_ends_of_the_grid_are_searched_one_by_one():
 # --- limits, threads, loops ---
 
 
-def test_no_result_depends_on_the_memory_limit_or_the_number_of_threads():
-    mesh, start, end = crowd(np.random.default_rng(3), num_faces=1500, size=0.05)
-    expected = as_bytes(ccd.mesh_ccd(mesh, start, end, num_threads=1))
-    candidates = ccd.find_candidates(mesh, start, end).sorted()
-    step = ccd.collision_free_step(mesh, start, end)
-    for num_threads in (1, 2, 3):
-        options = {"broad_phase": "hash", "num_threads": num_threads}
-        result = ccd.mesh_ccd(mesh, start, end, **options, memory_limit=14_000_000)
-        assert result.counts.num_batches > 1
-        assert as_bytes(result) == expected == as_bytes(ccd.mesh_ccd(mesh, start, end, **options))
-        assert ccd.collision_free_step(mesh, start, end, **options) == step
-        found = ccd.find_candidates(mesh, start, end, **options)
-        assert all(
-            np.array_equal(*pairs) for pairs in zip(vars(found).values(), vars(candidates).values(), strict=True)
-        )
-
-
 def test_a_large_mesh_is_sorted_by_several_threads_and_sampled_first():
     upper, faces = sheet(160)
     lower, lower_faces = sheet(120, 1.1)
@@ -429,12 +347,6 @@ def test_a_large_mesh_is_sorted_by_several_threads_and_sampled_first():
     for num_threads in (1, 4):
         options = {"broad_phase": "hash", "num_threads": num_threads}
         assert ccd.collision_free_step(mesh, mesh.vertices, end, **options) == step < 1
-
-
-def test_parts_of_a_search_have_the_same_pairs():
-    mesh, start, end = crowd(np.random.default_rng(3), num_faces=300)
-    whole = surviving(mesh, start, end, broad_phase="tree")
-    assert surviving(mesh, start, end, num_parts=7, broad_phase="hash") == whole
 
 
 def test_a_loop_in_which_everything_changes():
@@ -453,44 +365,7 @@ def test_a_loop_in_which_everything_changes():
         assert all(map(np.array_equal, *(vars(each).values() for each in found)))
 
 
-@pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
-def test_line_searches_on_the_host_are_the_same(per):
-    mesh, start, end = worlds()
-    tree, hashed = (ccd.line_search(mesh, start, end, per=per, broad_phase=name) for name in BOTH)
-    assert np.array_equal(tree.vertices, hashed.vertices) and (tree.vertex_fraction < 1).any()
-    assert tree.num_rounds == hashed.num_rounds
-
-
 # --- on the device ---
-
-
-@pytest.fixture
-def as_on_cuda(monkeypatch):
-    """A function after whose call kernels are launched as on CUDA."""
-    return lambda: monkeypatch.setattr(Execution, "is_cuda", True)
-
-
-@pytest.mark.parametrize("name", LAUNCHED)
-def test_the_search_of_cuda_finds_the_same(as_on_cuda, name):
-    mesh, start, end = SCENES[name]()
-    expected = ccd.find_candidates(mesh, start, end).sorted()
-    result = ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
-    flat = [x.reshape(-1, mesh.dimension) for x in (start, end)]
-    dtype = wp.vec2d if mesh.dimension == 2 else wp.vec3d
-    launches = launched(mesh, *flat, "tree", dtype=dtype, length_scale=1.0)
-    as_on_cuda()
-    found = ccd.find_candidates(mesh, start, end, broad_phase="hash")
-    assert all(map(np.array_equal, vars(found).values(), vars(expected).values()))
-    assert as_bytes(ccd.mesh_ccd(mesh, start, end, length_scale=1.0, broad_phase="hash")) == as_bytes(result)
-    assert launched(mesh, *flat, "hash", dtype=dtype, length_scale=1.0) == launches
-
-
-def test_the_search_of_cuda_finds_the_same_in_random_scenes(as_on_cuda):
-    scenes = [random_scene(seed) for seed in range(3000, 3040)]
-    expected = [surviving(*scene[:3], broad_phase="tree", **scene[3]) for scene in scenes]
-    as_on_cuda()
-    found = [surviving(*scene[:3], broad_phase="hash", **scene[3]) for scene in scenes]
-    assert found == expected
 
 
 def test_a_launch_without_capacity_stops_what_finds_no_place(device):
@@ -516,29 +391,3 @@ def test_a_coordinate_that_is_not_finite_stops_its_world_alone(device):
         result = pipeline.launch(on_device(start, device), on_device(broken, device))
         assert result.world_toi.numpy().tolist() == [expected[0], 0.0, expected[2], expected[3]]
         assert (result.world_flags.numpy() != 0).tolist() == [False, True, False, False]
-
-
-def test_static_bodies_that_move_between_launches_are_sorted_again(device):
-    mesh, start, end = sheet_over_ball()
-    is_static = (mesh.vertex_body == 1)[:, None]
-    pipelines = [ccd.CollisionPipeline(mesh, broad_phase=name, length_scale=1.0, device=device) for name in BOTH]
-    for shift in (0.0, 0.0, 0.4, 0.4, -3.0, 0.0):
-        frames = [on_device(x + [0, 0, shift] * is_static, device) for x in (start, end)]
-        tree, hashed = (pipeline.launch(*frames) for pipeline in pipelines)
-        assert tree.vertex_toi.numpy().tobytes() == hashed.vertex_toi.numpy().tobytes()
-        assert tree.num_pairs.numpy().tolist() == hashed.num_pairs.numpy().tolist()
-    assert np.isfinite(hashed.toi.numpy()[0])
-
-
-def test_a_captured_launch_is_replayed_with_other_positions(device):
-    mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, broad_phase="hash", length_scale=1.0, device=device)
-    vertices_t0, vertices_t1 = on_device(start, device), on_device(start, device)
-    assert pipeline.launch(vertices_t0, vertices_t1).toi.numpy()[0] == np.inf
-    with wp.ScopedCapture(device=device) as capture:
-        result = pipeline.launch(vertices_t0, vertices_t1)
-    for other in (end, start, end):
-        vertices_t1.assign(other)
-        wp.capture_launch(capture.graph)
-        expected = ccd.mesh_ccd(mesh, start, other, length_scale=1.0).vertex_toi
-        assert result.vertex_toi.numpy().tobytes() == expected.tobytes()

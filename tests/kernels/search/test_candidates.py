@@ -276,18 +276,6 @@ def test_inflation_is_rounded_outward(device):
     assert check_candidates(mesh, start, start, np.nextafter(0.1, 0), device)
 
 
-@pytest.mark.parametrize("num_faces", [20, 3000])
-def test_result_does_not_depend_on_num_threads(num_faces):
-    rng = np.random.default_rng(15)
-    start, faces = soup(rng, num_faces, 0.05)
-    start[: 3 * num_faces // 4] *= 0.2  # a dense corner, so that the first guess of the pair count is wrong
-    reference = find_candidates(single(start, faces), start, start + 0.01, num_threads=1)
-    for num_threads in (2, 3, 8):
-        found = find_candidates(single(start, faces), start, start + 0.01, num_threads=num_threads)
-        assert np.array_equal(found.vertex_face, reference.vertex_face)
-        assert np.array_equal(found.edge_edge, reference.edge_edge)
-
-
 def test_many_pairs_a_query(device):
     """More pairs than the first guess of the capacity."""
     rng = np.random.default_rng(16)
@@ -299,31 +287,6 @@ def test_many_pairs_a_query(device):
     mesh = single(start, np.arange(600).reshape(-1, 3))
     found = find_candidates(mesh, start, start, device=device, num_threads=2)
     assert len(found.vertex_face) == 600 * 199 and len(found.edge_edge) == 600 * 599 // 2 - 600
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"inflation": -1.0}, "inflation is -1.0; expected a finite length that is not negative"),
-        ({"inflation": np.nan}, "inflation is nan"),
-        ({"inflation": np.inf}, "inflation is inf"),
-        ({"inflation": "1"}, "inflation is '1'"),
-        ({"inflation": np.zeros(2)}, "inflation is array"),
-        ({"inflation": 10**400}, "inflation is 1000"),
-        ({"num_threads": 0}, "num_threads is 0; expected a positive integer"),
-        ({"num_threads": 1.5}, r"num_threads is 1\.5"),
-    ],
-)
-def test_bad_options_are_named(options, message):
-    mesh = single(np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=message):
-        find_candidates(mesh, mesh.vertices, mesh.vertices, **options)
-
-
-def test_bad_frames_are_named():
-    mesh = single(np.eye(3), [[0, 1, 2]])
-    with pytest.raises(ValueError, match=r"vertices_t1 has shape \(3, 2\); expected \(3, 3\) like vertices_t0"):
-        find_candidates(mesh, mesh.vertices, mesh.vertices[:, :2])
 
 
 @requires_data
