@@ -177,9 +177,9 @@ PLANTED = [
     ),
     Fault(
         "no hold of the second edge",
-        "kernels/at_one_time/start_holds.py",
-        "                if kind == EDGE_EDGE or kind == POINT_POINT:\n                    lower_hold(b, bits, minima)",
-        "                if kind == POINT_POINT:\n                    lower_hold(b, bits, minima)",
+        "kernels/at_one_time/measure_pairs.py",
+        "    if kind == EDGE_EDGE or kind == POINT_POINT:\n        lower_hold(b, bits, minima)",
+        "    if kind == POINT_POINT:\n        lower_hold(b, bits, minima)",
         ("kernels/pair/test_hold.py::test_cable_slides_from_one_cable_to_the_next_without_losing_height",),
     ),
     # --- engine ---
