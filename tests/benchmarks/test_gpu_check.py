@@ -299,6 +299,7 @@ def test_stage_goes_on_after_a_case_that_ends_its_process_and_after_the_device_i
 
 
 def test_tests_of_a_folder_are_cases_and_those_for_other_devices_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "_PROCESSES", 1)
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "test_some.py").write_text(
         "import pytest\n"
