@@ -87,15 +87,8 @@ class Panel:
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
             surface["vertex"] = used
             surface.cell_data["colour"] = self._colours_of_faces(scene.faces[chosen], toi_range)
-            surface = surface.compute_normals(
-                cell_normals=False,
-                split_vertices=True,
-                feature_angle=_SHARP,
-                consistent_normals=False,
-                auto_orient_normals=False,
-            )
-            of_points = colours[surface["vertex"]]
-            scalars = surface.cell_data["colour"] if name == "coarse faces" else of_points
+            surface = with_normals(surface)
+            scalars = surface.cell_data["colour"] if name == "coarse faces" else colours[surface["vertex"]]
             edges = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
             preference = "cell" if name == "coarse faces" else "point"
             style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, "preference": preference, **edges}
@@ -153,9 +146,7 @@ class Panel:
 
     def write_title(self, text: str) -> None:
         """Write a line on top."""
-        title = make_text(text, (0.5, 0.93), _TITLE_SIZE * self.zoom)
-        title.prop.justification_horizontal = "center"
-        self.renderer.add_actor(title, reset_camera=False)
+        write(self.renderer, text, (0.5, 0.93), _TITLE_SIZE * self.zoom, is_centred=True)
 
     def draw_legend(self) -> None:
         """Name the bodies by their colours, below the scene: which move, and which are static."""
@@ -176,8 +167,7 @@ class Panel:
             swatch.SetMapper(mapper)
             swatch.GetProperty().SetColor(*(colour / 255.0))
             self.renderer.AddActor(swatch)
-            label = make_text(text, (x + 1.6 * size / width, y), size * self.zoom)
-            self.renderer.add_actor(label, reset_camera=False)
+            write(self.renderer, text, (x + 1.6 * size / width, y), size * self.zoom)
 
     def draw_toi_bar(self, toi_range: tuple[float, float]) -> None:
         """Draw the colour bar of the bodies that are coloured by toi."""
@@ -199,9 +189,7 @@ class Panel:
             color=TEXT_COLOUR,
             fmt="%.4g",
         )
-        title = make_text("toi of the vertices", (0.5, 0.1), size)
-        title.prop.justification_horizontal = "center"
-        self.renderer.add_actor(title, reset_camera=False)
+        write(self.renderer, "toi of the vertices", (0.5, 0.1), size, is_centred=True)
 
 
 def aim(view: Any, camera: Camera) -> None:
@@ -220,6 +208,17 @@ def add_lights(renderer: Any) -> None:
         renderer.AddLight(pyvista.Light(position=position, light_type="camera light", intensity=intensity))
 
 
+def with_normals(surface: Any) -> Any:
+    """A surface that is shaded as smooth but for its sharp edges; PyVista's own way would turn its faces round."""
+    return surface.compute_normals(
+        cell_normals=False,
+        split_vertices=True,
+        feature_angle=_SHARP,
+        consistent_normals=False,
+        auto_orient_normals=False,
+    )
+
+
 def flat_actor(
     shape: Any, colour: str, *, opacity: float = 1.0, point_size: float = 1.0, line_width: float = 1.0
 ) -> Any:
@@ -232,13 +231,14 @@ def flat_actor(
     return actor
 
 
-def make_text(text: str, position: tuple[float, float], size: float) -> Any:
-    """A text at a position in fractions of its renderer."""
+def write(renderer: Any, text: str, position: tuple[float, float], size: float, *, is_centred: bool = False) -> None:
+    """Write a text at a position in fractions of a renderer."""
     actor = pyvista.Text(text=text, position=position)
     actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.prop.font_size, actor.prop.color = round(size), TEXT_COLOUR
     actor.prop.font_family = "arial"
-    return actor
+    actor.prop.justification_horizontal = "center" if is_centred else "left"
+    renderer.AddActor(actor)
 
 
 def _used_vertices(primitives: NDArray[np.int32]) -> tuple[NDArray[np.int32], Any]:
