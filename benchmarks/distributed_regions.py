@@ -29,7 +29,8 @@ _TOWARDS = (-1.0, -0.62, 0.62)
 _TITLE_SIZE, _FINE, _BOLD = 17, 0.5, 1.4
 _LIGHT, _DARK = "#909090", "#202020"
 _ABSENT = {"color": "#b8b8b8", "style": "wireframe", "opacity": 0.3}
-_LOOK = {"smooth_shading": True, "ambient": 0.6, "diffuse": 0.6, "specular": 0.0, "reset_camera": False}
+_LOOK = {"ambient": 0.6, "diffuse": 0.6, "specular": 0.0, "reset_camera": False}
+_LOOK |= {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": 35.0}  # degrees
 
 
 def regions_of_faces(mesh: VirtualMesh, plan: VirtualPlan) -> np.ndarray:
@@ -74,12 +75,10 @@ def draw(mesh: VirtualMesh, plan: VirtualPlan) -> Picture:
 
 
 def _surface(mesh: VirtualMesh, chosen: np.ndarray) -> Any:
-    """Some of the faces, with normals."""
+    """Some of the faces."""
     import pyvista
 
-    from ccd_warp.viz._panel import with_normals
-
-    return with_normals(pyvista.PolyData.from_regular_faces(mesh.start, mesh.faces[chosen], deep=True))
+    return pyvista.PolyData.from_regular_faces(mesh.start, mesh.faces[chosen], deep=True)
 
 
 def main() -> None:

@@ -72,8 +72,7 @@ class Panel:
         colours = scene.vertex_colours if toi_range is None else self._colours_by_toi(scene.vertex_toi, toi_range)
         edge_length = scene.body_edge_length[scene.vertex_body[scene.faces[:, 0]]] / self.camera.pixel
         has_edges, is_coarse = edge_length >= _READABLE_EDGE, edge_length >= _COARSE_EDGE
-        if toi_range is None:
-            is_coarse[:] = False
+        is_coarse &= toi_range is not None
         light = _LIGHT_OF_BODIES if toi_range is None else _LIGHT_OF_TOI
         for name, chosen in (
             ("faces", ~has_edges),
@@ -85,13 +84,12 @@ class Panel:
             used, faces = _used_vertices(scene.faces[chosen])
             # a deep copy, because VTK would read the array after it is freed
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
-            surface["vertex"] = used
-            surface.cell_data["colour"] = self._colours_of_faces(scene.faces[chosen], toi_range)
-            surface = with_normals(surface)
-            scalars = surface.cell_data["colour"] if name == "coarse faces" else colours[surface["vertex"]]
-            edges = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
-            preference = "cell" if name == "coarse faces" else "point"
-            style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, "preference": preference, **edges}
+            scalars, preference = colours[used], "point"
+            if toi_range is not None and chosen is is_coarse:
+                scalars, preference = self._colours_of_faces(scene.faces[chosen], toi_range), "cell"
+            style = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
+            style |= {"line_width": _EDGE_WIDTH * self.zoom, "preference": preference}
+            style |= {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _SHARP}
             self._add(name, surface, scalars, **light, **style)
         if len(scene.segments):
             used, segments = _used_vertices(scene.segments)
@@ -124,14 +122,13 @@ class Panel:
         colours[is_hit] = _mapped(vertex_toi[is_hit], toi_range)
         return colours
 
-    def _colours_of_faces(self, faces: NDArray[np.int32], toi_range: tuple[float, float] | None) -> NDArray[np.uint8]:
+    def _colours_of_faces(self, faces: NDArray[np.int32], toi_range: tuple[float, float]) -> NDArray[np.uint8]:
         """One colour for each face, by the earliest toi of its corners unless its body is static, shape [m, 3]."""
         scene = self.scene
-        colours = (scene.vertex_colours if toi_range is None else scene.pale_colours)[faces[:, 0]]
-        if toi_range is not None:
-            toi = scene.vertex_toi[faces].min(axis=1)
-            is_shown = np.isfinite(toi) & ~scene.static[scene.vertex_body[faces[:, 0]]]
-            colours[is_shown] = _mapped(toi[is_shown], toi_range)
+        colours = scene.pale_colours[faces[:, 0]]
+        toi = scene.vertex_toi[faces].min(axis=1)
+        is_shown = np.isfinite(toi) & ~scene.static[scene.vertex_body[faces[:, 0]]]
+        colours[is_shown] = _mapped(toi[is_shown], toi_range)
         return colours
 
     def draw_trails(self) -> None:
@@ -206,17 +203,6 @@ def add_lights(renderer: Any) -> None:
     """Light a renderer of VTK from behind the viewer."""
     for position, intensity in _LIGHTS:
         renderer.AddLight(pyvista.Light(position=position, light_type="camera light", intensity=intensity))
-
-
-def with_normals(surface: Any) -> Any:
-    """A surface that is shaded as smooth but for its sharp edges; PyVista's own way would turn its faces round."""
-    return surface.compute_normals(
-        cell_normals=False,
-        split_vertices=True,
-        feature_angle=_SHARP,
-        consistent_normals=False,
-        auto_orient_normals=False,
-    )
 
 
 def flat_actor(
