@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -157,91 +158,77 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
         in_process = sum(m.solve is not None for m in methods)
         return effort.rounds * (1.6 * effort.peer_seconds + in_process * effort.seconds) + 0.1 * in_process
 
+    def each(section: str, seconds: float, call: Callable[..., Any], *axes: dict[str, Any]) -> Iterator[Task]:
+        """A task for each combination of what has a name on some axes, the last of which goes round first."""
+        for chosen in product(*(axis.items() for axis in axes)) if section in settings.sections else ():
+            names, values = [name for name, _ in chosen], [value for _, value in chosen]
+            yield Task("|".join((section, *names)), seconds, partial(call, *values))
+
+    def measure_point(queries: QuerySet, tolerance: float) -> dict:
+        about = {"set": queries.name, "kind": queries.kind, "tolerance": tolerance, "points": queries.fingerprint()}
+        return {**about, "rows": measure(methods, queries, tolerance, settings.sweep)}
+
+    devices, kinds = ({name: name for name in names} for names in (settings.devices, KINDS))
+    rounds, few_rounds = settings.rounds, settings.small_rounds
+    scenes = dict(all_scenes(folder, settings.quick))
     if "sweep" in settings.sections:
         yield Task("sets", 3.0, lambda: [q.describe() for q in sets().values()])
-        for name, kind in sets():
-            for tolerance in settings.tolerances:
-                yield Task(
-                    f"sweep|{name}|{kind}|{tolerance:g}",
-                    effort_seconds(settings.sweep),
-                    lambda n=name, k=kind, t=tolerance: {
-                        "set": n,
-                        "kind": k,
-                        "tolerance": t,
-                        "points": sets()[n, k].fingerprint(),
-                        "rows": measure(methods, sets()[n, k], t, settings.sweep),
-                    },
-                )
-    if "cases" in settings.sections:
-        for name in FAMILIES:
-            for kind in KINDS:
-                yield Task(
-                    f"cases|{name}|{kind}",
-                    effort_seconds(settings.cases),
-                    lambda n=name, k=kind: measure_case(methods, case_set(n, k, settings.case_queries), settings.cases),
-                )
-    if "batches" in settings.sections:
-        yield Task(
-            "batches",
-            settings.rounds * settings.batches[-1] * 3e-6,
-            lambda: scaling.measure_batches(methods, settings.batches, settings.rounds, about["memory_gib"]),
+        points = {f"{name}|{kind}": queries for (name, kind), queries in sets().items()}
+        tolerances = {f"{tolerance:g}": tolerance for tolerance in settings.tolerances}
+        yield from each("sweep", effort_seconds(settings.sweep), measure_point, points, tolerances)
+    yield from each(
+        "cases",
+        effort_seconds(settings.cases),
+        lambda name, kind: measure_case(methods, case_set(name, kind, settings.case_queries), settings.cases),
+        {name: name for name in FAMILIES},
+        kinds,
+    )
+    yield from each(
+        "batches",
+        rounds * settings.batches[-1] * 3e-6,
+        lambda: scaling.measure_batches(methods, settings.batches, rounds, about["memory_gib"]),
+    )
+    yield from each("start", 20.0 * len(devices), lambda: scaling.measure_start(list(devices)))
+    yield from each(
+        "threads",
+        10.0,
+        lambda: (
+            scaling.measure_threads(200_000, rounds) + scaling.measure_mesh_threads(cloth_over_sphere(100_000), rounds)
+        ),
+    )
+    for section, of_scene in (("steps", whole_step.measure), ("broad", broad_phases.measure)):
+        yield from each(
+            section,
+            settings.step_seconds + 5.0,
+            lambda make, device, of=of_scene: of(make(), device, settings.step_seconds, settings.step_rounds),
+            scenes,
+            devices,
         )
-    if "start" in settings.sections:
-        yield Task("start", 20.0 * len(settings.devices), lambda: scaling.measure_start(list(settings.devices)))
-    if "threads" in settings.sections:
-        yield Task(
-            "threads",
-            10.0,
-            lambda: (
-                scaling.measure_threads(200_000, settings.rounds)
-                + scaling.measure_mesh_threads(cloth_over_sphere(100_000), settings.rounds)
-            ),
+    for name, count in product(many_worlds.SCENES, settings.worlds):
+        yield from each(
+            "worlds",
+            6e-4 * (rounds + 3) * count + 1.0,
+            lambda name, count, device: many_worlds.measure(name, count, device, rounds),
+            {name: name},
+            {str(count): count},
+            devices,
         )
-    if "steps" in settings.sections:
-        for name, make in all_scenes(folder, settings.quick):
-            for device in settings.devices:
-                yield Task(
-                    f"steps|{name}|{device}",
-                    settings.step_seconds + 5.0,
-                    lambda m=make, d=device: whole_step.measure(m(), d, settings.step_seconds, settings.step_rounds),
-                )
-    if "broad" in settings.sections:
-        for name, make in all_scenes(folder, settings.quick):
-            for device in settings.devices:
-                yield Task(
-                    f"broad|{name}|{device}",
-                    settings.step_seconds + 5.0,
-                    lambda m=make, d=device: broad_phases.measure(m(), d, settings.step_seconds, settings.step_rounds),
-                )
-    if "worlds" in settings.sections:
-        for name in many_worlds.SCENES:
-            for count in settings.worlds:
-                for device in settings.devices:
-                    yield Task(
-                        f"worlds|{name}|{count}|{device}",
-                        6e-4 * (settings.rounds + 3) * count + 1.0,
-                        lambda n=name, c=count, d=device: many_worlds.measure(n, c, d, settings.rounds),
-                    )
-    rounds = settings.small_rounds
-    if "small" in settings.sections:
-        for scene in all_small_scenes():
-            for device in settings.devices:
-                yield Task(
-                    f"small|{scene.name}|{device}",
-                    0.05 * rounds + 0.5,
-                    lambda s=scene, d=device: small_scenes.measure(s, d, rounds),
-                )
-    if "pairs" in settings.sections:
-        for kind in small_scenes.PAIR_KINDS:
-            for device in settings.devices:
-                yield Task(
-                    f"pairs|{kind}|{device}",
-                    0.01 * rounds + 0.2,
-                    lambda k=kind, d=device: small_scenes.measure_pair(k, d, rounds),
-                )
-    if "growth" in settings.sections:
-        for size in settings.growth:
-            yield Task(f"growth|{size}", 4.0 + 8e-6 * size, lambda s=size: whole_step.grow_apart(s))
+    yield from each(
+        "small",
+        0.05 * few_rounds + 0.5,
+        lambda scene, device: small_scenes.measure(scene, device, few_rounds),
+        {scene.name: scene for scene in all_small_scenes()},
+        devices,
+    )
+    yield from each(
+        "pairs",
+        0.01 * few_rounds + 0.2,
+        lambda kind, device: small_scenes.measure_pair(kind, device, few_rounds),
+        {kind: kind for kind in small_scenes.PAIR_KINDS},
+        devices,
+    )
+    for size in settings.growth:
+        yield from each("growth", 4.0 + 8e-6 * size, whole_step.grow_apart, {str(size): size})
 
 
 def measure_case(methods: list[Method], queries: QuerySet, effort: Effort) -> dict:

@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
+import pandas as pd
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import error_text, rows_of, set_name
+from ccd_warp.benchmarks.raw_file import flat_rows
 from ccd_warp.benchmarks.scene_sections import SMALL_PEERS, pair_name, scene_name
 
 DEFAULT_THRESHOLD = 1.25
@@ -23,8 +26,25 @@ _ERROR_FLOOR = 1e-14
 _LEAST_QUERIES = 10
 
 
-@dataclass(frozen=True)
-class Change:
+class Figure(NamedTuple):
+    """A figure of ours in one run.
+
+    Attributes:
+        what: Its name; the time of a set and method has one for each tolerance.
+        rule: How it is compared, a key of ``RULES``.
+        part: What it is of: a point of the sweep, a family, a scene.
+        value: The figure, None if there is none.
+        of: The queries, and how many of them; the figures of others are not comparable.
+    """
+
+    what: str
+    rule: str
+    part: str
+    value: float | None
+    of: str = ""
+
+
+class Change(NamedTuple):
     """One figure of ours in both runs.
 
     Attributes:
@@ -38,6 +58,59 @@ class Change:
     text: str
 
 
+def _worse_error(old: float | None, new: float | None) -> float:
+    return 1.0 if old is None or new is None else max(new, _ERROR_FLOOR) / max(old, _ERROR_FLOOR)
+
+
+# By which factor a figure became worse, from its values in the old run and the new one, and both values in words.
+RULES: dict[str, tuple[Callable[[Any, Any], float], Callable[[Any, Any], str]]] = {
+    "fault": (lambda old, new: math.inf if new > old else 1.0, lambda old, new: f"{old} → {new}"),
+    "more": (lambda old, new: (new + 1) / (old + 1) if new > old else 1.0, lambda old, new: f"{old} → {new}"),
+    "count": (lambda old, new: (new + 1) / (old + 1), lambda old, new: f"{old} → {new}"),
+    "error": (_worse_error, lambda old, new: f"{error_text(old)} → {error_text(new)}"),
+    "speed": (lambda old, new: old / new, lambda old, new: f"peer's / ours {old:.2f} → {new:.2f}"),
+    "step": (
+        lambda old, new: old / new if new else (math.inf if old else 1.0),
+        lambda old, new: f"{old:.6g} → {new:.6g}",
+    ),
+}
+
+
+def figures(raw: dict) -> Iterator[Figure]:
+    """Every figure of ours in a run."""
+    rows = flat_rows(raw)
+    for row in rows["sweep"] + rows["cases"]:
+        if not row["method"].startswith("ours"):
+            continue
+        label, at = (
+            (set_name(row), f" at {row['tolerance']:g}") if "set" in row else (f"{row['family']} {row['kind']}", "")
+        )
+        name, part = f"{label}{at}, {row['method']}", f"{label}{at}"
+        if "set" in row:
+            yield Figure(f"{label}, {row['method']}: time", "time", part, row["seconds_low"], row["points"])
+        of = f"{row['points']} {row['queries']}"
+        for fault in ("missed", "late", "phantom", "limited"):
+            yield Figure(f"{name}: {fault}", "fault" if fault in ("missed", "late") else "more", part, row[fault], of)
+        for error in ("median", "p99", "max"):
+            yield Figure(f"{name}: {error} error", "error", part, row.get(f"error.{error}"), of)
+    for row in raw["steps"]:
+        name = scene_name(row)
+        least = {call: low for call, (low, _) in row["spread"].items()}
+        for call in row["ratio"]:
+            peer = least["peer build"] + (call != "find_candidates") * least["peer step"]
+            yield Figure(f"{name}, {call}: time", "speed", name, peer / least[call])
+        yield Figure(f"{name}: candidates other than the peer's", "count", name, row["disagreements"])
+    for row in [*raw.get("small", []), *raw.get("pairs", [])]:
+        name = scene_name(row) if "scene" in row else f"one {pair_name(row)} pair"
+        for call in row["spread"].keys() - set(SMALL_PEERS):
+            yield Figure(
+                f"{name}, {call}: time", "speed", name, row["spread"][SMALL_PEERS[1]][0] / row["spread"][call][0]
+            )
+    for row in [*raw["steps"], *raw.get("small", [])]:
+        if "step" in row:
+            yield Figure(f"{scene_name(row)}: collision-free step", "step", scene_name(row), row["step"])
+
+
 def reference_ratio(old: dict, new: dict) -> float | None:
     """Time of the peer in the new run over that in the old, on queries that both have answered; None if too few."""
     pairs = [
@@ -49,105 +122,43 @@ def reference_ratio(old: dict, new: dict) -> float | None:
     return total_new / total_old if len(pairs) >= _LEAST_QUERIES and total_old > 0 and total_new > 0 else None
 
 
-def _units(raw: dict, section: str) -> dict[tuple, dict]:
-    name = "set" if section == "sweep" else "family"
-    return {(unit[name], unit["kind"], unit.get("tolerance")): unit for unit in raw[section]}
-
-
-def _worse_error(old: float | None, new: float | None) -> float:
-    return 1.0 if old is None or new is None else max(new, _ERROR_FLOOR) / max(old, _ERROR_FLOOR)
-
-
-def _least_ratio(row: dict, call: str) -> float:
-    """Least time of the peer over that of ours on a whole step."""
-    least = {name: low for name, (low, _) in row["spread"].items()}
-    return (least["peer build"] + (call != "find_candidates") * least["peer step"]) / least[call]
+def machine_ratios(old: dict, new: dict) -> dict[str, float | None]:
+    """The ratio of the peer's times at each point of the sweep of both runs."""
+    peers = [
+        {f"{set_name(unit)} at {unit['tolerance']:g}": rows_of(unit).get(REFERENCE, {}) for unit in raw["sweep"]}
+        for raw in (old, new)
+    ]
+    return {part: reference_ratio(peers[0][part], peers[1][part]) for part in peers[0].keys() & peers[1].keys()}
 
 
 def changes(old: dict, new: dict) -> tuple[list[Change], list[str]]:
     """Every figure that both runs have, and notes on what could not be compared."""
+    keys = ["what", "rule", "part"]
+    tables = [pd.DataFrame(figures(raw), columns=Figure._fields, dtype=object) for raw in (old, new)]
+    joined = tables[0].merge(tables[1], on=keys, how="outer", suffixes=("_old", "_new"), indicator="where")
+    alone = joined[joined["where"] != "both"]
+    notes = [f"{part}: {len(of)} figures are in one run only" for part, of in alone.groupby("part", sort=False)]
+    both = joined[joined["where"] == "both"].astype(object).where(lambda table: table.notna(), None)
+    machine = machine_ratios(old, new)
+    notes += [
+        f"{part}: the peer has answered too few queries of both runs to compare times"
+        for part, ratio in machine.items()
+        if ratio is None
+    ]
     found: list[Change] = []
-    notes: list[str] = []
     speed: dict[str, list[float]] = {}
-    for section in ("sweep", "cases"):
-        before, after = _units(old, section), _units(new, section)
-        if only := len(before.keys() ^ after.keys()):
-            notes.append(f"{only} points of the {section} are in one run only")
-        for key in before.keys() & after.keys():
-            rows = [rows_of(unit) for unit in (before[key], after[key])]
-            label = set_name(after[key]) if section == "sweep" else f"{key[0]} {key[1]}"
-            at = f" at {key[2]:g}" if section == "sweep" else ""
-            if before[key]["points"] != after[key]["points"]:
-                notes.append(f"{label}: other queries in the two runs, not compared")
-                continue
-            for method in rows[0].keys() ^ rows[1].keys():
-                notes.append(f"{method} is in one run only")
-            machine = reference_ratio(*(r.get(REFERENCE, {}) for r in rows)) if section == "sweep" else None
-            if machine is None and section == "sweep":
-                notes.append(f"{label}{at}: the peer has answered too few queries of both runs to compare times")
-            for method in rows[0].keys() & rows[1].keys():
-                if not method.startswith("ours"):
-                    continue
-                a, b = rows[0][method], rows[1][method]
-                if machine is not None:
-                    ratio = b["seconds_low"] / a["seconds_low"] / machine
-                    speed.setdefault(f"{label}, {method}: time", []).append(ratio)
-                if a["queries"] != b["queries"]:
-                    notes.append(f"{label}{at}, {method}: fewer queries in one of the runs, answers not compared")
-                    continue
-                for fault in ("missed", "late", "phantom", "limited"):
-                    ratio = math.inf if fault in ("missed", "late") else (b[fault] + 1) / (a[fault] + 1)
-                    ratio = ratio if b[fault] > a[fault] else 1.0
-                    found.append(Change(f"{label}{at}, {method}: {fault}", ratio, f"{a[fault]} → {b[fault]}"))
-                for name in ("median", "p99", "max"):
-                    errors = [None if row["error"] is None else row["error"][name] for row in (a, b)]
-                    text = f"{error_text(errors[0])} → {error_text(errors[1])}"
-                    found.append(Change(f"{label}{at}, {method}: {name} error", _worse_error(*errors), text))
+    for row in both.itertuples():
+        if row.of_old != row.of_new:
+            notes.append(f"{row.part}: other queries in the two runs, not compared")
+        elif row.rule != "time":
+            ratio, text = (of(row.value_old, row.value_new) for of in RULES[row.rule])
+            found.append(Change(row.what, ratio, text))
+        elif (ratio := machine.get(row.part)) is not None:
+            speed.setdefault(row.what, []).append(row.value_new / row.value_old / ratio)
     for what, ratios in speed.items():
         mean = statistics.geometric_mean(ratios)
         found.append(Change(what, mean, f"{mean:.2f} times, {len(ratios)} tolerances, against the peer"))
-    before, after = ({scene_name(row): row for row in raw["steps"]} for raw in (old, new))
-    if only := len(before.keys() ^ after.keys()):
-        notes.append(f"{only} scenes are in one run only")
-    for name in before.keys() & after.keys():
-        for call in before[name]["ratio"]:
-            was, now = (_least_ratio(rows[name], call) for rows in (before, after))
-            found.append(Change(f"{name}, {call}: time", was / now, f"peer's / ours {was:.2f} → {now:.2f}"))
-        found.append(_step_change(name, *(rows[name]["step"] for rows in (before, after))))
-        others = [rows[name]["disagreements"] for rows in (before, after)]
-        found.append(
-            Change(
-                f"{name}: candidates other than the peer's",
-                (others[1] + 1) / (others[0] + 1),
-                f"{others[0]} → {others[1]}",
-            )
-        )
-    found += _small_changes(old, new, notes)
     return sorted(found, key=lambda change: (-change.ratio, change.what)), notes
-
-
-def _small_changes(old: dict, new: dict, notes: list[str]) -> list[Change]:
-    """Times on small scenes and single pairs over those of the peer, and the steps."""
-    before, after = (
-        {(scene_name(row) if "scene" in row else f"one {pair_name(row)} pair"): row for row in rows_of_both}
-        for rows_of_both in ([*raw.get("small", []), *raw.get("pairs", [])] for raw in (old, new))
-    )
-    if only := len(before.keys() ^ after.keys()):
-        notes.append(f"{only} small scenes or single pairs are in one run only")
-    found = []
-    for name in before.keys() & after.keys():
-        spreads = [rows[name]["spread"] for rows in (before, after)]
-        for call in (spreads[0].keys() & spreads[1].keys()) - set(SMALL_PEERS):
-            was, now = (spread[SMALL_PEERS[1]][0] / spread[call][0] for spread in spreads)
-            found.append(Change(f"{name}, {call}: time", was / now, f"peer's / ours {was:.2f} → {now:.2f}"))
-        if "step" in before[name]:
-            found.append(_step_change(name, *(rows[name]["step"] for rows in (before, after))))
-    return found
-
-
-def _step_change(name: str, old: float, new: float) -> Change:
-    ratio = old / new if new else (math.inf if old else 1.0)
-    return Change(f"{name}: collision-free step", ratio, f"{old:.6g} → {new:.6g}")
 
 
 def compare(old: dict, new: dict, threshold: float) -> tuple[list[str], bool]:

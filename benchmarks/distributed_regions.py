@@ -18,19 +18,19 @@ from ccd_warp.benchmarks.virtual_mesh import VirtualMesh, VirtualPlan
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._plan import united
 from ccd_warp.viz._camera import make_camera
-from ccd_warp.viz._file import Picture, reduced
-from ccd_warp.viz._window import drawing_without_display
+from ccd_warp.viz._file import Picture
+from ccd_warp.viz._window import ZOOM, drawn
 
 NUM_RANKS, NUM_FACES = 8, 3_000
 _SHOWN = 1  # the rank that is shown alone, whose region lies towards the viewer
 _PALETTE = "Set2"  # of eight colours
-_PANEL, _MARGINS, _ZOOM = (640, 440), (14, 44, 14), 2
+_PANEL, _MARGINS = (640, 440), (14, 44, 14)
 _TOWARDS = (-1.0, -0.62, 0.62)
 _TITLE_SIZE, _FINE, _BOLD = 17, 0.5, 1.4
 _LIGHT, _DARK = "#909090", "#202020"
 _ABSENT = {"color": "#b8b8b8", "style": "wireframe", "opacity": 0.3}
-_LOOK = {"smooth_shading": True, "ambient": 0.6, "diffuse": 0.6, "specular": 0.0, "reset_camera": False}
-_SHARP = 35.0  # degrees between two faces that are not shaded as one surface
+_LOOK = {"ambient": 0.6, "diffuse": 0.6, "specular": 0.0, "reset_camera": False}
+_LOOK |= {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": 35.0}  # degrees
 
 
 def regions_of_faces(mesh: VirtualMesh, plan: VirtualPlan) -> np.ndarray:
@@ -53,50 +53,32 @@ def draw(mesh: VirtualMesh, plan: VirtualPlan) -> Picture:
         (f"one rank: {num_own:,} faces of its own, and {num_ghosts:,} ghosts, outlined", is_here),
     )
     view = make_camera(mesh.start, mesh.start, _TOWARDS, _PANEL, _MARGINS)
-    with drawing_without_display() as pyvista:
-        from ccd_warp.viz._panel import add_lights, aim, make_text
 
-        plotter = pyvista.Plotter(
-            off_screen=True,
-            shape=(1, len(panels)),
-            window_size=(_ZOOM * len(panels) * _PANEL[0], _ZOOM * _PANEL[1]),
-            border=False,
-            lighting="none",
-            theme=pyvista.themes.DocumentTheme(),
-        )
-        try:
-            for k, (text, is_shown) in enumerate(panels):
-                plotter.subplot(0, k)
-                add_lights(plotter.renderer)
-                aim(plotter.renderer.camera, view)
-                plotter.renderer.camera.is_set = True  # PyVista would fit its own view
-                for chosen, edge, width in ((is_shown & ~is_ghost, _LIGHT, _FINE), (is_ghost, _DARK, _BOLD)):
-                    surface = _surface(mesh, chosen, pyvista)
-                    surface.cell_data["colour"] = colours[chosen]
-                    look = {"show_edges": True, "edge_color": edge, "line_width": width * _ZOOM}
-                    plotter.add_mesh(surface, scalars="colour", rgb=True, preference="cell", **look, **_LOOK)
-                if not is_shown.all():
-                    plotter.add_mesh(_surface(mesh, ~is_shown, pyvista), **_ABSENT, **_LOOK)
-                label = make_text(text, (0.5, 0.93), _TITLE_SIZE * _ZOOM)
-                label.prop.justification_horizontal = "center"
-                plotter.renderer.add_actor(label, reset_camera=False)
-            plotter.render()
-            image = plotter.screenshot(return_img=True)
-        finally:
-            plotter.close()
-    return Picture(reduced(image, _ZOOM))
+    def draw_panels(plotter: Any) -> None:
+        from ccd_warp.viz._panel import add_lights, aim, write
+
+        for k, (text, is_shown) in enumerate(panels):
+            plotter.subplot(0, k)
+            add_lights(plotter.renderer)
+            aim(plotter.renderer.camera, view)
+            plotter.renderer.camera.is_set = True  # PyVista would fit its own view
+            for chosen, edge, width in ((is_shown & ~is_ghost, _LIGHT, _FINE), (is_ghost, _DARK, _BOLD)):
+                surface = _surface(mesh, chosen)
+                surface.cell_data["colour"] = colours[chosen]
+                look = {"show_edges": True, "edge_color": edge, "line_width": width * ZOOM}
+                plotter.add_mesh(surface, scalars="colour", rgb=True, preference="cell", **look, **_LOOK)
+            if not is_shown.all():
+                plotter.add_mesh(_surface(mesh, ~is_shown), **_ABSENT, **_LOOK)
+            write(plotter.renderer, text, (0.5, 0.93), _TITLE_SIZE * ZOOM, is_centred=True)
+
+    return Picture(drawn((len(panels) * _PANEL[0], _PANEL[1]), len(panels), draw_panels))
 
 
-def _surface(mesh: VirtualMesh, chosen: np.ndarray, pyvista: Any) -> Any:
-    """Some of the faces, with normals."""
-    surface = pyvista.PolyData.from_regular_faces(mesh.start, mesh.faces[chosen], deep=True)
-    return surface.compute_normals(
-        cell_normals=False,
-        split_vertices=True,
-        feature_angle=_SHARP,
-        consistent_normals=False,
-        auto_orient_normals=False,
-    )
+def _surface(mesh: VirtualMesh, chosen: np.ndarray) -> Any:
+    """Some of the faces."""
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(mesh.start, mesh.faces[chosen], deep=True)
 
 
 def main() -> None:

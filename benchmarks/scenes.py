@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -233,29 +234,16 @@ def published_scenes(folder: Path | None) -> list[tuple[str, Callable[[], Scene]
 
 def all_scenes(folder: Path | None, quick: bool) -> list[tuple[str, Callable[[], Scene]]]:
     """Every scene of the benchmark by name, with the function that builds it."""
-    scenes: list[Callable[[], Scene]] = [
-        lambda: cloth_over_sphere(10_000),
-        lambda: cloth_over_sphere(100_000),
-        lambda: spheres_through_each_other(100_000),
-        lambda: pile(1_000, 100),
-        lambda: ground_under_cloth(100_000),
-        lambda: long_step(20_000),
-        lambda: long_step(50_000),  # thirteen million candidates
-        lambda: crumpled_cloth(50_000),  # the narrow phase is most of the step
-        lambda: bodies_through_each_other(300, 100),  # and here
-        lambda: cloth_over_sphere(1_000_000),
-    ]
-    names = (
-        "cloth 10k",
-        "cloth 100k",
-        "spheres 100k",
-        "pile",
-        "giant face 100k",
-        "long step",
-        "long step 50k",
-        "crumpled cloth 50k",
-        "bodies through each other",
-        "cloth 1M",
-    )
-    made = list(zip(names, scenes, strict=True))
-    return [*published_scenes(folder), *(made[:3] if quick else made)]
+    made: dict[str, Callable[[], Scene]] = {
+        "cloth 10k": partial(cloth_over_sphere, 10_000),
+        "cloth 100k": partial(cloth_over_sphere, 100_000),
+        "spheres 100k": partial(spheres_through_each_other, 100_000),
+        "pile": partial(pile, 1_000, 100),
+        "giant face 100k": partial(ground_under_cloth, 100_000),
+        "long step": partial(long_step, 20_000),
+        "long step 50k": partial(long_step, 50_000),  # thirteen million candidates
+        "crumpled cloth 50k": partial(crumpled_cloth, 50_000),  # the narrow phase is most of the step
+        "bodies through each other": partial(bodies_through_each_other, 300, 100),  # and here
+        "cloth 1M": partial(cloth_over_sphere, 1_000_000),
+    }
+    return [*published_scenes(folder), *list(made.items())[: 3 if quick else None]]

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import warp as wp
+
+if find_spec("pytest") is None:
+    sys.exit("error: gpu_check needs pytest; install with: pip install pytest")
+
 from ccd_warp.benchmarks.gpu_check import pack, precompile
 from ccd_warp.benchmarks.gpu_check.bits import read_answers
 from ccd_warp.benchmarks.gpu_check.emulation import require_emulation
 from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint, identity
-from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_ordered
+from ccd_warp.benchmarks.gpu_check.journal import Journal
+from ccd_warp.benchmarks.gpu_check.runner import run_all, run_ordered
 from ccd_warp.benchmarks.gpu_check.stages import NAMES
 from ccd_warp.benchmarks.gpu_check.summary import complaints, summary
 from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, EMULATED, Target
@@ -28,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
         description="What a GPU answers and how fast, in at most eight minutes; docs/cuda.md says more. The command "
         "gpu_check pack --out DIR makes what a machine without Warp and without a network needs.",
     )
-    result.add_argument("--output", metavar="DIR", type=Path, help="folder of gpu_check.json and gpu_check.md")
+    result.add_argument("--output", metavar="DIR", type=Path, help="folder of gpu_check.jsonl and gpu_check.md")
     result.add_argument("--device", metavar="NAME", help="Warp device (cuda:0); cpu rehearses, shortened")
     result.add_argument("--emulated", action="store_true", help="run the CUDA source on the CPU, shortened")
     result.add_argument("--minutes", metavar="X", type=float, default=_MINUTES, help="time for all stages (8)")
@@ -119,19 +125,16 @@ def check(given: argparse.Namespace) -> int:
         )
     settings = {"device": target.device, "kind": target.kind, "code": fingerprint(), "warp": wp.config.version}
     settings["gpu"] = identity(target.device)
-    journal = Journal(folder, settings, is_anew=given.again)
-    if journal.note:
-        print(journal.note.strip(), flush=True)
+    journal = Journal(folder, settings)
     chosen = list(given.only or NAMES)
-    if given.only:
-        for name in chosen:
-            journal.raw["stages"].pop(name, None)
+    print(journal.begin(chosen if given.only or given.again else []), flush=True)
     if given.emulated:
         require_emulation(places["tests"])
     is_apart = given.apart or target.is_real
     run_all(target, places, journal, chosen, 60 * given.minutes, lambda line: print(line, flush=True), is_apart)
-    print("\n" + "\n".join(summary(journal.raw)))
-    return int(bool(complaints(journal.raw)))
+    stages = journal.stages()
+    print("\n" + "\n".join(summary(settings, stages)))
+    return int(bool(complaints(stages)))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -148,8 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if given.stage is not None:
             precompile.use_named()
-            run_ordered(given.stage, given.output)
-            return 0
+            return run_ordered(given.stage, given.output)
         if given.precompile is not None:
             given.precompile.mkdir(parents=True, exist_ok=True)
             precompile.use(given.precompile, cubins=False)

@@ -6,14 +6,14 @@ edges, are within a distance; `launch_proximity` is what answers that here.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target, middle
 from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere, long_step, pile
 
@@ -24,25 +24,23 @@ _NEAR = 0.8  # of the mean length of an edge: what lies around a vertex or an ed
 _MOST_NEAR = 64  # partners of a vertex or an edge that newton keeps
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
-    """Measure each scene, the smallest first."""
-    has_newton = importlib.util.find_spec("newton") is not None
-    if not has_newton:
-        record.leave_out("newton's detection", "newton is not installed")
-    repeats = 1 if target.is_short else _REPEATS
+def cases(target: Target, **_: Any) -> Cases:
+    """The scenes, the smallest first."""
     sizes = (400,) if target.is_short else (10_000, 50_000, 200_000)
     made = [(f"cloth {n:,}", lambda n=n: cloth_over_sphere(n)) for n in sizes]
     if not target.is_short:
         made += [("pile 50,000", lambda: pile(500, 100)), ("long step 20,000", lambda: long_step(20_000))]
+    found: Cases = {}
     for name, make in made:
-        if record.begins(f"{name}, the CPU", 0.5 if target.is_short else 3.0):
-            beside_cpu(target, record, name, make(), repeats)
-        if has_newton and name.startswith("cloth") and record.begins(f"{name}, newton", 2.0):
-            beside_newton(target, record, name, make(), repeats)
+        found[f"{name}, the CPU"] = partial(beside_cpu, target, name, make)
+        if name.startswith("cloth"):
+            found[f"{name}, newton"] = partial(beside_newton, target, name, make)
+    return found
 
 
-def beside_cpu(target: Target, record: Record, name: str, scene: Scene, repeats: int) -> None:
+def beside_cpu(target: Target, name: str, make: Callable[[], Scene], record: Record) -> None:
     """The calls of the host and a launch, on the device and on the CPU."""
+    scene, repeats = make(), 1 if target.is_short else _REPEATS
     frames = (scene.vertices_t0, scene.vertices_t1)
     seconds: dict[str, dict[str, float]] = {}
     for device in (target.device, "cpu"):
@@ -63,11 +61,12 @@ def beside_cpu(target: Target, record: Record, name: str, scene: Scene, repeats:
     record.add(f"{name}, beside the CPU: {said}", scene=name, other="the CPU", seconds=seconds, ratios=ratios)
 
 
-def beside_newton(target: Target, record: Record, name: str, scene: Scene, repeats: int) -> None:
+def beside_newton(target: Target, name: str, make: Callable[[], Scene], record: Record) -> None:
     """What is within a distance at one time: boxes, search and distances of both, in a cloth alone."""
-    import newton
+    newton = pytest.importorskip("newton", reason="newton is not installed")
     from newton._src.geometry.tri_mesh_collision import TriMeshCollisionDetector  # its public solvers call this
 
+    scene, repeats = make(), 1 if target.is_short else _REPEATS
     mesh = scene.mesh(ccd)
     count = mesh.body_vertex_range[1]
     faces = mesh.faces[(mesh.faces < count).all(axis=1)]

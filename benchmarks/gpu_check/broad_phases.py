@@ -2,63 +2,66 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args, get_type_hints
+from collections.abc import Callable
+from functools import partial
+from typing import Any, get_args
 
 import numpy as np
+import pytest
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target, middle
-from ccd_warp.benchmarks.scenes import bodies_through_each_other, cloth_over_sphere, ground_under_cloth, long_step, pile
+from ccd_warp.benchmarks.scenes import (
+    Scene,
+    bodies_through_each_other,
+    cloth_over_sphere,
+    ground_under_cloth,
+    long_step,
+    pile,
+)
 
 import ccd_warp as ccd
+from ccd_warp._input.option_types import BroadPhase
 
 OPTION = "broad_phase"
 _REPEATS = 5
 
 
 def choices() -> tuple[str, ...]:
-    """The broad phases that this version has; the tree alone where it has no such option."""
-    annotation = get_type_hints(ccd.MeshOptions).get(OPTION)
-    named = [name for part in (annotation, *get_args(annotation)) for name in (part, *get_args(part))]
-    return tuple(dict.fromkeys(name for name in named if isinstance(name, str))) or ("tree",)
+    """The broad phases that there are."""
+    return get_args(BroadPhase)
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
-    """Each scene with every broad phase: launches, candidates, and whether all results are the same bits."""
-    names = choices()
-    if len(names) < 2:
-        record.leave_out("the hash", f"this version has no option {OPTION}")
-    made = (
-        [lambda: cloth_over_sphere(400)]
-        if target.is_short
-        else [
-            lambda: cloth_over_sphere(200_000),
-            lambda: pile(1_000, 100),
-            lambda: bodies_through_each_other(300, 100),
-            lambda: ground_under_cloth(100_000),
-            lambda: long_step(20_000),
+def cases(target: Target, **_: Any) -> Cases:
+    """The scenes."""
+    made: list[Callable[[], Scene]] = [partial(cloth_over_sphere, 400)]
+    if not target.is_short:
+        made = [
+            partial(cloth_over_sphere, 200_000),
+            partial(pile, 1_000, 100),
+            partial(bodies_through_each_other, 300, 100),
+            partial(ground_under_cloth, 100_000),
+            partial(long_step, 20_000),
         ]
-    )
-    for make in made:
-        scene = make()
-        first: dict[str, np.ndarray] | None = None
-        for name in names:
-            if not record.begins(f"{scene.name}, {name}", 0.2 if target.is_short else 1.5):
-                continue
-            options: dict[str, Any] = {OPTION: name} if len(names) > 1 else {}
-            row, found = measure(target, scene, options, 2 if target.is_short else _REPEATS)
-            if first is None:
-                first = found
-            differing = [key for key in first if not np.array_equal(first[key], found[key], equal_nan=True)]
-            record.add(
-                f"{scene.name}, {name}: launch {row['launch']['median'] * 1e3:.3f} ms, "
-                f"find_candidates {row['find_candidates']['median'] * 1e3:.2f} ms"
-                + (f"; DIFFERENT: {', '.join(differing)}" if differing else ""),
-                scene=scene.name,
-                broad_phase=name,
-                different=differing,
-                **row,
-            )
+    return {" ".join(map(str, (make.func.__name__, *make.args))): partial(compare, target, make) for make in made}
+
+
+def compare(target: Target, make: Callable[[], Scene], record: Record) -> None:
+    """A scene with every broad phase: launches, candidates, and whether all results are the same bits."""
+    scene, first = make(), None
+    for name in choices():
+        row, found = measure(target, scene, {OPTION: name}, 2 if target.is_short else _REPEATS)
+        first = first or found
+        differing = [key for key in first if not np.array_equal(first[key], found[key], equal_nan=True)]
+        record.add(
+            f"{scene.name}, {name}: launch {row['launch']['median'] * 1e3:.3f} ms, "
+            f"find_candidates {row['find_candidates']['median'] * 1e3:.2f} ms",
+            scene=scene.name,
+            broad_phase=name,
+            **row,
+        )
+        if differing:
+            pytest.fail(f"{name} finds others of {', '.join(differing)}")
 
 
 def measure(target: Target, scene: Any, options: dict, repeats: int) -> tuple[dict, dict[str, np.ndarray]]:

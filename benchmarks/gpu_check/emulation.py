@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 _PACKAGE = "emulated.device"
 
@@ -24,10 +25,6 @@ def require_emulation(tests: Path | None) -> None:
         sys.path.append(str(tests))
     if importlib.import_module("emulated.build").compiler() is None:
         raise ValueError("emulated needs a C++ compiler; expected g++, or one that the environment variable CXX names")
-    device = importlib.import_module(_PACKAGE)
-    if not hasattr(device.cuda_source, "cache_info"):
-        # each stage begins an emulation of its own, and the source of a module is the same in all of them
-        device.cuda_source = cache(device.cuda_source)
 
 
 @contextmanager
@@ -36,5 +33,11 @@ def emulated_device() -> Iterator[None]:
 
     A mesh or a pipeline that was used outside must not be used within, and the reverse.
     """
-    with importlib.import_module(_PACKAGE).emulation():
+    with importlib.import_module(_PACKAGE).emulation(_modules()):
         yield
+
+
+@cache
+def _modules() -> Any:
+    """The emulated modules, which stay from one block to the next."""
+    return importlib.import_module(_PACKAGE).Emulation()

@@ -9,7 +9,7 @@ from typing import Any
 import ccd_warp.benchmarks.gpu_check
 import ccd_warp.kernels
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.machine import processor
+from ccd_warp.benchmarks.machine import processor
 
 import ccd_warp
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target, middle
 from ccd_warp.benchmarks.scenes import Scene, all_scenes, cloth_over_sphere, pile
 
@@ -40,15 +42,14 @@ def scenes(is_short: bool) -> list[tuple[str, Any]]:
     return [(name, made[name]) for name in _ORDER]
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
-    """Measure each scene for which there is time."""
-    for name, make in scenes(target.is_short):
-        if record.begins(name, 0.5 if target.is_short else 3.0):
-            measure(target, record, make(), 2 if target.is_short else _REPEATS)
+def cases(target: Target, **_: Any) -> Cases:
+    """The scenes."""
+    return {name: partial(measure, target, make) for name, make in scenes(target.is_short)}
 
 
-def measure(target: Target, record: Record, scene: Scene, repeats: int) -> None:
+def measure(target: Target, make: Callable[[], Scene], record: Record) -> None:
     """A launch of a scene, enlarged until everything fits, and the three calls of the host."""
+    scene, repeats = make(), 2 if target.is_short else _REPEATS
     mesh = scene.mesh(ccd)
     pipeline = ccd.CollisionPipeline(mesh, device=target.device)
     reserve = target.seconds_on_host(lambda: pipeline.reserve(vertices=scene.vertices_t0), 1, warm_up=False)[0]
@@ -68,7 +69,7 @@ def measure(target: Target, record: Record, scene: Scene, repeats: int) -> None:
     frames = (scene.vertices_t0, scene.vertices_t1)
     host, stages = {}, {}
     for name in ("mesh_ccd", "collision_free_step", "find_candidates"):
-        if not record.has_time(f"{name} of {scene.name}", 0.3):
+        if record.left() < 0.3:
             continue
         call = getattr(pipeline, name)
         host[name] = middle(target.seconds_on_host(lambda call=call: call(*frames), min(repeats, 3)))["median"]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
-import platform
 import shutil
 import subprocess
-from pathlib import Path
+from functools import partial
 from typing import Any
 
+import pytest
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target
+from ccd_warp.benchmarks.machine import processor
 
 _PACKAGES = (
     "ccd-warp",
@@ -29,7 +29,13 @@ _PACKAGES = (
 _QUERY = "name,driver_version,memory.total,clocks.sm,clocks.max.sm,clocks.mem,power.limit"
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
+def cases(target: Target, **_: Any) -> Cases:
+    """The machine, and where there is one what its driver says."""
+    found: Cases = {"machine": partial(describe, target)}
+    return found | ({"nvidia-smi": ask_driver} if target.is_real else {})
+
+
+def describe(target: Target, record: Record) -> None:
     """Say what the machine is."""
     host = processor()
     record.add(f"{host['cpu']}, {host['cores']} cores, {host['system']}, Python {host['python']}", host=host)
@@ -56,26 +62,15 @@ def run(target: Target, record: Record, **_: Any) -> None:
         f"driver {about['driver']}, toolkit of Warp {about['toolkit']}",
         device=about,
     )
-    said = nvidia_smi()
-    if said is None:
-        record.leave_out("nvidia-smi", "it is not installed, or failed")
-    else:
-        record.add(said, nvidia_smi=said)
 
 
-def processor() -> dict[str, Any]:
-    """The processor, its cores, the system and Python."""
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = (line for line in info.read_text(errors="replace").splitlines() if line.startswith("model name"))
-        name = next((line.split(":")[1].strip() for line in lines), name)
-    return {
-        "cpu": name,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-    }
+def ask_driver(record: Record) -> None:
+    """What ``nvidia-smi`` says of the GPUs, on one line each."""
+    tool = shutil.which("nvidia-smi") or pytest.skip("it is not installed")
+    command = [tool, f"--query-gpu={_QUERY}", "--format=csv,noheader"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=8)
+    said = done.stdout.strip() if done.returncode == 0 else pytest.skip("it failed")
+    record.add(said, nvidia_smi=said)
 
 
 def installed_versions() -> dict[str, str]:
@@ -88,16 +83,3 @@ def installed_versions() -> dict[str, str]:
             continue
     versions.setdefault("warp-lang", wp.config.version)
     return versions
-
-
-def nvidia_smi() -> str | None:
-    """What ``nvidia-smi`` says of the GPUs, on one line each; None where it says nothing."""
-    tool = shutil.which("nvidia-smi")
-    if tool is None:
-        return None
-    try:
-        command = [tool, f"--query-gpu={_QUERY}", "--format=csv,noheader"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=8)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 and done.stdout.strip() else None

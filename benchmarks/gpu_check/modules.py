@@ -5,18 +5,24 @@ from __future__ import annotations
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import warp as wp
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.small_scene import run_small_scene
 from ccd_warp.benchmarks.gpu_check.target import Target
 from ccd_warp.benchmarks.gpu_check.variants import cpu_modules, is_compiled, variants
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
+def cases(target: Target, **_: Any) -> Cases:
+    """All modules at once."""
+    return {"modules": partial(load_all, target)}
+
+
+def load_all(target: Target, record: Record) -> None:
     """Load all modules, and say how many had to be compiled, and what memory they take."""
     if not target.is_real:
         count = len(cuda_modules())

@@ -23,12 +23,13 @@ from pathlib import Path
 import ccd_warp.benchmarks
 import ccd_warp.kernels
 from ccd_warp.benchmarks.gpu_check import bits, precompile, unpack
-from ccd_warp.benchmarks.gpu_check.record import read_json, write_json
+from ccd_warp.benchmarks.gpu_check.journal import read_json, write_json
 
 import ccd_warp
 
-# What the package requires and a machine with a GPU may lack; NumPy is there wherever PyTorch, JAX or CuPy is.
-PACKAGES = ("warp-lang", "trimesh")
+# What package and check require and a machine with a GPU may lack; NumPy is there wherever PyTorch, JAX or CuPy is.
+PYTEST = ("pytest", "iniconfig", "packaging", "pluggy", "pygments")
+PACKAGES = ("warp-lang", "trimesh", *PYTEST)
 _NEEDS = ("numpy",)
 _LEAST = 1 << 16  # bytes of a part
 _BLOCK = 32 << 20  # bytes that a thread compresses at a time

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import read_json, write_json
+from ccd_warp.benchmarks.gpu_check.journal import read_json, write_json
 from ccd_warp.benchmarks.gpu_check.variants import variants
 
 ARCHS = (80, 90, 120)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.gpu_check.cases import PRECISIONS
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target, launched_with, middle
 from ccd_warp.benchmarks.gpu_check.variants import BLOCK_DIMS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
@@ -22,22 +23,23 @@ _KEPT_BYTES = 8 << 30
 _DIFFERENT = 100_000  # queries that are different; the others are copies of them at other places in memory
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
-    """Measure: first what the goals are stated for, then the other kinds, sizes and blocks."""
+def cases(target: Target, **_: Any) -> Cases:
+    """First what the goals are stated for, then the other kinds, sizes and blocks."""
     if target.is_real:  # what a call allocates is not given back between two calls
         wp.set_mempool_release_threshold(target.device, _KEPT_BYTES)
     counts = (2_000, 200) if target.is_short else (MANY, FEW)
-    points = {}
-    for what, kind, count, precision, block_dim in plan(counts):
-        name = f"{count:,} {what} {kind} queries, {precision}, {block_dim or 'its own'} threads a block"
-        if not record.begins(name, 0.2 if target.is_short else 1.0):
-            continue
-        key = (what, kind)
-        if key not in points:
-            points.clear()  # the largest take 4 GB
-            points[key] = [tiled(target, x, counts[0]) for x in some_points(what, kind, min(counts[0], _DIFFERENT))]
-        start, end = (array[:count] for array in points[key])
-        measure(target, record, start, end, what, kind, precision, block_dim, name)
+    return {
+        f"{count:,} {what} {kind} queries, {precision}, {block_dim or 'its own'} threads a block": partial(
+            measure, target, counts[0], what, kind, count, precision, block_dim
+        )
+        for what, kind, count, precision, block_dim in plan(counts)
+    }
+
+
+@lru_cache(maxsize=1)  # the largest take 4 GB
+def points_on(target: Target, what: str, kind: str, count: int) -> list[wp.array]:
+    """Points of so many queries on the device."""
+    return [tiled(target, x, count) for x in some_points(what, kind, min(count, _DIFFERENT))]
 
 
 def plan(counts: tuple[int, int]) -> Iterator[tuple[str, str, int, str, int | None]]:
@@ -76,17 +78,10 @@ def tiled(target: Target, points: np.ndarray, count: int) -> wp.array:
 
 
 def measure(
-    target: Target,
-    record: Record,
-    start: wp.array,
-    end: wp.array,
-    what: str,
-    kind: str,
-    precision: str,
-    block_dim: int | None,
-    name: str,
+    target: Target, most: int, what: str, kind: str, count: int, precision: str, block_dim: int | None, record: Record
 ) -> None:
     """One measurement, by events, with the share of the queries that touch."""
+    start, end = (array[:count] for array in points_on(target, what, kind, most))
     results = []
 
     def call() -> None:
@@ -98,10 +93,10 @@ def measure(
         kernels = [sum(target.kernel_seconds(call).values()) for _ in range(repeats if target.is_real else 0)]
     # between the events of a call the host allocates and launches, which counts where there are few queries
     best = statistics.median(kernels) if kernels else seconds["median"]
-    count = len(start)
     touching = int(np.isfinite(results[0].toi[: min(count, _DIFFERENT)].numpy()).sum())
     record.add(
-        f"{name}: {count / best / 1e9:.3f} G queries a second",
+        f"{count:,} {what} {kind}, {precision}, {block_dim or 'its own'} threads a block: "
+        f"{count / best / 1e9:.3f} G queries a second",
         what=what,
         kind=kind,
         count=count,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.record import Record
+from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.steps import worlds
 from ccd_warp.benchmarks.gpu_check.target import Target
 from ccd_warp.benchmarks.scenes import cloth_over_sphere
@@ -17,8 +18,8 @@ import ccd_warp as ccd
 Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 
 
-def run(target: Target, record: Record, **_: Any) -> None:
-    """Measure each mesh for which there is time."""
+def cases(target: Target, **_: Any) -> Cases:
+    """The meshes."""
     made: dict[str, Callable[[], Made]]
     if target.is_short:
         made = {"6 worlds": lambda: of_worlds(6), "400 faces": lambda: of_cloth(400)}
@@ -28,9 +29,7 @@ def run(target: Target, record: Record, **_: Any) -> None:
             "200,000 faces": lambda: of_cloth(200_000),
             "1,000,000 faces": lambda: of_cloth(1_000_000),
         }
-    for name, make in made.items():
-        if record.begins(name, 0.2 if target.is_short else 2.0):
-            measure(target, record, name, *make())
+    return {name: partial(measure, target, name, make) for name, make in made.items()}
 
 
 def of_worlds(count: int) -> Made:
@@ -45,10 +44,9 @@ def of_cloth(faces: int) -> Made:
     return scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1
 
 
-def measure(
-    target: Target, record: Record, name: str, mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray
-) -> None:
+def measure(target: Target, name: str, make: Callable[[], Made], record: Record) -> None:
     """``reserve()`` at the positions of the mesh, then at others, and the first launch and line search."""
+    mesh, start, end = make()
     before = target.free_memory()
     arrays = [target.array(x, wp.vec3d) for x in (start, end)]
     pipeline = ccd.CollisionPipeline(mesh, device=target.device)

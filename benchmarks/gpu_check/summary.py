@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections import Counter
+from collections.abc import Iterator
 
 from ccd_warp.benchmarks.gpu_check.bits import totals
+from ccd_warp.benchmarks.gpu_check.journal import FAILED, LEFT_OUT, StageRecord
 from ccd_warp.benchmarks.gpu_check.queries import COLLIDING, CULLED
-from ccd_warp.benchmarks.gpu_check.record import DONE
 from ccd_warp.benchmarks.gpu_check.stages import NAMES
 from ccd_warp.benchmarks.gpu_check.target import CUDA
 from ccd_warp.benchmarks.numbers import table
@@ -15,87 +16,75 @@ from ccd_warp.benchmarks.numbers import table
 GOAL_COLLIDING, GOAL_CULLED = 1e9, 5e9
 GOAL_LAUNCH, GOAL_FACES = 1e-3, 190_000
 _MOST_COMPLAINTS = 30
-# Keys of a row that say what it is about.
-_NAMING = ("case", "kind", "where", "scene", "broad_phase", "tool")
+Stages = dict[str, StageRecord]
 
 
-def rows_of(raw: dict, stage: str, having: str) -> list[dict]:
-    """The rows of a stage that have a value, as those of a case that failed do not; none where it has not run."""
-    return [row for row in raw["stages"].get(stage, {}).get("rows", []) if having in row]
+def rows_of(stages: Stages, stage: str, having: str) -> list[dict]:
+    """The rows of a stage that have a value; none where it has not run."""
+    return [row for row in stages.get(stage, StageRecord()).rows if having in row]
 
 
-def summary(raw: dict) -> list[str]:
+def summary(settings: dict, stages: Stages) -> list[str]:
     """All lines."""
-    lines = [f"# Check of ccd_warp on {device_name(raw)}", ""]
-    kind = raw["settings"]["kind"]
+    lines = [f"# Check of ccd_warp on {device_name(stages)}", ""]
+    kind = settings["kind"]
     if kind != CUDA:
         lines += [f"This is a rehearsal ({kind}): no time below is one of a GPU.", ""]
-    lines += ["## Stages", "", *stage_table(raw), "", "## Goals", "", *goal_table(raw), ""]
-    wrong = complaints(raw)
+    lines += ["## Stages", "", *stage_table(stages), "", "## Goals", "", *goal_table(stages, kind == CUDA), ""]
+    wrong = complaints(stages)
     if wrong:
         lines += ["## What is wrong", "", *(f"- {line}" for line in wrong[:_MOST_COMPLAINTS])]
         lines += [f"- {len(wrong) - _MOST_COMPLAINTS} more"] if len(wrong) > _MOST_COMPLAINTS else []
         lines += [""]
-    for title, part in (
-        ("Whole steps", kernel_table(raw)),
-        ("Queries", query_table(raw)),
-        ("Beside others", against_table(raw)),
-        ("Broad phases", broad_phase_table(raw)),
-        ("Graphs", graph_table(raw)),
-        ("reserve()", reserve_table(raw)),
-    ):
-        if part:
-            lines += [f"## {title}", "", *part, ""]
-    failed = [(name, stage["error"]) for name, stage in raw["stages"].items() if "error" in stage]
+    for title, rows in figures(stages):
+        if rows:
+            lines += [f"## {title}", "", *table(rows[0], (row.values() for row in rows)), ""]
+    failed = [
+        (f"{name}: {case}", why) for name, stage in stages.items() for case, why in stage.failed.items() if "\n" in why
+    ]
     if failed:
-        lines += ["## Errors of stages", ""]
-        for name, error in failed:
-            lines += [f"{name}:", "", "```text", error.strip(), "```", ""]
+        lines += ["## Errors", ""]
+        for name, why in failed:
+            lines += [f"{name}:", "", "```text", why.strip(), "```", ""]
     return lines
 
 
-def complaints(raw: dict) -> list[str]:
-    """A line for each stage that did not end well, and for each row that failed or differs from the CPU."""
+def complaints(stages: Stages) -> list[str]:
+    """A line for each stage that did not come to its end, and for each case that failed."""
     lines = []
-    for name, stage in raw["stages"].items():
-        if "error" in stage:
-            lines.append(f"{name}: {stage['status']}, {stage['error'].strip().splitlines()[-1]}")
-        for row in stage["rows"]:
-            what = ", ".join(str(row[key]) for key in _NAMING if key in row) or name
-            for key in ("failed", "different"):
-                if row.get(key):
-                    lines.append(f"{name}: {what}: {key}: {str(row[key])[:300]}")
-            if "tool" in row and row["status"] != 0:
-                lines.append(f"{name}: {what}: {row['summary']}")
-            if row.get("below"):
-                lines.append(f"{name}: {row['below']} vertices got below the plate")
+    for name, stage in stages.items():
+        if stage.why and stage.status != LEFT_OUT:
+            lines.append(f"{name}: {stage.status}, {stage.why.strip().splitlines()[-1]}")
+        for case, why in stage.failed.items():
+            lines.append(f"{name}: {case}: {why.strip().splitlines()[-1][:300] if why.strip() else FAILED}")
     return lines
 
 
-def device_name(raw: dict) -> str:
+def device_name(stages: Stages) -> str:
     """The name of the device, as the first stage has read it."""
-    return next((row["device"]["name"] for row in rows_of(raw, "machine", "device")), "an unknown device")
+    return next((row["device"]["name"] for row in rows_of(stages, "machine", "device")), "an unknown device")
 
 
-def stage_table(raw: dict) -> list[str]:
+def stage_table(stages: Stages) -> list[str]:
     """How each stage ended, and what it left out."""
     cells = []
     for name in NAMES:
-        stage = raw["stages"].get(name)
+        stage = stages.get(name)
         if stage is not None:
-            left_out = "; ".join(stage["left_out"][:4])
-            more = len(stage["left_out"]) - 4
-            cells.append([name, stage["status"], f"{stage['seconds']:.1f}", left_out + (f"; {more} more" * (more > 0))])
-    return table(["stage", "", "seconds", "left out"], cells)
+            left_out = "; ".join(stage.left_out[:4])
+            more = len(stage.left_out) - 4
+            counts = Counter(line["outcome"] for line in stage.cases.values())
+            said = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
+            cells.append([name, stage.status, f"{stage.seconds:.1f}", said, left_out + f"; {more} more" * (more > 0)])
+    return table(["stage", "", "seconds", "cases", "left out"], cells)
 
 
-def goal_table(raw: dict) -> list[str]:
+def goal_table(stages: Stages, is_real: bool) -> list[str]:
     """Goals, what was measured, and whether they are met; times are judged on a GPU alone."""
-    is_real = raw["settings"]["kind"] == CUDA
     cells = []
     for what, goal in ((COLLIDING, GOAL_COLLIDING), (CULLED, GOAL_CULLED)):
         found = [
-            row for row in rows_of(raw, "queries", "what") if row["what"] == what and row["precision"] == "float64"
+            row for row in rows_of(stages, "queries", "what") if row["what"] == what and row["precision"] == "float64"
         ]
         best = max(found, key=lambda row: row["queries_a_second"], default=None)
         cells.append(
@@ -108,7 +97,7 @@ def goal_table(raw: dict) -> list[str]:
                 met(None if best is None or not is_real else best["queries_a_second"] > goal),
             ]
         )
-    large = [row for row in rows_of(raw, "kernels", "launch") if GOAL_FACES <= row["faces"] < 2 * GOAL_FACES]
+    large = [row for row in rows_of(stages, "kernels", "launch") if GOAL_FACES <= row["faces"] < 2 * GOAL_FACES]
     slowest = max((row["launch"]["median"] for row in large), default=None)
     said = (
         "–"
@@ -125,12 +114,12 @@ def goal_table(raw: dict) -> list[str]:
             met(None if slowest is None or not is_real else slowest < GOAL_LAUNCH),
         ]
     )
-    stage = raw["stages"].get("bits", {})
-    total = totals(rows_of(raw, "bits", "case"))
-    differing = total["different"] + total["failed"]
-    said = f"{total['arrays']:,} arrays of {total['cases']} calls, {differing} calls differ" if stage else "–"
-    is_whole = stage.get("status") == DONE and not stage["left_out"]
-    cells.append(["bits as on the CPU", "all", said, met(differing == 0 if is_whole or differing else None)])
+    stage = stages.get("bits", StageRecord())
+    failed = len(stage.failed)
+    said = f"{totals(stage.rows)['arrays']:,} arrays of {len(stage.rows)} calls, {failed} calls differ or fail"
+    is_whole = stage.is_whole and not stage.left_out
+    verdict = met(failed == 0 if is_whole or failed else None)
+    cells.append(["bits as on the CPU", "all", said if stage.cases else "–", verdict])
     return table(["goal", "", "measured", ""], cells)
 
 
@@ -144,80 +133,78 @@ def ms(seconds: float | None) -> str:
     return "–" if seconds is None else f"{seconds * 1e3:.3f} ms"
 
 
-def kernel_table(raw: dict) -> list[str]:
-    """Times of whole steps."""
+def figures(stages: Stages) -> Iterator[tuple[str, list[dict[str, str]]]]:
+    """A title, and the rows of its table with the text of each column, for every stage that has measured something."""
+
+    def rows(stage: str, having: str) -> list[dict]:
+        return rows_of(stages, stage, having)
+
     calls = ("collision_free_step", "mesh_ccd", "find_candidates")
-    rows = rows_of(raw, "kernels", "launch")
-    cells = (
+    yield (
+        "Whole steps",
         [
-            row["scene"],
-            f"{row['pairs']:,}",
-            ms(row["launch"]["median"]),
-            ms(row["replay"]["median"]),
-            *(ms(row["host"].get(name)) for name in calls),
-            ", ".join(f"{name} {ms(seconds)}" for name, seconds in list(row["kernels"].items())[:2]) or "–",
-        ]
-        for row in rows
+            {
+                "scene": row["scene"],
+                "pairs": f"{row['pairs']:,}",
+                "launch": ms(row["launch"]["median"]),
+                "in a graph": ms(row["replay"]["median"]),
+                **{name: ms(row["host"].get(name)) for name in calls},
+                "slowest kernels": ", ".join(f"{k} {ms(seconds)}" for k, seconds in list(row["kernels"].items())[:2])
+                or "–",
+            }
+            for row in rows("kernels", "launch")
+        ],
     )
-    return table(["scene", "pairs", "launch", "in a graph", *calls, "slowest kernels"], cells) if rows else []
-
-
-def query_table(raw: dict) -> list[str]:
-    """Rates by threads a block."""
-    rows = rows_of(raw, "queries", "what")
-    dims = sorted({row["block_dim"] for row in rows}, key=lambda dim: dim or 0)
-    rates = {(r["what"], r["kind"], r["count"], r["precision"], r["block_dim"]): r["queries_a_second"] for r in rows}
-    cells = []
-    for key in dict.fromkeys(key[:4] for key in rates):
-        found = [rates.get((*key, dim)) for dim in dims]
-        said = ["–" if rate is None else f"{rate / 1e9:.3f}" for rate in found]
-        cells.append([f"{key[2]:,} {key[0]} {key[1]}", key[3], *said])
-    return (
-        table(["G queries a second", "precision", *(f"{dim or 'its own'} threads a block" for dim in dims)], cells)
-        if rows
-        else []
+    rates: dict[tuple, dict[str, str]] = {}
+    queries = rows("queries", "what")
+    dims = sorted({row["block_dim"] for row in queries}, key=lambda dim: dim or 0)
+    for row in queries:
+        line = f"{row['count']:,} {row['what']} {row['kind']}", row["precision"]
+        of_line = rates.setdefault(line, dict.fromkeys((f"{dim or 'its own'} threads a block" for dim in dims), "–"))
+        of_line[f"{row['block_dim'] or 'its own'} threads a block"] = f"{row['queries_a_second'] / 1e9:.3f}"
+    yield (
+        "Queries",
+        [{"G queries a second": name, "precision": precision, **row} for (name, precision), row in rates.items()],
     )
-
-
-def against_table(raw: dict) -> list[str]:
-    """Times beside those of the CPU and of newton."""
-    cells = [
-        [row["scene"], call, ms(row["seconds"]["device"][call]), row["other"], f"{ratio:.2f}"]
-        for row in rows_of(raw, "against", "ratios")
-        for call, ratio in row["ratios"].items()
-    ]
-    return table(["scene", "call", "here", "beside", "times as fast"], cells) if cells else []
-
-
-def broad_phase_table(raw: dict) -> list[str]:
-    """Times of the broad phases."""
-    rows = rows_of(raw, "broad phases", "launch")
-    cells = (
+    yield (
+        "Beside others",
         [
-            row["scene"],
-            row["broad_phase"],
-            ms(row["launch"]["median"]),
-            ms(row["find_candidates"]["median"]),
-            ", ".join(row["different"]) or "none",
-        ]
-        for row in rows
+            {
+                "scene": row["scene"],
+                "call": call,
+                "here": ms(row["seconds"]["device"][call]),
+                "beside": row["other"],
+                "times as fast": f"{ratio:.2f}",
+            }
+            for row in rows("against", "ratios")
+            for call, ratio in row["ratios"].items()
+        ],
     )
-    return table(["scene", "broad phase", "launch", "find_candidates", "differences"], cells) if rows else []
-
-
-def graph_table(raw: dict) -> list[str]:
-    """Captures and replays."""
-    rows = rows_of(raw, "graphs", "where")
-    cells = (
-        [row["kind"], row["where"], row.get("replays", 0), row.get("different", "failed"), ms(row.get("seconds"))]
-        for row in rows
+    yield (
+        "Broad phases",
+        [
+            {
+                "scene": row["scene"],
+                "broad phase": row["broad_phase"],
+                **{name: ms(row[name]["median"]) for name in ("launch", "find_candidates")},
+            }
+            for row in rows("broad phases", "launch")
+        ],
     )
-    return table(["what is captured", "where", "replays", "differ", "a replay"], cells) if rows else []
-
-
-def reserve_table(raw: dict) -> list[str]:
-    """Times of `reserve()` and of first launches."""
+    yield (
+        "Graphs",
+        [
+            {
+                "what is captured": row["kind"],
+                "where": row["where"],
+                "replays": str(row["replays"]),
+                "a replay": ms(row["seconds"]),
+            }
+            for row in rows("graphs", "where")
+        ],
+    )
     names = ("reserve", "reserve again", "reserve at positions", "first launch", "launch", "first line search")
-    rows = rows_of(raw, "reserve", "reserve")
-    cells: list[list[Any]] = [[row["mesh"], *(ms(row[name]) for name in names)] for row in rows]
-    return table(["mesh", *names], cells) if rows else []
+    yield (
+        "reserve()",
+        [{"mesh": row["mesh"], **{name: ms(row[name]) for name in names}} for row in rows("reserve", "reserve")],
+    )

@@ -55,10 +55,14 @@ class Target:
         """Wait for the device."""
         wp.synchronize_device(self.device)
 
-    def check_alive(self) -> None:
-        """Raise the error of a device that answers nothing more: an error of CUDA stays with a process to its end."""
-        if self.is_real:
-            wp.zeros(1, dtype=wp.int32, device=self.device).numpy()
+    def is_lost(self) -> bool:
+        """Whether the device answers nothing more in this process: an error of CUDA stays with it to its end."""
+        try:
+            if self.is_real:
+                wp.zeros(1, dtype=wp.int32, device=self.device).numpy()
+        except Exception:  # of whatever kind
+            return True
+        return False
 
     def free_memory(self) -> int | None:
         """Bytes of the device that nobody has reserved; None on the CPU."""

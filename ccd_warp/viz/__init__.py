@@ -16,7 +16,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 from decimal import ROUND_FLOOR, Context
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,9 +28,9 @@ from ccd_warp._results import MeshResult
 from ccd_warp.viz._camera import make_camera, validated_direction
 from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista
-from ccd_warp.viz._file import Picture, check_picture_path, reduced
+from ccd_warp.viz._file import Picture, check_picture_path
 from ccd_warp.viz._scene import check_result, make_scene
-from ccd_warp.viz._window import check_display, drawing_without_display, import_pyvista
+from ccd_warp.viz._window import ZOOM, check_display, drawing_without_display, drawn, import_pyvista
 
 if TYPE_CHECKING:
     from ccd_warp.viz._panel import Panel
@@ -52,8 +52,6 @@ Colour = Literal["vertex_toi", "body"]
 _SHORTER_SIDE = 520
 # Margins in these pixels: at the sides of a panel, above for the title, and below for the colour bar and the legend.
 _SIDE, _ABOVE, _BELOW = 14, 40, 72
-# Each pixel of a picture is the mean of the square of this many rendered pixels.
-_ZOOM = 2
 _SMALLEST, _LARGEST = 150, 4000
 _WINDOW = (1000, 800)
 
@@ -101,24 +99,13 @@ def draw_step(
     panel_size = (width / 3 / enlargement, height / enlargement)
     margins = (_SIDE, _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
     view = make_camera(scene.start, scene.end, camera, panel_size, margins)
-    with drawing_without_display() as pyvista:
+
+    def draw(plotter: Any) -> None:
         from ccd_warp.viz._panel import Panel
 
-        plotter = pyvista.Plotter(
-            off_screen=True,
-            shape=(1, 3),
-            window_size=(_ZOOM * width, _ZOOM * height),
-            border=False,
-            lighting="none",
-            theme=pyvista.themes.DocumentTheme(),
-        )
-        try:
-            _draw_panels([Panel(plotter, (0, k), scene, view, _ZOOM * enlargement) for k in range(3)], toi_range, t_max)
-            plotter.render()
-            image = plotter.screenshot(return_img=True)
-        finally:
-            plotter.close()
-    return Picture(reduced(image, _ZOOM))
+        _draw_panels([Panel(plotter, (0, k), scene, view, ZOOM * enlargement) for k in range(3)], toi_range, t_max)
+
+    return Picture(drawn((width, height), 3, draw))
 
 
 def render_step(

@@ -1,7 +1,6 @@
 """An animation of the frames of a sequence: GIF, or MP4 where there is an encoder."""
 
 import importlib
-import os
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
@@ -14,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp.viz._camera import Camera, automatic_direction, make_camera
-from ccd_warp.viz._file import reduced
-from ccd_warp.viz._scene import StepScene, near_squares, plane_squares, points_of_no_primitive
-from ccd_warp.viz._window import drawing_without_display
+from ccd_warp.viz._file import check_file_path
+from ccd_warp.viz._scene import StepScene, middle_of, placed
+from ccd_warp.viz._window import ZOOM, drawn
 
 ANIMATION_SUFFIXES = (".gif", ".mp4")
 
-_SIZE, _SHORTER_SIDE, _ZOOM = (800, 600), 520, 2
+_SIZE, _SHORTER_SIDE = (800, 600), 520
 _MARGINS = (14, 40, 72)  # pixels at the sides, above for the title, below for the legend
 _PER_SECOND = 10
 _HELD = 4  # a contact is shown as long as this many frames
@@ -46,9 +45,7 @@ class FrameView:
     @classmethod
     def of(cls, points: NDArray[np.float64], motion: NDArray[np.float64]) -> "FrameView":
         """The view of points that lie outermost, across a motion, both of shape [n, 3]."""
-        lower, upper = points.min(axis=0), points.max(axis=0)
-        half = 0.5 * upper - 0.5 * lower
-        centre, unit = lower + half, float(half.max()) or 1.0
+        centre, unit = middle_of(points, points)
         shown = _BEYOND * (points - centre) / unit
         enlargement = min(_SIZE) / _SHORTER_SIDE
         size = (_SIZE[0] / enlargement, _SIZE[1] / enlargement)
@@ -76,53 +73,35 @@ def draw_frame(
         Red, green and blue, uint8, shape [height, width, 3].
     """
     scene = _scene(mesh, positions, np.asarray(contacts, dtype=np.float64).reshape(-1, 3), view)
-    with drawing_without_display() as pyvista:
+
+    def draw(plotter: Any) -> None:
         from ccd_warp.viz._front import draw_contacts
         from ccd_warp.viz._panel import Panel
 
-        plotter = pyvista.Plotter(
-            off_screen=True,
-            window_size=[_ZOOM * side for side in _SIZE],
-            border=False,
-            lighting="none",
-            theme=pyvista.themes.DocumentTheme(),
-        )
-        try:
-            panel = Panel(plotter, (0, 0), scene, view.camera, _ZOOM * min(_SIZE) / _SHORTER_SIDE)
-            panel.look()
-            panel.draw_bodies(0.0)
-            panel.write_title(title)
-            panel.draw_legend()
-            if len(scene.contact_points):
-                draw_contacts(panel)
-            plotter.render()
-            return reduced(plotter.screenshot(return_img=True), _ZOOM)
-        finally:
-            plotter.close()
+        panel = Panel(plotter, (0, 0), scene, view.camera, ZOOM * min(_SIZE) / _SHORTER_SIDE)
+        panel.look()
+        panel.draw_bodies(0.0)
+        panel.write_title(title)
+        panel.draw_legend()
+        if len(scene.contact_points):
+            draw_contacts(panel)
+
+    return drawn(_SIZE, 1, draw)
 
 
 def _scene(
     mesh: CollisionMesh, positions: NDArray[np.float64], contacts: NDArray[np.float64], view: FrameView
 ) -> StepScene:
     """A step in which nothing moves and which has these contacts."""
-    placed = (positions - view.centre) / view.unit
     return StepScene(
-        start=placed,
-        end=placed,
-        faces=mesh.faces,
-        segments=mesh.edges[mesh.codimensional_edges],
-        points=points_of_no_primitive(mesh),
-        vertex_body=mesh.vertex_body,
-        static=mesh.static,
-        vertex_toi=np.full(len(placed), np.inf),
+        **placed(mesh, positions, positions, view.centre, view.unit),
+        vertex_toi=np.full(len(positions), np.inf),
         toi=0.0 if len(contacts) else np.inf,
         contact_points=(contacts - view.centre) / view.unit,
         contact_normals=np.zeros_like(contacts),
         contact_is_first=np.arange(len(contacts)) == 0,
         first_contact=0 if len(contacts) else -1,
         first_body_size=0.0,
-        names=mesh.names,
-        squares=near_squares((plane_squares(mesh, view.centre, view.unit) - view.centre) / view.unit),
     )
 
 
@@ -132,10 +111,7 @@ def check_animation_path(path: Path, argument: str) -> None:
     Raises:
         ValueError: If the folder does not exist or cannot be written to, or there is no encoder for the format.
     """
-    if not path.parent.is_dir():
-        raise ValueError(f"{argument} {path}: the folder {path.parent} does not exist; create it first")
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise ValueError(f"{argument} {path}: cannot be written; choose another name or change its permissions")
+    check_file_path(path, argument)
     if path.suffix.lower() == ".mp4" and encoder() is None:
         raise ValueError(
             f"{argument} {path}: MP4 needs an encoder; install ffmpeg, or pip install 'ccd-warp[video]', or choose .gif"

@@ -63,21 +63,23 @@ class Picture:
 
 
 def check_picture_path(path: Path, argument: str) -> None:
-    """Reject a file that cannot be written, before the computation.
+    """Reject a picture that cannot be written, before the computation.
 
     Raises:
         ValueError: If the name does not end in .png, or the folder does not exist or is not writable.
     """
     if path.suffix.lower() != ".png":
         raise ValueError(f"{argument} {path}: the name must end in .png")
+    check_file_path(path, argument)
+
+
+def check_file_path(path: Path, argument: str) -> None:
+    """Reject a file that cannot be written, before the computation.
+
+    Raises:
+        ValueError: If the folder does not exist or is not writable.
+    """
     if not path.parent.is_dir():
         raise ValueError(f"{argument} {path}: the folder {path.parent} does not exist; create it first")
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ValueError(f"{argument} {path}: cannot be written; choose another name or change its permissions")
-
-
-def reduced(image: NDArray[np.uint8], zoom: int) -> NDArray[np.uint8]:
-    """An image of shape [zoom h, zoom w, 3] as one in which each pixel is the mean of zoom² pixels."""
-    height, width = (side // zoom for side in image.shape[:2])
-    pixels = image.reshape(height, zoom, width, zoom, 3).mean(axis=(1, 3))
-    return (pixels + 0.5).astype(np.uint8)

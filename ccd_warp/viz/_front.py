@@ -8,7 +8,7 @@ import pyvista
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkRenderer
 
 from ccd_warp.viz._camera import Camera
-from ccd_warp.viz._panel import LABEL_SIZE, LINE_COLOUR, Panel, add_lights, aim, flat_actor, make_text
+from ccd_warp.viz._panel import LABEL_SIZE, LINE_COLOUR, Panel, add_lights, aim, flat_actor, write
 from ccd_warp.viz._scene import StepScene
 
 _FIRST_COLOUR, _LATER_COLOUR, _LATER_OPACITY = "#c8102e", "#d8484f", 0.3
@@ -70,7 +70,7 @@ def draw_close_up(panel: Panel, front: Any) -> None:
     contacts.SetActiveCamera(inset.GetActiveCamera())
     _add_contacts(contacts, scene, near.pixel, panel.zoom)
     contacts.AddActor(flat_actor(_frame(near, 0.99 * half), LINE_COLOUR, line_width=line_width))
-    contacts.AddActor(make_text(f"× {camera.pixel / near.pixel:.0f}", (0.05, 0.05), LABEL_SIZE * panel.zoom))
+    write(contacts, f"× {camera.pixel / near.pixel:.0f}", (0.05, 0.05), LABEL_SIZE * panel.zoom)
 
 
 def _add_renderer(panel: Panel, viewport: tuple[float, ...]) -> Any:

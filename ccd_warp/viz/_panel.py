@@ -72,8 +72,7 @@ class Panel:
         colours = scene.vertex_colours if toi_range is None else self._colours_by_toi(scene.vertex_toi, toi_range)
         edge_length = scene.body_edge_length[scene.vertex_body[scene.faces[:, 0]]] / self.camera.pixel
         has_edges, is_coarse = edge_length >= _READABLE_EDGE, edge_length >= _COARSE_EDGE
-        if toi_range is None:
-            is_coarse[:] = False
+        is_coarse &= toi_range is not None
         light = _LIGHT_OF_BODIES if toi_range is None else _LIGHT_OF_TOI
         for name, chosen in (
             ("faces", ~has_edges),
@@ -85,20 +84,12 @@ class Panel:
             used, faces = _used_vertices(scene.faces[chosen])
             # a deep copy, because VTK would read the array after it is freed
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
-            surface["vertex"] = used
-            surface.cell_data["colour"] = self._colours_of_faces(scene.faces[chosen], toi_range)
-            surface = surface.compute_normals(
-                cell_normals=False,
-                split_vertices=True,
-                feature_angle=_SHARP,
-                consistent_normals=False,
-                auto_orient_normals=False,
-            )
-            of_points = colours[surface["vertex"]]
-            scalars = surface.cell_data["colour"] if name == "coarse faces" else of_points
-            edges = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
-            preference = "cell" if name == "coarse faces" else "point"
-            style = {"smooth_shading": True, "line_width": _EDGE_WIDTH * self.zoom, "preference": preference, **edges}
+            scalars, preference = colours[used], "point"
+            if toi_range is not None and chosen is is_coarse:
+                scalars, preference = self._colours_of_faces(scene.faces[chosen], toi_range), "cell"
+            style = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
+            style |= {"line_width": _EDGE_WIDTH * self.zoom, "preference": preference}
+            style |= {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _SHARP}
             self._add(name, surface, scalars, **light, **style)
         if len(scene.segments):
             used, segments = _used_vertices(scene.segments)
@@ -131,14 +122,13 @@ class Panel:
         colours[is_hit] = _mapped(vertex_toi[is_hit], toi_range)
         return colours
 
-    def _colours_of_faces(self, faces: NDArray[np.int32], toi_range: tuple[float, float] | None) -> NDArray[np.uint8]:
+    def _colours_of_faces(self, faces: NDArray[np.int32], toi_range: tuple[float, float]) -> NDArray[np.uint8]:
         """One colour for each face, by the earliest toi of its corners unless its body is static, shape [m, 3]."""
         scene = self.scene
-        colours = (scene.vertex_colours if toi_range is None else scene.pale_colours)[faces[:, 0]]
-        if toi_range is not None:
-            toi = scene.vertex_toi[faces].min(axis=1)
-            is_shown = np.isfinite(toi) & ~scene.static[scene.vertex_body[faces[:, 0]]]
-            colours[is_shown] = _mapped(toi[is_shown], toi_range)
+        colours = scene.pale_colours[faces[:, 0]]
+        toi = scene.vertex_toi[faces].min(axis=1)
+        is_shown = np.isfinite(toi) & ~scene.static[scene.vertex_body[faces[:, 0]]]
+        colours[is_shown] = _mapped(toi[is_shown], toi_range)
         return colours
 
     def draw_trails(self) -> None:
@@ -153,9 +143,7 @@ class Panel:
 
     def write_title(self, text: str) -> None:
         """Write a line on top."""
-        title = make_text(text, (0.5, 0.93), _TITLE_SIZE * self.zoom)
-        title.prop.justification_horizontal = "center"
-        self.renderer.add_actor(title, reset_camera=False)
+        write(self.renderer, text, (0.5, 0.93), _TITLE_SIZE * self.zoom, is_centred=True)
 
     def draw_legend(self) -> None:
         """Name the bodies by their colours, below the scene: which move, and which are static."""
@@ -176,8 +164,7 @@ class Panel:
             swatch.SetMapper(mapper)
             swatch.GetProperty().SetColor(*(colour / 255.0))
             self.renderer.AddActor(swatch)
-            label = make_text(text, (x + 1.6 * size / width, y), size * self.zoom)
-            self.renderer.add_actor(label, reset_camera=False)
+            write(self.renderer, text, (x + 1.6 * size / width, y), size * self.zoom)
 
     def draw_toi_bar(self, toi_range: tuple[float, float]) -> None:
         """Draw the colour bar of the bodies that are coloured by toi."""
@@ -199,9 +186,7 @@ class Panel:
             color=TEXT_COLOUR,
             fmt="%.4g",
         )
-        title = make_text("toi of the vertices", (0.5, 0.1), size)
-        title.prop.justification_horizontal = "center"
-        self.renderer.add_actor(title, reset_camera=False)
+        write(self.renderer, "toi of the vertices", (0.5, 0.1), size, is_centred=True)
 
 
 def aim(view: Any, camera: Camera) -> None:
@@ -232,13 +217,14 @@ def flat_actor(
     return actor
 
 
-def make_text(text: str, position: tuple[float, float], size: float) -> Any:
-    """A text at a position in fractions of its renderer."""
+def write(renderer: Any, text: str, position: tuple[float, float], size: float, *, is_centred: bool = False) -> None:
+    """Write a text at a position in fractions of a renderer."""
     actor = pyvista.Text(text=text, position=position)
     actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.prop.font_size, actor.prop.color = round(size), TEXT_COLOUR
     actor.prop.font_family = "arial"
-    return actor
+    actor.prop.justification_horizontal = "center" if is_centred else "left"
+    renderer.AddActor(actor)
 
 
 def _used_vertices(primitives: NDArray[np.int32]) -> tuple[NDArray[np.int32], Any]:

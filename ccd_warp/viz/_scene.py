@@ -157,13 +157,7 @@ def make_scene(
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
     return StepScene(
-        start=(start - centre) / unit,
-        end=(end - centre) / unit,
-        faces=mesh.faces,
-        segments=mesh.edges[mesh.codimensional_edges],
-        points=points_of_no_primitive(mesh),
-        vertex_body=mesh.vertex_body,
-        static=mesh.static,
+        **placed(mesh, start, end, centre, unit),
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
         contact_points=(points_at_toi(mesh, start, end, contacts) - centre) / unit,
@@ -171,9 +165,29 @@ def make_scene(
         contact_is_first=is_first,
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
-        names=mesh.names,
-        squares=near_squares((plane_squares(mesh, centre, unit) - centre) / unit),
     )
+
+
+def placed(
+    mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], centre: NDArray[np.float64], unit: float
+) -> dict[str, Any]:
+    """What a scene has of its mesh and positions, by attribute."""
+    squares = (plane_squares(mesh, centre, unit) - centre) / unit
+    is_point = np.ones(mesh.num_vertices, dtype=bool)
+    for covered in (mesh.faces, mesh.edges, mesh.inner_vertices):
+        is_point[covered] = False
+    return {
+        "start": (start - centre) / unit,
+        "end": (end - centre) / unit,
+        "faces": mesh.faces,
+        "segments": mesh.edges[mesh.codimensional_edges],
+        "points": np.flatnonzero(is_point).astype(np.int32),
+        "vertex_body": mesh.vertex_body,
+        "static": mesh.static,
+        "names": mesh.names,
+        # those whose middle is not far from the box of the picture; a plane far below would not be seen
+        "squares": squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE],
+    }
 
 
 def plane_squares(mesh: CollisionMesh, centre: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
@@ -199,20 +213,6 @@ def middle_of(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDA
     upper = np.maximum(start.max(axis=0), end.max(axis=0))
     half_sides = 0.5 * upper - 0.5 * lower  # also for the largest coordinates, whose difference overflows
     return lower + half_sides, float(half_sides.max()) or 1.0
-
-
-def near_squares(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The squares whose middle is not far from the box of the picture; a plane far below would not be seen."""
-    return squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE]
-
-
-def points_of_no_primitive(mesh: CollisionMesh) -> NDArray[np.int32]:
-    """Indices of the vertices in no face and no edge, without those inside volumes, shape [P]."""
-    is_point = np.ones(mesh.num_vertices, dtype=bool)
-    is_point[mesh.faces] = False
-    is_point[mesh.edges] = False
-    is_point[mesh.inner_vertices] = False
-    return np.flatnonzero(is_point).astype(np.int32)
 
 
 def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:

@@ -15,7 +15,6 @@ import warp as wp
 from ccd_warp.benchmarks.gpu_check import __main__ as command
 from ccd_warp.benchmarks.gpu_check import (
     bits,
-    broad_phases,
     cases,
     fingerprint,
     pack,
@@ -24,15 +23,23 @@ from ccd_warp.benchmarks.gpu_check import (
     sanitizer,
     small_scene,
     stages,
-    suite,
     summary,
     unpack,
     variants,
 )
 from ccd_warp.benchmarks.gpu_check.emulation import emulated_device, require_emulation
+from ccd_warp.benchmarks.gpu_check.journal import (
+    DONE,
+    FAILED,
+    LEFT_OUT,
+    NO_TIME,
+    STOPPED,
+    Journal,
+    StageRecord,
+)
 from ccd_warp.benchmarks.gpu_check.outputs import different
-from ccd_warp.benchmarks.gpu_check.record import DONE, FAILED, LEFT_OUT, STOPPED, Record, read_json
-from ccd_warp.benchmarks.gpu_check.runner import Journal, run_all, run_stage
+from ccd_warp.benchmarks.gpu_check.plugin import Plugin
+from ccd_warp.benchmarks.gpu_check.runner import run_all
 from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, Target, launched_with
 from warp._src import context
 
@@ -41,7 +48,9 @@ NEEDS_GPU = {"tests", "sanitizer"}
 
 
 def records(folder):
-    return json.loads((folder / "gpu_check.json").read_text())["stages"]
+    """The stages of the only run that the file of a folder has."""
+    first = json.loads((folder / "gpu_check.jsonl").read_text().splitlines()[0])
+    return Journal(folder, first["settings"]).stages()
 
 
 def rehearse(folder, *more):
@@ -64,17 +73,16 @@ def check_whole(folder, kind):
     """Every stage has said something, nothing has failed, and no bit is different."""
     found = records(folder)
     assert list(found) == list(stages.NAMES)
-    assert {name for name, stage in found.items() if stage["status"] == LEFT_OUT} == NEEDS_GPU
-    assert {stage["status"] for stage in found.values()} == {DONE, LEFT_OUT}
+    assert {name for name, stage in found.items() if stage.status == LEFT_OUT} == NEEDS_GPU
+    assert {stage.status for stage in found.values()} == {DONE, LEFT_OUT}
+    assert not any(stage.failed for stage in found.values())
     for name in NEEDS_GPU:
-        assert found[name]["left_out"] == [f"not on the {kind}"]
-    total = bits.totals(found["bits"]["rows"])
-    assert total["cases"] >= 8 and total["different"] == total["failed"] == 0
-    assert {row["kind"] for row in found["graphs"]["rows"] if row["different"] == 0} >= {"launch"}
-    assert all(row["different"] == 0 for row in found["graphs"]["rows"])
+        assert found[name].left_out == [f"not on the {kind}"]
+    assert len(found["bits"].rows) >= 8
+    assert {row["kind"] for row in found["graphs"].rows} >= {"launch"}
     for name in ("kernels", "queries", "against", "broad phases", "reserve", "static body"):
-        assert found[name]["rows"], name
-    touching = {row["what"]: row["share_touching"] for row in found["queries"]["rows"]}
+        assert found[name].rows, name
+    touching = {row["what"]: row["share_touching"] for row in found["queries"].rows}
     assert touching == {"colliding": 1.0, "culled": 0.0}
     text = (folder / "gpu_check.md").read_text()
     assert "This is a rehearsal" in text and "0 calls differ" in text
@@ -99,83 +107,87 @@ def test_emulated_from_beginning_to_end(tmp_path, capsys):
 # --- what goes wrong ---
 
 
-def stage(run, name="newton", **options):
-    return stages.Stage(name, "what it does", run, 1.0, **options)
+def stage(chosen, name="newton", **options):
+    return stages.Stage(name, "what it does", lambda target, **_: chosen, 1.0, **options)
 
 
-def run_in(folder, chosen, monkeypatch, *, is_anew=False, settings=None, kind=CPU, seconds=20.0, is_apart=False):
+def run_in(folder, chosen, monkeypatch, *, anew=(), settings=None, kind=CPU, seconds=20.0, is_apart=False):
+    """Run stages, of which none is known by name elsewhere; what was said, what was known before, and the journal."""
     monkeypatch.setattr(runner, "STAGES", tuple(chosen))
     said = []
-    journal = Journal(folder, {"kind": kind, **(settings or {"code": "1"})}, is_anew=is_anew)
+    journal = Journal(folder, {"kind": kind, **(settings or {"code": "1"})})
+    note = journal.begin(list(anew))
     target = Target("cpu", kind, is_short=True)
     run_all(target, {}, journal, [each.name for each in chosen], seconds, said.append, is_apart)
-    return said, journal
+    return said, note, journal
 
 
-def raise_error(target, record, **_):
+def add_one(record):
+    record.add("one", number=1)
+
+
+def raise_error(record):
     record.add("before", number=1)
     raise RuntimeError("illegal address")
 
 
-def test_stage_that_raises_keeps_its_rows_and_the_next_one_runs(tmp_path, monkeypatch):
-    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: record.add("after", number=2), "queries")]
-    said, _ = run_in(tmp_path, chosen, monkeypatch)
+def test_case_that_raises_keeps_its_rows_and_the_next_ones_run(tmp_path, monkeypatch):
+    chosen = [stage({"a": raise_error, "b": add_one}, "bits"), stage({"c": add_one}, "queries")]
+    said, _, journal = run_in(tmp_path, chosen, monkeypatch)
     found = records(tmp_path)
-    assert found["bits"]["status"] == FAILED and found["bits"]["rows"] == [{"number": 1}]
-    assert "RuntimeError: illegal address" in found["bits"]["error"]
-    assert found["queries"]["status"] == DONE and found["queries"]["rows"] == [{"number": 2}]
-    assert any("illegal address" in line for line in said)
+    assert found["bits"].status == found["queries"].status == DONE
+    assert found["bits"].rows == [{"number": 1}] * 2 and found["bits"].over == {"a", "b"}
+    assert "RuntimeError: illegal address" in found["bits"].failed["a"] and found["queries"].rows == [{"number": 1}]
+    assert "FAILED a: E   RuntimeError: illegal address" in said
+    assert summary.complaints(journal.stages()) == ["bits: a: E   RuntimeError: illegal address"]
 
 
-def test_second_run_keeps_what_is_done_and_repeats_what_failed(tmp_path, monkeypatch):
+def test_stage_that_does_not_know_its_cases_is_told_and_repeated(tmp_path, monkeypatch):
+    def cases_of(target, **_):
+        raise ValueError("answers is none")
+
+    run_in(tmp_path, [stages.Stage("bits", "what it does", cases_of, 1.0)], monkeypatch)
+    assert "ValueError: answers is none" in records(tmp_path)["bits"].failed["bits"]
+
+
+def test_second_run_keeps_what_is_over_and_goes_on_with_what_there_was_no_time_for(tmp_path, monkeypatch):
     calls = []
-    good = stage(lambda target, record, **_: calls.append("good"), "queries")
-    run_in(tmp_path, [stage(raise_error, "bits"), good], monkeypatch)
-    repaired = stage(lambda target, record, **_: calls.append("repaired"), "bits")
-    _, journal = run_in(tmp_path, [repaired, good], monkeypatch)
-    assert calls == ["good", "repaired"]
-    assert "1 stages are kept" in journal.note
-    run_in(tmp_path, [repaired, good], monkeypatch, is_anew=True)
-    assert calls == ["good", "repaired", "repaired", "good"]
+    two = {"a": lambda record: calls.append("a"), "b": lambda record: calls.append("b")}
+    said, _, _ = run_in(tmp_path, [stage(two, "queries", least=1e3)], monkeypatch)
+    assert calls == [] and records(tmp_path)["queries"].left_out == [f"a and 1 more: {NO_TIME}"]
+    assert said.count(f"left out: a: {NO_TIME}") == 1
+    run_in(tmp_path, [stage({"a": two["a"]}, "queries")], monkeypatch)
+    assert calls == ["a"] and not records(tmp_path)["queries"].is_whole
+    _, note, _ = run_in(tmp_path, [stage(two, "queries")], monkeypatch)
+    assert calls == ["a", "b"] and records(tmp_path)["queries"].is_whole
+    _, note, _ = run_in(tmp_path, [stage(two, "queries")], monkeypatch)
+    assert calls == ["a", "b"] and "1 stages are kept" in note
+    run_in(tmp_path, [stage(two, "queries")], monkeypatch, anew=["queries"])
+    assert calls == ["a", "b", "a", "b"]
 
 
-def test_records_of_other_code_are_set_aside(tmp_path, monkeypatch):
-    good = stage(lambda target, record, **_: None, "queries")
-    run_in(tmp_path, [good], monkeypatch)
-    _, journal = run_in(tmp_path, [good], monkeypatch, settings={"code": "2"})
-    assert "gpu_check.old1.json" in journal.note
-    assert json.loads((tmp_path / "gpu_check.old1.json").read_text())["settings"] == {"kind": CPU, "code": "1"}
-
-
-def test_records_of_two_gpus_are_kept_apart_and_each_goes_on_with_its_own(tmp_path, monkeypatch):
+def test_two_gpus_and_two_versions_of_the_code_are_kept_apart_and_each_goes_on_with_its_own(tmp_path, monkeypatch):
     """The first of two GPUs of one name is checked, then the second, then the first again."""
     calls = []
-    for gpu, names in (("a", ["bits"]), ("b", ["queries"]), ("a", ["bits", "queries"])):
-        chosen = [stage(lambda target, record, gpu=gpu, **_: calls.append(gpu), name) for name in names]
-        settings = {"device": "cuda:0", "gpu": {"name": "NVIDIA H200", "uuid": gpu}}
-        run_in(tmp_path, chosen, monkeypatch, settings=settings)
-        if len(calls) == 1:  # the check ends in a case of another stage
-            cut = Record(None, 0.0, print, {"stage": "queries", "settings": {"kind": CPU, **settings}}, case="cut")
-            (tmp_path / "gpu_check.stage.json").write_text(json.dumps(cut.as_json(STOPPED)))
-        elif len(calls) == 2:
-            assert records(tmp_path)["queries"]["status"] == DONE
-            earlier = json.loads((tmp_path / "gpu_check.old1.json").read_text())["stages"]
-            assert earlier["queries"]["error"] == "the check ended in cut"
-    assert calls == ["a", "b", "a"]  # the last run keeps the first stage
-    for name, uuid, ended in (("gpu_check", "a", ["bits", "queries"]), ("gpu_check.old2", "b", ["queries"])):
-        raw = json.loads((tmp_path / f"{name}.json").read_text())
-        assert raw["settings"]["gpu"]["uuid"] == uuid and list(raw["stages"]) == ended
+    for gpu, code, names in (("a", "1", ["bits"]), ("b", "1", ["queries"]), ("a", "2", ["bits"]), ("a", "1", ["bits"])):
+        case = {"one": lambda record, gpu=gpu: calls.append(gpu)}
+        settings = {"device": "cuda:0", "code": code, "gpu": {"name": "NVIDIA H200", "uuid": gpu}}
+        _, note, journal = run_in(tmp_path, [stage(case, name) for name in names], monkeypatch, settings=settings)
+        assert list(journal.stages()) == names
+    assert calls == ["a", "b", "a"] and "1 stages are kept" in note
 
 
-# A program in the place of that of a stage: it begins a case, adds a row, starts a process, and never ends.
+# A program in the place of that of a stage: it begins a case, starts a process, and never ends.
 _HANGS = """
 import json, subprocess, sys, time
 from pathlib import Path
-path = Path(sys.argv[-1]) / "gpu_check.stage.json"
-record = json.loads(path.read_text())
+from ccd_warp.benchmarks.gpu_check.journal import Journal
+order, folder = json.loads(sys.argv[1]), Path(sys.argv[2])
+journal = Journal(folder, order["settings"])
+journal.add(stage=order["stage"], case="first", outcome="passed", rows=[{"n": 1}])
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-record |= {"cases": ["first"], "case": "second", "row": 1, "rows": [{"n": 1}, {"n": 2, "child": child.pid}]}
-path.write_text(json.dumps(record))
+(folder / "child").write_text(str(child.pid))
+journal.add(stage=order["stage"], case="second", outcome="begun")
 time.sleep(600)
 """
 # The check, in which this is the program of every stage.
@@ -184,7 +196,9 @@ import subprocess, sys
 from ccd_warp.benchmarks.gpu_check import __main__ as command, runner
 popen = subprocess.Popen
 def start(given, **options):
-    return popen([sys.executable, "-c", {program!r}, given[-1]] if "--stage" in given else given, **options)
+    if "--stage" in given:
+        given = [sys.executable, "-P", "-c", {program!r}, given[-3], given[-1]]
+    return popen(given, **options)
 runner.subprocess.Popen = start
 command.main(sys.argv[1:])
 """
@@ -210,82 +224,111 @@ def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows
     popen = subprocess.Popen
 
     def start(command, **options):
-        return popen([sys.executable, "-c", _HANGS, command[-1]] if "--stage" in command else command, **options)
+        if "--stage" in command:
+            command = [sys.executable, "-P", "-c", _HANGS, command[-3], command[-1]]
+        return popen(command, **options)
 
     monkeypatch.setattr(runner.subprocess, "Popen", start)
-    monkeypatch.setattr(runner, "_GRACE", 0.2)
-    chosen = [stage(raise_error, "bits"), stage(lambda target, record, **_: None, "queries")]
+    monkeypatch.setattr(runner, "_GRACE", 2.0)
+    chosen = [stage({}, "queries")]
     run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
-    found = records(tmp_path)["bits"]
-    assert found["status"] == STOPPED and found["rows"][:1] == [{"n": 1}] and found["cases"] == ["first"]
-    assert "was ended in second" in found["error"] and found["ended"] == ["second"]
-    assert not is_running(found["rows"][1]["child"])
-    assert not (tmp_path / "gpu_check.stage.json").exists()
+    found = records(tmp_path)["queries"]
+    assert found.status == STOPPED and found.rows == [{"n": 1}] and found.over == {"first"}
+    assert found.why == "it took more than 1 s, and was ended in second" and found.late == {"second"}
+    assert not is_running((tmp_path / "child").read_text())
     assert "was ended in second" in (tmp_path / "gpu_check.md").read_text()
     # the case has another try, and no third one
     run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
-    found = records(tmp_path)["bits"]
-    assert found["cases"] == ["first", "second"] and found["rows"][-1]["case"] == "second"
+    found = records(tmp_path)["queries"]
+    assert found.over == {"first", "second"} and list(found.failed) == ["second"]
 
 
 def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case_it_was_in(tmp_path, monkeypatch):
     arguments = ["--output", str(tmp_path), "--device", "cpu", "--apart", "--only", "queries"]
     command = [sys.executable, "-P", "-c", _CHECK.format(program=_HANGS), *arguments]
     check = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    partial = tmp_path / "gpu_check.stage.json"
-    assert wait_until(lambda: (read_json(partial) or {}).get("case") == "second", 60.0)
-    child = read_json(partial)["rows"][1]["child"]
+    file = tmp_path / "gpu_check.jsonl"
+    assert wait_until(lambda: file.exists() and '"second"' in file.read_text(), 60.0)
+    child = (tmp_path / "child").read_text()
     check.kill()
     check.wait()
     assert wait_until(lambda: not is_running(child))
+    with file.open("a") as cut:  # as the last line may be
+        cut.write('{"run": "')
 
     begun = []
-
-    def go_on(target, record, **_):
-        begun.extend(case for case in ("first", "second", "third") if record.begins(case))
-
-    settings = read_json(tmp_path / "gpu_check.json")["settings"]
-    _, journal = run_in(tmp_path, [stage(go_on, "queries")], monkeypatch, settings=settings)
-    assert "queries: the check ended in second" in journal.note
-    assert begun == ["second", "third"] and records(tmp_path)["queries"]["rows"] == [{"n": 1}]
+    case = {name: lambda record, name=name: begun.append(name) for name in ("first", "second", "third")}
+    settings = json.loads(file.read_text().splitlines()[0])["settings"]
+    _, note, _ = run_in(tmp_path, [stage(case, "queries")], monkeypatch, settings=settings)
+    assert "queries: the check ended in second" in note
+    assert begun == ["second", "third"] and records(tmp_path)["queries"].rows == [{"n": 1}]
 
 
-def test_stage_that_fails_in_a_case_goes_on_after_it_and_what_there_was_no_time_for_is_done_in_the_next_run(
-    tmp_path, monkeypatch
-):
-    done = []
+# A program in which the second case of a stage ends its process, and after the third the device is lost.
+_ENDS = """
+import os, sys
+from pathlib import Path
+from ccd_warp.benchmarks.gpu_check import runner, stages
+from ccd_warp.benchmarks.gpu_check.target import Target
 
-    def run(target, record, **_):
-        for name, seconds in (("a", 0.0), ("b", 0.0), ("c", 0.0), ("d", 1e3)):
-            if record.begins(name, seconds if not done.count("c") > 1 else 0.0):
-                done.append(name)
-                record.add(name=name)
-                if name == "b":
-                    raise RuntimeError("illegal address")
+def fail(record):
+    Target.is_lost = lambda target: True
+    raise RuntimeError("illegal address")
 
-    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
+cases = {"a": lambda record: record.add(n=1), "b": lambda record: os._exit(9), "c": fail}
+cases["d"] = cases["a"]
+runner.STAGES = (stages.Stage("queries", "what it does", lambda target, **_: cases, 1.0),)
+sys.exit(runner.run_ordered(sys.argv[1], Path(sys.argv[2])))
+"""
+
+
+def test_stage_goes_on_after_a_case_that_ends_its_process_and_after_the_device_is_lost(tmp_path, monkeypatch):
+    popen = subprocess.Popen
+
+    def start(command, **options):
+        if "--stage" in command:
+            command = [sys.executable, "-P", "-c", _ENDS, command[-3], command[-1]]
+        return popen(command, **options)
+
+    monkeypatch.setattr(runner.subprocess, "Popen", start)
+    run_in(tmp_path, [stage({}, "queries")], monkeypatch, seconds=300.0, is_apart=True)
     found = records(tmp_path)["queries"]
-    assert done == ["a", "b", "c"] and found["status"] == DONE and found["is_cut"]
-    assert [row.get("name") for row in found["rows"]] == ["a", "b", None, "c"]
-    assert "illegal address" in found["rows"][2]["failed"] and found["left_out"] == ["d: no time was left"]
-    done.append("c")
-    run_in(tmp_path, [stage(run, "queries")], monkeypatch)
-    assert done[4:] == ["d"] and not records(tmp_path)["queries"]["is_cut"]
+    assert found.status == DONE and found.rows == [{"n": 1}, {"n": 1}]
+    assert list(found.failed) == ["b", "c"] and "illegal address" in found.failed["c"]
+    assert found.failed["b"] == "its process ended with status 9 in b"
 
 
-def test_file_that_is_not_whole_is_no_record(tmp_path):
-    (tmp_path / "gpu_check.json").write_text('{"stages": {"bits"')
-    assert read_json(tmp_path / "gpu_check.json") is None
-    assert Journal(tmp_path, {}, is_anew=False).raw["stages"] == {}
+def test_tests_of_a_folder_are_cases_and_those_for_other_devices_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "_PROCESSES", 1)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_some.py").write_text(
+        "import pytest\n"
+        "@pytest.mark.parametrize('device', ['cpu', 'cuda:0'])\n"
+        "@pytest.mark.parametrize('k', range(3))\n"
+        "def test_one(device, k):\n"
+        "    assert k != 1\n"
+        "    if k == 2:\n"
+        "        pytest.skip('not here')\n"
+        "def test_emulated_cuda():\n"
+        "    raise ValueError\n"
+    )
+    (tmp_path / "tests" / "test_broken.py").write_text("import no_such_module\n")
+    suite = next(each for each in stages.STAGES if each.name == "tests")
+    journal = Journal(tmp_path, {"kind": CUDA})
+    plugin = Plugin(suite, Target("cpu", CPU), {"tests": tmp_path / "tests"}, journal, 60.0, print)
+    assert plugin.run() is None
+    found = journal.stage("tests")
+    outcomes = {name.rpartition("::")[2] or name: line["outcome"] for name, line in found.cases.items()}
+    one = {"test_one[0-cuda:0]": "passed", "test_one[1-cuda:0]": "failed", "test_one[2-cuda:0]": "skipped"}
+    assert {name: outcome for name, outcome in outcomes.items() if "broken" not in name} == one
+    broken = next(why for name, why in found.failed.items() if "test_broken.py" in name)
+    assert "No module named 'no_such_module'" in broken
 
 
-def test_what_there_is_no_time_for_is_said():
-    said = []
-    record = Record(None, 0.0, said.append)
-    bits.run(Target("cpu", CPU, is_short=True), record)
-    assert "no time was left" in record.left_out[-1] and said
-    raw = {"settings": {"kind": CUDA}, "stages": {"bits": record.as_json(DONE)}}
-    assert "| bits as on the CPU | all | 0 arrays of 0 calls, 0 calls differ | not known |" in summary.goal_table(raw)
+def test_goal_is_not_judged_where_nothing_was_compared():
+    found = {"bits": StageRecord(cases={"a": {"outcome": "skipped", "why": NO_TIME}}, status=DONE)}
+    line = "| bits as on the CPU | all | 0 arrays of 0 calls, 0 calls differ or fail | not known |"
+    assert line in summary.goal_table(found, True)
 
 
 def some_cases(is_short):
@@ -300,39 +343,49 @@ def answers(tmp_path, monkeypatch):
     chosen = some_cases(True)
     monkeypatch.setattr(bits, "all_cases", lambda is_short: list(chosen))
     bits.write_answers(tmp_path / "answers.json")
-    monkeypatch.setattr(bits, "outcome", lambda case, device: pytest.fail("asked of the CPU"))
     monkeypatch.setattr(Target, "stride", 1)
     return tmp_path / "answers.json"
 
 
-def test_carried_answers_are_in_place_of_the_cpu_where_code_and_input_are_the_same(answers, monkeypatch):
-    target, asked = Target("somewhere", CPU, is_short=True), []
+def compared(answers, folder, monkeypatch):
+    """Compare with answers; the record of the stage, and on which devices which case was asked for."""
+    asked = []
 
-    def outcome(case, device):
-        asked.append((case.name, device))
-        found = case.call("cpu")
-        if device == "somewhere" and case.name.startswith("edge_edge in 3D, few iterations, float64"):
-            found["many.toi"] = np.nextafter(found["many.toi"], 1)
-        return found
+    class Asked(cases.Case):
+        def __getattribute__(self, name):
+            if name != "call":
+                return super().__getattribute__(name)
+            return lambda device: asked.append((self.name, device)) or self.answer(device)
 
-    monkeypatch.setattr(bits, "outcome", outcome)
-    record = Record(None, 60.0, lambda line: None)
-    bits.run(target, record, answers=answers)
-    found = bits.totals(record.rows)
-    assert found["cases"] == len(record.rows) == len(some_cases(True)) and found["different"] == 1
+        def answer(self, device):
+            found = super().__getattribute__("call")("cpu")
+            if device == "somewhere" and self.name.startswith("edge_edge in 3D, few iterations, float64"):
+                found["many.toi"] = np.nextafter(found["many.toi"], 1)
+            return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(bits, "all_cases", lambda _: [Asked(c.name, c.call, c.make_inputs) for c in some_cases(True)])
+        journal = Journal(folder, {"kind": CPU})
+        chosen = next(each for each in stages.STAGES if each.name == "bits")
+        target = Target("somewhere", CPU, is_short=True)
+        assert Plugin(chosen, target, {"answers": answers}, journal, 60.0, lambda line: None).run() is None
+    return journal.stage("bits"), asked
+
+
+def test_carried_answers_are_in_place_of_the_cpu_where_code_and_input_are_the_same(answers, tmp_path, monkeypatch):
+    found, asked = compared(answers, tmp_path / "same", monkeypatch)
+    assert len(found.cases) == len(some_cases(True)) == bits.totals(found.rows)["carried"]
     assert [name for name, device in asked if device == "cpu"] == ["edge_edge in 3D, few iterations, float64"]
-    wrong = next(row for row in record.rows if "different" in row)
-    (line,) = wrong["different"]
-    assert line.startswith("many.toi: 120 of 120 rows: [0] ")
+    ((name, why),) = found.failed.items()
+    assert name == "edge_edge in 3D, few iterations, float64" and why.startswith("many.toi: 120 of 120 rows: [0] ")
 
     # other input: what another version of NumPy may make of it; the CPU is asked here
     raw = json.loads(answers.read_text())
     raw["short"] = {name: ["0" * 16, answer] for name, (_, answer) in raw["short"].items()}
     other = answers.with_name("other.json")
     other.write_text(json.dumps(raw))
-    record, asked[:] = Record(None, 60.0, lambda line: None), []
-    bits.run(target, record, answers=other)
-    assert len(asked) == 2 * len(record.rows) and not any("carried" in row for row in record.rows)
+    found, asked = compared(other, tmp_path / "other", monkeypatch)
+    assert len(asked) == 2 * len(found.rows) and bits.totals(found.rows)["carried"] == 0
 
 
 def test_answers_of_other_code_are_refused(answers):
@@ -367,29 +420,13 @@ def test_difference_in_one_bit_is_found_and_described():
 
 
 def test_what_is_wrong_is_told_and_is_the_exit_status():
-    good = {
-        "status": DONE,
-        "seconds": 1.0,
-        "left_out": [],
-        "rows": [{"kind": "launch", "different": 0, "where": "here"}],
-    }
-    raw = {"settings": {"kind": CUDA}, "stages": {"graphs": good}}
-    assert summary.complaints(raw) == []
-    rows = [
-        {"kind": "launch", "where": "a second stream", "different": 3},
-        {"case": "mesh_ccd", "failed": {"on the device": "X"}},
-    ]
-    raw["stages"]["graphs"] = {**good, "rows": rows}
-    raw["stages"]["sanitizer"] = {
-        **good,
-        "rows": [{"tool": "memcheck", "status": 3, "summary": "ERROR SUMMARY: 2 errors"}],
-    }
-    raw["stages"]["queries"] = {**good, "status": FAILED, "error": "Traceback\nRuntimeError: no memory\n", "rows": []}
-    assert summary.complaints(raw) == [
-        "graphs: launch, a second stream: different: 3",
-        "graphs: mesh_ccd: failed: {'on the device': 'X'}",
-        "sanitizer: memcheck: ERROR SUMMARY: 2 errors",
-        "queries: failed, RuntimeError: no memory",
+    good = StageRecord(cases={"a": {"outcome": "passed", "rows": [{"n": 1}]}}, status=DONE)
+    assert summary.complaints({"graphs": good, "tests": StageRecord(status=LEFT_OUT, why="not on the CPU")}) == []
+    bad = StageRecord(cases={"b": {"outcome": FAILED, "why": "here\n3 of 100 replays differ"}}, status=DONE)
+    ended = StageRecord(status=STOPPED, why="Traceback\nRuntimeError: no memory\n")
+    assert summary.complaints({"graphs": bad, "queries": ended}) == [
+        "graphs: b: 3 of 100 replays differ",
+        "queries: stopped, RuntimeError: no memory",
     ]
 
 
@@ -425,43 +462,9 @@ def test_times_of_a_kernel_are_added_up(monkeypatch):
 # --- what other programs say ---
 
 
-def test_outcomes_of_pytest_are_counted_also_where_it_was_cut_off():
-    said = (
-        "tests/test_a.py::test_x[cuda:0-float64] PASSED [ 1%]\n"
-        "tests/test_a.py::test_y[cuda:0] FAILED [ 2%]\n"
-        "tests/test_b.py::test_z[cuda:0] SKIPPED (no) [ 3%]\n"
-        "ERROR tests/test_c.py - ModuleNotFoundError\n"
-        "tests/test_b.py::test_late[cuda:0] "
-    )
-    counts, failed = suite.outcomes(said)
-    assert counts == {"PASSED": 1, "FAILED": 1, "SKIPPED": 1, "ERROR": 1}
-    assert failed == ["tests/test_a.py::test_y[cuda:0]"]
-    said = (
-        "[gw0] [  1%] PASSED tests/test_a.py::test_x[cuda:0-float64] \n"
-        "[gw5] [ 12%] FAILED tests/test_a.py::test_y[cuda:0] \n"
-        "tests/test_a.py::test_z[cuda:0] \n"
-    )
-    assert suite.outcomes(said) == ({"PASSED": 1, "FAILED": 1}, ["tests/test_a.py::test_y[cuda:0]"])
-
-
 def test_summary_of_the_sanitizer():
     assert sanitizer.summary_of("========= x\n========= ERROR SUMMARY: 0 errors\n") == "ERROR SUMMARY: 0 errors"
     assert "not come to an end" in sanitizer.summary_of("killed")
-
-
-def test_broad_phases_are_those_that_the_options_name(monkeypatch):
-    from typing import Literal, TypedDict
-
-    class WithOption(TypedDict, total=False):
-        broad_phase: Literal["tree", "hash"] | None
-
-    class Without(TypedDict, total=False):
-        tolerance: float
-
-    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=WithOption))
-    assert broad_phases.choices() == ("tree", "hash")
-    monkeypatch.setattr(broad_phases, "ccd", SimpleNamespace(MeshOptions=Without))
-    assert broad_phases.choices() == ("tree",)
 
 
 def test_threads_a_block_are_set_for_every_launch_within(monkeypatch):
@@ -604,7 +607,7 @@ def test_cubins_of_another_version_of_warp_are_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    """A folder of parts, made as the command does, of one small package."""
+    """A folder of parts, made as the command does, of small packages."""
     folder = tmp_path_factory.mktemp("packed")
     (folder / "cubins").mkdir()
     (folder / "cubins" / precompile.MANIFEST).write_text(
@@ -614,7 +617,7 @@ def packed(tmp_path_factory):
     (folder / "answers.json").write_text(json.dumps(answers))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(pack, "_PRESET", 0)
-        pack.pack(folder, 1 << 19, ["trimesh"], TESTS, None)
+        pack.pack(folder, 1 << 19, ["trimesh", *pack.PYTEST], TESTS, None)
     return folder / "parts"
 
 
@@ -704,10 +707,3 @@ def test_parts_that_are_missing_or_damaged_are_named(packed, tmp_path, capsys):
 def test_bad_arguments_of_pack_are_named_in_a_line(arguments, error, tmp_path, capsys):
     assert command.main(["pack", "--out", str(tmp_path), *arguments]) == 2
     assert capsys.readouterr().err.startswith(f"error: {error}")
-
-
-def test_stage_on_the_device_is_told_its_folders():
-    seen = {}
-    chosen = stage(lambda target, record, **folders: seen.update(folders))
-    run_stage(chosen, Target("cpu", CPU), {"tests": TESTS, "examples": None}, Record(None, 1.0, print))
-    assert seen == {"tests": TESTS, "examples": None}

@@ -52,7 +52,6 @@ PLAIN = {
 # its meaning. Names are all that is searched for, so some of these belong to other things.
 READ = {
     "README.md": "bodies gap parameters points",
-    "benchmarks/distance_queries.py": "gap",
     "benchmarks/distributed_simulation.py": "bounds primitives",
     "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",

@@ -1,6 +1,7 @@
 """The exact oracles as tests ask them: what was asked in an earlier run is looked up."""
 
-from ccd_warp.benchmarks import algebraic, distance_oracle, exact_toi, oracle, oracle_contact, oracle_corners
+import distance_oracle
+from ccd_warp.benchmarks import algebraic, exact_toi, oracle, oracle_contact, oracle_corners
 from kept import kept
 
 _MODULES = (algebraic, exact_toi, oracle, oracle_contact, oracle_corners)

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import scenes
-from ccd_warp.benchmarks.distance_oracle import exact_distance
+from distance_oracle import exact_distance
 from oracles import brute_force, corners_of, listing, plane_value
 
 import ccd_warp as ccd

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from ccd_warp.benchmarks.distance_oracle import exact_distance
 from ccd_warp.benchmarks.hard_cases import FAMILIES
+from distance_oracle import exact_distance
 from emulated.steps import STEPS
 from exact_proximity import HALF_SPACES, SCENES, check_proximities, few, size_of
 from launches import on_device

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
-from ccd_warp.benchmarks.distance_oracle import exact_distance
 from ccd_warp.benchmarks.oracle import exact_gap
+from distance_oracle import exact_distance
 from exact import exact_distance_tois, exact_tois
 from oracles import brute_force, corners_of
 from scenes import FACE, TRIANGLE, sheet

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.distance_oracle import exact_distance
-from ccd_warp.benchmarks.distance_queries import KINDS, check, grazing, run
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.kernels.template import specialised
+from distance_oracle import exact_distance
+from distance_queries import KINDS, check, grazing, run
 from exact import exact_distance_tois
 from oracles import brute_force, corners_of
 from scenes import NO_FACES, crowd
@@ -20,12 +20,6 @@ from ccd_warp._runtime import lanes
 every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
 PRECISIONS = ("float64", "float32")
 KIND_NAMES = ("vertex-face", "edge-edge", "point-segment", "point-point")
-
-
-@pytest.fixture(autouse=True)
-def kept_answers(monkeypatch):
-    """The command that checks queries looks up what its oracle has answered before."""
-    monkeypatch.setattr("ccd_warp.benchmarks.distance_queries.exact_distance_tois", exact_distance_tois)
 
 
 def turned(points, rotation):

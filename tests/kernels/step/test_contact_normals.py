@@ -6,9 +6,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.distance_oracle import exact_gap
-from ccd_warp.benchmarks.distance_queries import KINDS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
+from distance_oracle import exact_gap
+from distance_queries import KINDS
 from scenes import NO_FACES
 
 import ccd_warp as ccd

@@ -1,6 +1,4 @@
-"""Queries with a Euclidean distance against the exact oracle: 20,000 random and 10,000 hostile ones by default.
-
-    python -m ccd_warp.benchmarks.distance_queries --output benchmarks/results/distance_queries.json
+"""Queries with a Euclidean distance, random and hostile, against the exact oracle.
 
 A query fails if it is
 
@@ -14,18 +12,14 @@ A query fails if it is
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-import time
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
-from ccd_warp.benchmarks.distance_oracle import exact_distance, exact_distance_tois
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.benchmarks.query_sets import size_of_motion
+from distance_oracle import exact_distance
+from exact import exact_distance_tois
 
 import ccd_warp as ccd
 
@@ -134,27 +128,3 @@ def run(
             counts.update(counted)
             failures += [(name, kind, dimension, distance, options, *failure) for failure in found]
     return failures, counts
-
-
-def main() -> None:
-    """Check, print counts and failures, and write the counts."""
-    parser = argparse.ArgumentParser(description="Euclidean distances against the exact oracle")
-    parser.add_argument("--random", type=int, default=20_000)
-    parser.add_argument("--hostile", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--method", default="clipping")
-    parser.add_argument("--output", type=Path)
-    arguments = parser.parse_args()
-    begin = time.perf_counter()
-    failures, counts = run(arguments.random, arguments.hostile, arguments.seed, arguments.method)
-    summary = {**counts, "failures": dict(Counter(f[6] for f in failures)), "seed": arguments.seed}
-    print(json.dumps(summary, indent=1), f"{time.perf_counter() - begin:.0f} s")
-    for failure in failures[:40]:
-        print(*failure)
-    if arguments.output:
-        arguments.output.write_text(json.dumps(summary, indent=1) + "\n")
-    sys.exit(bool(failures))
-
-
-if __name__ == "__main__":
-    main()
