@@ -26,8 +26,8 @@ from ccd_warp.benchmarks.numbers import count_text, table, time_text
 from ccd_warp.benchmarks.virtual_mesh import Traffic, VirtualMesh, VirtualPlan
 from ccd_warp.kernels.step.minima import FOUND
 
-from ccd_warp._engine.topology import NUM_SAMPLES
-from ccd_warp._engine.workspace import Workspace
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.topology import NUM_SAMPLES
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import options_of
 from ccd_warp._status import PairKind

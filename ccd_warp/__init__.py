@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from ccd_warp._device_pairs import DeviceContacts
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, HostLaunchResult, LaunchResult
-from ccd_warp._engine.candidates import Candidates
-from ccd_warp._engine.line_search import LineSearchResult
+from ccd_warp._engine.host.candidates import Candidates
+from ccd_warp._engine.host.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.body_options import BodyOptions

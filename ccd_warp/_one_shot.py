@@ -7,8 +7,8 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._engine.candidates import Candidates
-from ccd_warp._engine.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
+from ccd_warp._engine.host.candidates import Candidates
+from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
 from ccd_warp._input.option_types import (
     CandidateOptions,
     DisplacementOptions,

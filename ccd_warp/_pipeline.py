@@ -14,12 +14,10 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
-from ccd_warp._engine.candidates import Candidates, validated_inflation
-from ccd_warp._engine.device_input import LineSearch
-from ccd_warp._engine.device_step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
-from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
-from ccd_warp._engine.host_step import Step
-from ccd_warp._engine.line_search import (
+from ccd_warp._engine.device.input import LineSearch
+from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
+from ccd_warp._engine.host.candidates import Candidates, validated_inflation
+from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
@@ -29,10 +27,12 @@ from ccd_warp._engine.line_search import (
     search_step,
     validated_line_search,
 )
-from ccd_warp._engine.mesh_cache import MeshCache
-from ccd_warp._engine.oddities import DistanceInEdges, warn
-from ccd_warp._engine.scene import length_scale_of, norm_of, possible_kinds
-from ccd_warp._engine.workspace import Workspace
+from ccd_warp._engine.host.oddities import DistanceInEdges, warn
+from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
@@ -240,7 +240,7 @@ class CollisionPipeline:
 
     def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
         """Make the device step, laid out for other positions if they are given."""
-        from ccd_warp._engine.device_line_search import DeviceLineSearch  # programs on the host have no use for it
+        from ccd_warp._engine.device.line_search import DeviceLineSearch  # programs on the host have no use for it
 
         before = self._device_step or self._interrupted
         placed = self._layout if before is None else before.static_positions()
@@ -420,7 +420,7 @@ class CollisionPipeline:
 
         Guarantee: as for :func:`ccd_warp.find_proximity`, where no flag is set; a flag says that pairs may be missing.
         """
-        from ccd_warp._engine.device_at_one_time import DeviceProximityStep  # few programs need it
+        from ccd_warp._engine.device.at_one_time import DeviceProximityStep  # few programs need it
 
         with naming("launch_proximity"):
             distance = validated_distance(distance)
@@ -443,7 +443,7 @@ class CollisionPipeline:
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, whatever the flags. The vertices of a pair that exceeds
         the capacity, and those of a world with a coordinate that is not finite, have bound 0.
         """
-        from ccd_warp._engine.device_at_one_time import DeviceDisplacementStep
+        from ccd_warp._engine.device.at_one_time import DeviceDisplacementStep
 
         with naming("launch_displacement_bounds"):
             search_radius = validated_search_radius(search_radius, self._options)
@@ -476,7 +476,7 @@ class CollisionPipeline:
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
-        from ccd_warp._engine.intersection_step import IntersectionStep  # few programs need it
+        from ccd_warp._engine.at_one_time.intersection_step import IntersectionStep  # few programs need it
 
         return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
 
@@ -485,7 +485,7 @@ class CollisionPipeline:
 
         Separations of the pipeline play no part.
         """
-        from ccd_warp._engine.proximity_step import ProximityStep  # few programs need it
+        from ccd_warp._engine.at_one_time.proximity_step import ProximityStep  # few programs need it
 
         with naming("find_proximity"):
             distance = validated_distance(distance)
@@ -496,7 +496,7 @@ class CollisionPipeline:
 
         They keep the ``minimum_distance`` of the pipeline, which must have no ``minimum_separation``.
         """
-        from ccd_warp._engine.proximity_step import DisplacementStep
+        from ccd_warp._engine.at_one_time.proximity_step import DisplacementStep
 
         with naming("displacement_bounds"):
             search_radius = validated_search_radius(search_radius, self._options)
@@ -555,14 +555,14 @@ class CollisionPipeline:
 
     def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
-        from ccd_warp._engine.proximity_step import HoldStep  # few programs need it
+        from ccd_warp._engine.at_one_time.proximity_step import HoldStep  # few programs need it
 
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
     def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance."""
-        from ccd_warp._engine.proximity_step import HoldStep
+        from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         of_search = self.counts, self.timings

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ccd_warp._cli.places import kind_name
-from ccd_warp._engine.scene import possible_kinds
+from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.messages import InputError
 from ccd_warp._input.options import Options

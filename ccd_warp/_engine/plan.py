@@ -5,11 +5,11 @@ from typing import Any, Literal
 
 import warp as wp
 
-from ccd_warp._engine.box_sets import BoxSet
-from ccd_warp._engine.grids import Grid
-from ccd_warp._engine.scene import possible_kinds
-from ccd_warp._engine.topology import Topology
-from ccd_warp._engine.trees import Tree, sampled_pairs_of, tree_pairs_of, trees_of
+from ccd_warp._engine.boxes.box_sets import BoxSet
+from ccd_warp._engine.boxes.grids import Grid
+from ccd_warp._engine.boxes.trees import Tree, sampled_pairs_of, tree_pairs_of, trees_of
+from ccd_warp._engine.mesh.scene import possible_kinds
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution

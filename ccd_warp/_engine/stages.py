@@ -7,10 +7,10 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._engine.box_sets import BoxSet
-from ccd_warp._engine.planes import planes_of
-from ccd_warp._engine.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._engine.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
+from ccd_warp._engine.boxes.box_sets import BoxSet
+from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
+from ccd_warp._engine.mesh.planes import planes_of
+from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._runtime.lanes import queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
 from ccd_warp._runtime.pair_queue import launch_queued

@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.body_boxes import swept_boxes
-from ccd_warp._engine.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
-from ccd_warp._engine.worlds import WorldPlaces, plain_places
+from ccd_warp._engine.boxes.body_boxes import swept_boxes
+from ccd_warp._engine.mesh.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
+from ccd_warp._engine.mesh.worlds import WorldPlaces, plain_places
 from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.edge_points import EdgePointTopology, MeshWithEdgePoints
-from ccd_warp._engine.intersection_step import IntersectionStep, Keys
-from ccd_warp._engine.topology import Topology
+from ccd_warp._engine.at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
+from ccd_warp._engine.at_one_time.intersection_step import IntersectionStep, Keys
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._intersections import Intersections
 from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.distributed._part import Part, PartTopology

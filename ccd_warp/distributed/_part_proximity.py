@@ -1,6 +1,6 @@
 """What is near at one time, how near each vertex is to anything, and how far it may move, on one rank."""
 
-from ccd_warp._engine.proximity_step import DisplacementStep, HoldStep, ProximityStep
+from ccd_warp._engine.at_one_time.proximity_step import DisplacementStep, HoldStep, ProximityStep
 from ccd_warp.distributed._part_step import StepTogether
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.body_boxes import bodies_near_boxes
-from ccd_warp._engine.host_plan import Batch, HostPlan
-from ccd_warp._engine.host_step import Step
-from ccd_warp._engine.line_search import OneProcess
+from ccd_warp._engine.boxes.body_boxes import bodies_near_boxes
+from ccd_warp._engine.host.line_search import OneProcess
+from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.plan import Goal
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._part import TogetherIn

@@ -11,10 +11,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._engine.candidates import validated_inflation
-from ccd_warp._engine.hold_distance import hold_distance, holds_pairs
-from ccd_warp._engine.lengths import half_up, sum_up
-from ccd_warp._engine.line_search import (
+from ccd_warp._engine.host.candidates import validated_inflation
+from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     Per,
@@ -24,8 +22,10 @@ from ccd_warp._engine.line_search import (
     search_step,
     validated_line_search,
 )
-from ccd_warp._engine.scene import length_scale_of, norm_of
-from ccd_warp._engine.workspace import Workspace
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
+from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.topology import LARGEST_EXPONENT, LARGEST_ORIGIN
+from ccd_warp._engine.mesh.topology import LARGEST_EXPONENT, LARGEST_ORIGIN
 from ccd_warp.distributed._partition import WORLD_AXIS, Regions, regions_met
 
 # Steps for which a vertex may go on as it moves in the step for which a plan is made.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._engine.candidates import Candidates
+from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._intersections import Intersections
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts

@@ -29,7 +29,7 @@ from thick_scenes import (
 )
 
 import ccd_warp as ccd
-from ccd_warp._engine.topology import Topology
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._runtime import lanes
 
 PRECISIONS = ("float64", "float32")

@@ -21,9 +21,9 @@ _PATIENCE = 600.0
 # The command, whose line is shown at once; `overlaps` is the number of pairs from which on it warns.
 _RUN = """
 import sys
-import ccd_warp._cli.progress, ccd_warp._engine.oddities
+import ccd_warp._cli.progress, ccd_warp._engine.host.oddities
 ccd_warp._cli.progress._PATIENCE = 0.0
-ccd_warp._engine.oddities._MANY_PAIRS = {overlaps}
+ccd_warp._engine.host.oddities._MANY_PAIRS = {overlaps}
 from ccd_warp._cli.command import run_program
 run_program()
 """
@@ -151,7 +151,7 @@ def test_ctrl_c_while_modules_are_imported_ends_the_command(triangles_in_a_plane
 
 
 def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
-    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.host.oddities._MANY_PAIRS", 1000)
     rng = np.random.default_rng(0)
     start = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     mesh = ccd.CollisionMesh.from_arrays([(start, np.arange(300).reshape(-1, 3))])
@@ -162,15 +162,15 @@ def test_warning_of_overlaps_points_at_the_line_of_the_caller(monkeypatch):
 
 
 def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch):
-    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS", 1000)
-    monkeypatch.setattr("ccd_warp._engine.oddities._MANY_PAIRS_EACH", 1)
+    monkeypatch.setattr("ccd_warp._engine.host.oddities._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.host.oddities._MANY_PAIRS_EACH", 1)
     rng = np.random.default_rng(0)
     flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     faces = np.arange(300).reshape(-1, 3)
     options = {"names": ["sheet", "far", "lining"], "self_collision": False}
     mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
     for pair_bytes in (1 << 30, 1):  # in one batch, and in several
-        monkeypatch.setattr("ccd_warp._engine.host_step.DEFAULT_PAIR_BYTES", pair_bytes)
+        monkeypatch.setattr("ccd_warp._engine.host.step.DEFAULT_PAIR_BYTES", pair_bytes)
         with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
             result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
         assert (result.counts.num_batches > 1) == (pair_bytes == 1)

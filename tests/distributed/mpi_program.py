@@ -21,7 +21,7 @@ from mpi4py import MPI
 from mpi_parts import Cut, compare, compare_call, whole_mesh
 
 import ccd_warp as ccd
-from ccd_warp._engine import topology
+from ccd_warp._engine.mesh import topology
 from ccd_warp.distributed import _ranks
 
 COMM = MPI.COMM_WORLD

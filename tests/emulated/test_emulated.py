@@ -205,7 +205,7 @@ def test_searches_of_so_many_boxes(count):
 
 def with_short_lists(monkeypatch):
     """A candidate has a place for each pair, not four; returns a scene whose candidates are more, and its pairs."""
-    monkeypatch.setattr("ccd_warp._engine.device_step.CANDIDATES_EACH", 1)
+    monkeypatch.setattr("ccd_warp._engine.device.step.CANDIDATES_EACH", 1)
     mesh, start, end = scenes.crowd(np.random.default_rng(43), 60, 0.25, 0.3)
     result = ccd.mesh_ccd(mesh, start, end)
     most = max(result.counts.num_after_cull.values())

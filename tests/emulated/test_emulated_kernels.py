@@ -16,10 +16,10 @@ from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
 
 import ccd_warp as ccd
-from ccd_warp._engine.box_sets import Layout
-from ccd_warp._engine.grids import Grid
-from ccd_warp._engine.topology import PrimitiveSet
-from ccd_warp._engine.trees import search_range
+from ccd_warp._engine.boxes.box_sets import Layout
+from ccd_warp._engine.boxes.grids import Grid
+from ccd_warp._engine.boxes.trees import search_range
+from ccd_warp._engine.mesh.topology import PrimitiveSet
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of

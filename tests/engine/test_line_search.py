@@ -8,7 +8,7 @@ from oracles import exact_contacts, num_touching
 from scenes import FACE, TRIANGLE, stacked, with_static_at_rest
 
 import ccd_warp as ccd
-from ccd_warp._engine import device_line_search
+from ccd_warp._engine.device import line_search as device_line_search
 from ccd_warp._runtime.launch import Slot
 
 PER = ("scene", "body", "vertex")

@@ -10,8 +10,8 @@ from oracles import brute_force
 from scenes import soup
 
 import ccd_warp as ccd
-from ccd_warp._engine.topology import NUM_SAMPLES, Topology, choose_quantization, uneven_samples
-from ccd_warp._engine.worlds import lattice_bits, world_lattice
+from ccd_warp._engine.mesh.topology import NUM_SAMPLES, Topology, choose_quantization, uneven_samples
+from ccd_warp._engine.mesh.worlds import lattice_bits, world_lattice
 from ccd_warp._runtime.launch import Execution
 
 DEVICE = wp.get_device("cpu")

@@ -29,7 +29,7 @@ from every_call import (
 
 import ccd_warp as ccd
 from ccd_warp import datasets, viz
-from ccd_warp._engine.rings import vertex_rings
+from ccd_warp._engine.mesh.rings import vertex_rings
 
 
 @pytest.fixture(autouse=True)
@@ -410,7 +410,7 @@ def test_rings_hold_what_so_many_edges_lead_to(rings):
 
 @pytest.mark.parametrize("rings", [3, 10**9])
 def test_rings_that_take_too_much_memory_say_which_number_to_lower(rings, monkeypatch):
-    monkeypatch.setattr("ccd_warp._engine.rings._MOST_VERTICES", 100)
+    monkeypatch.setattr("ccd_warp._engine.mesh.rings._MOST_VERTICES", 100)
     mesh = ccd.CollisionMesh.from_arrays([_grid(6)], exclusion_rings=rings)
     with pytest.raises(
         ValueError, match=rf"exclusion_rings is {rings}, which leaves out more than .*; expected a lower"

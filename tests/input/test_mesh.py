@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from ccd_warp import CollisionPipeline, mesh_ccd
-from ccd_warp._engine.mesh_cache import MeshCache
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._mesh import CollisionMesh
 
 TRIANGLE = (np.eye(3), [[0, 1, 2]])

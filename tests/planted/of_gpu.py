@@ -41,7 +41,7 @@ _CULL, _TREE, _STEP = (
 )
 _STAGES, _DRIVER, _CONTACTS = (
     "ccd_warp/_engine/stages.py",
-    "ccd_warp/_engine/device_step.py",
+    "ccd_warp/_engine/device/step.py",
     "kernels/step/contacts.py",
 )
 _WRITING = "kernels/search/search_types.py"
@@ -262,14 +262,14 @@ PLANTED = [
     Fault("boxes of a half warp not united", _TREE, "union = least_together(union)", "union = union", ("launch",)),
     Fault(
         "the end of the last bucket not found",
-        "ccd_warp/_engine/grids.py",
+        "ccd_warp/_engine/boxes/grids.py",
         "num_buckets = len(grid.cells.bucket_begin)",
         "num_buckets = len(grid.cells.bucket_begin) - 1",
         ("hash",),
     ),
     Fault(
         "a radix sort with one bit too few",
-        "ccd_warp/_engine/grids.py",
+        "ccd_warp/_engine/boxes/grids.py",
         "bits = grid.cells.bucket_bits + 1",
         "bits = grid.cells.bucket_bits",
         _ONE_PLACE,

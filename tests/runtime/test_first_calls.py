@@ -156,7 +156,7 @@ def test_child_of_a_process_with_busy_threads_makes_calls_of_its_own():
 
 def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
     """Nor a child that is forked meanwhile, where the other thread is gone and holds a lock for ever."""
-    real = ccd._engine.boxes.choose_quantization
+    real = ccd._engine.boxes.step_boxes.choose_quantization
     is_in, go_on = threading.Event(), threading.Event()
 
     def held_up(*arguments):
@@ -165,7 +165,7 @@ def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
             go_on.wait(60.0)
         return real(*arguments)
 
-    monkeypatch.setattr(ccd._engine.boxes, "choose_quantization", held_up)
+    monkeypatch.setattr(ccd._engine.boxes.step_boxes, "choose_quantization", held_up)
     slow, other = (threading.Thread(target=of_mesh("mesh_ccd"), name=name) for name in ("held up", "other"))
     slow.start()
     assert is_in.wait(60.0)

@@ -12,8 +12,8 @@ from oracles import listing
 from scenes import sheet, sheet_over_floor, single
 
 import ccd_warp as ccd
-from ccd_warp._engine import exact_intersections, intersection_points
-from ccd_warp._engine.edge_points import MeshWithEdgePoints
+from ccd_warp._engine.at_one_time import exact_intersections, intersection_points
+from ccd_warp._engine.at_one_time.edge_points import MeshWithEdgePoints
 
 KIND = ccd.IntersectionKind
 FACE = [[0, 1, 2]]

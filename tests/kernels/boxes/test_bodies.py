@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
-from ccd_warp._engine.body_boxes import bodies_near
-from ccd_warp._engine.topology import Topology
+from ccd_warp._engine.boxes.body_boxes import bodies_near
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
 

@@ -8,9 +8,9 @@ from launches import check_same, on_device
 from scenes import sheet, sheet_over_floor, single, soup
 
 import ccd_warp as ccd
-from ccd_warp._engine.rest_order import order_at, rest_order
-from ccd_warp._engine.topology import Topology, choose_quantization
-from ccd_warp._engine.trees import Tree
+from ccd_warp._engine.boxes.rest_order import order_at, rest_order
+from ccd_warp._engine.boxes.trees import Tree
+from ccd_warp._engine.mesh.topology import Topology, choose_quantization
 from ccd_warp._runtime.launch import Execution
 
 DEVICE = wp.get_device("cpu")

@@ -11,7 +11,7 @@ from scenes import FACE, TRIANGLE, sheet
 from thick_scenes import KIND_NAMES, crowd, crowd_in_plane
 
 import ccd_warp as ccd
-from ccd_warp._engine.proximity_step import HoldStep
+from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
 DISTANCE = 1e-3
 NORMS = {

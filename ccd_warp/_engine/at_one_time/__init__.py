@@ -1,0 +1,1 @@
+"""Calls at one time: what is near, what intersects, how far vertices may move."""

@@ -1,0 +1,78 @@
+"""Lists of pairs that are near at one time, and what kernels are told of how near that is."""
+
+from functools import partial
+from typing import Any
+
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.host.contacts import sort_places
+from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp.kernels.at_one_time import proximity as kernels
+
+PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
+BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
+
+
+def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
+    """What is near, as the struct of the kernels, for radii of the vertices."""
+    reach = kernels.Reach()
+    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, radius, stop
+    return reach
+
+
+new_proximity_list = partial(struct_of, kernels.ProximityList)
+
+
+def largest_bound(search_radius: float, is_alone: bool) -> float:
+    """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
+    return search_radius if is_alone else 0.5 * search_radius
+
+
+class ProximityStore:
+    """The pairs that batches of a search find, in one list, which stays for the next call.
+
+    Attributes:
+        total: Number of pairs found.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers, execution: Execution) -> None:
+        self.total = 0
+        self._buffers, self._execution = buffers, execution
+        self._count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
+        self._list: Any = None
+
+    def begin_batch(self, num_pairs: int) -> Any:
+        """The list that a batch of so many pairs appends to, with a place for each of them."""
+        arrays = {
+            name: self._buffers.grown(f"pair {name}", self.total, self.total + num_pairs, dtype)
+            for name, dtype in PROXIMITY_DTYPES.items()
+        }
+        self._list = new_proximity_list({"count": self._count, **arrays})
+        return self._list
+
+    def restart(self) -> None:
+        """Forget what has been listed."""
+        self.total = 0
+        self._count.zero_()
+
+    def end_batch(self) -> None:
+        """Count what the batch has appended."""
+        self.total = int(self._count.numpy()[0])
+
+    def gather(self) -> dict[str, NDArray[Any]]:
+        """All pairs, sorted by kind and pair, in new arrays."""
+        device, count = self._execution.device, self.total
+        arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in PROXIMITY_DTYPES.items()}
+        if count > 0:
+            keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
+            order: wp.array = wp.empty(count, dtype=wp.int32, device=device)
+            launch = self._execution.launch
+            launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
+            sort_places(keys, order, count, self._execution)
+            ordered = new_proximity_list({"count": self._count, **arrays})
+            launch(kernels.order_proximities, count, inputs=[order, self._list], outputs=[ordered])
+        return {name: array.numpy() for name, array in arrays.items()}

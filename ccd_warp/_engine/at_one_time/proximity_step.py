@@ -1,0 +1,181 @@
+"""What is near at one time: steps whose two ends are the same positions, with distances in place of times."""
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound, reach_of
+from ccd_warp._engine.host.plan import HostPlan
+from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.hold_distance import corners_by_kind
+from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.scene import norm_of
+from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._engine.plan import Goal
+from ccd_warp._engine.stages import Stages
+from ccd_warp._proximities import Proximities
+from ccd_warp._results import Contacts, Counts
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._status import PairKind
+from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
+from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.template import specialised
+
+# Pairs of vertices and planes for which a call begins with capacity.
+_FEW = 1 << 10
+
+
+class StepAtOneTime(Step):
+    """A step with a workspace of its own, in which boxes have the size of its goal."""
+
+    goal: Goal
+
+    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
+        """Begin at the first of these positions; the other arguments are those of every step."""
+        super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
+        self.survivors: Counter[PairKind] = Counter()
+
+    def search(self, distance: float) -> HostPlan:
+        """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
+        plan = self.begin(self.goal, 1.0, half_up(distance))
+        plan.set_search(1.0, half_up(distance), distance)
+        return plan
+
+    def finish(self, plan: HostPlan) -> None:
+        """Release what the call has used, and count what it has done."""
+        plan.release_positions()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
+        self.counts = replace(self.counts, num_after_cull={kind: self.survivors[kind] for kind in plan.kinds})
+
+
+class ProximityStep(StepAtOneTime):
+    """The pairs within a distance."""
+
+    goal = "proximities"
+
+    def proximities(self, distance: float) -> Proximities:
+        """All pairs within a distance and their radii."""
+        plan = self.search(distance)
+        with self.timed("pairs"):
+            store = ProximityStore(self.topology, self.buffers, self.execution)
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_PROXIMITY))
+        if plan.has_planes:
+            with self.timed("planes"):
+                self.survivors[PairKind.VERTEX_PLANE] = self._list_near_planes(plan, store)
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.bind(proximities=store.begin_batch(sum(batch.found.values())))
+                plan.measure_pairs(NEAR)
+                store.end_batch()
+        with self.timed("gather"):
+            arrays = store.gather()
+            dimension = self.mesh.dimension
+            if dimension == 2:
+                arrays["direction"] = arrays["direction"][:, :2].copy()
+            x = self.positions[0][:, :dimension].copy()
+        self.finish(plan)
+        return Proximities(**arrays, mesh=self.mesh, positions=x)
+
+    @staticmethod
+    def _list_near_planes(plan: HostPlan, store: ProximityStore) -> int:
+        """List vertices and planes, whose number is returned; repeated where they exceed what was expected."""
+        expected = _FEW
+        while True:
+            store.restart()
+            plan.bind(proximities=store.begin_batch(expected))
+            found = plan.meet_planes(Stages.list_near_planes)
+            if found <= expected:
+                break
+            expected = found
+        store.end_batch()
+        return found
+
+
+class DisplacementStep(StepAtOneTime):
+    """How far vertices may move."""
+
+    goal = "displacements"
+
+    def bounds(self, search_radius: float) -> NDArray[np.float64]:
+        """For each vertex the length by which it may move."""
+        kept = self.options.minimum_distance
+        distance = sum_up(search_radius, kept)
+        plan = self.search(distance)
+        minima = self.workspace.contacts.minima
+        with self.timed("pairs"):
+            largest = largest_bound(search_radius, self.mesh._moves_alone)
+            inputs = [largest, self.topology.body_static]
+            self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
+        if plan.has_planes:
+            with self.timed("planes"):
+                self.survivors[PairKind.VERTEX_PLANE] = plan.meet_planes(Stages.bound_by_half_spaces)
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.measure_pairs(DISPLACEMENT)
+        with self.timed("gather"):
+            bounds: wp.array = minima.vertex.view(wp.float64)
+            result = bounds.numpy().copy()
+        self.finish(plan)
+        return result
+
+
+class HoldStep(StepAtOneTime):
+    """The hold of each vertex."""
+
+    goal = "holds"
+
+    def find_holds(self, distance: float) -> NDArray[np.float64]:
+        """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
+        from ccd_warp.kernels.at_one_time import start_holds as kernels  # few programs need it
+
+        plan = self.search(distance)
+        minima = self.workspace.contacts.minima
+        with self.timed("pairs"):
+            self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.measure_pairs(HOLD)
+        with self.timed("gather"):
+            holds: wp.array = minima.vertex.view(wp.float64)
+            result = holds.numpy().copy()
+        self.finish(plan)
+        return result
+
+    def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
+        """Whether one of these contacts of a world starts within a distance, and radii, shape [W]."""
+
+        topology, device = self.topology, self.topology.device
+        self.counts = Counts()  # nothing is searched
+        near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
+        if len(contacts):
+            values = {"kind": wp.int32, "primitives": wp.vec2i}
+            listed: list[wp.array] = [
+                wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
+            ]
+            count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
+            x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
+            reach = reach_of(topology.radius, distance, self.workspace.flag.array)
+            self.execution = Execution(device, self.options.threads, self.workspace.flag)
+            self.execution.launch(
+                specialised(
+                    "at_one_time.start_holds", norm=shape_of(norm_of(self.mesh, self.options))
+                ).note_near_contacts,
+                len(contacts),
+                inputs=[count, *listed, *corners_by_kind(topology), x, reach, self.workspace.contacts.minima],
+                outputs=[near],
+            )
+        return near.numpy() != 0

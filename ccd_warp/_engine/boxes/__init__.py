@@ -1,0 +1,1 @@
+"""Boxes of primitives: trees, spatial hashes, their order, and which bodies come near another."""

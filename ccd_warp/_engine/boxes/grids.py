@@ -1,0 +1,169 @@
+"""Spatial hashes of boxes, which stand beside the trees of `trees` as a second broad phase."""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import warp as wp
+
+from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
+from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp.kernels.boxes import box_tree, hash_grid
+
+# A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
+_CELL_FACTOR, _QUANTILE = 1.4, 0.95
+_LEAST_CELL_EXPONENT = int(math.log2(hash_grid.LEAST_CELL))
+# Buckets of the smallest table: more than a query looks up in a row.
+_LEAST_BUCKET_BITS = 4
+# Boxes that are worth a thread of their own in sorting.
+_WORTH_SORTING = 1 << 14
+
+
+class Grid(BoxSet):
+    """A set of primitives and the spatial hash of their boxes, in the order of the buckets.
+
+    Attributes:
+        cell: Side of a cell of the finest level in quantized coordinates.
+    """
+
+    walk = "search_hashes"
+    parts = ("boxes", "cells")
+    is_sorted_when_filled = True
+
+    def __init__(self, primitives: PrimitiveSet) -> None:
+        levels = primitives.num_blocks, -(-primitives.num_blocks // WIDTH)
+        super().__init__(primitives, levels, f"{primitives.name} grid")
+        self.cell = 0.0
+
+    def lay_out(self, layout: Layout) -> None:
+        """Give the grid its arrays."""
+        count, blocks, allocate = self.primitives.count, self.primitives.num_blocks, layout.allocate
+        arrays = box_tree.BoxTree()
+        arrays.num_boxes, arrays.num_levels, arrays.num_aabbs = count, 2, layout.num_aabbs
+        arrays.block_begin = box_tree.vec8i(0, blocks, *[0] * 6)
+        arrays.nodes = allocate(f"{self.name} boxes", self.num_floats(layout.num_aabbs), wp.float32)
+        arrays.primitive = allocate(f"{self.name} order", count, wp.int32)
+        arrays.corners = allocate(f"{self.name} corners", blocks * BLOCK_CORNERS, wp.int32)
+        cells = hash_grid.HashGrid()
+        cells.bucket_bits = max(_LEAST_BUCKET_BITS, (count - 1).bit_length())
+        cells.bucket_begin = allocate(f"{self.name} buckets", (1 << cells.bucket_bits) + 1, wp.int32)
+        cells.cells = allocate(f"{self.name} cells", blocks * WIDTH, wp.uint64)
+        cells.levels = allocate(f"{self.name} levels", 1, wp.int32)
+        # a radix sort needs twice the size
+        self.unsorted_cells = allocate(f"{self.name} unsorted", count, wp.uint64)
+        self.buckets = allocate(f"{self.name} keyed", 2 * count, wp.int32)
+        self.order = allocate(f"{self.name} sorted", 2 * count, wp.int32)
+        self.structs = arrays, cells
+        self.set_cell(layout.cell)
+
+    def adapt(self, layout: Layout) -> bool:
+        """Adapt the size of the cells; returns whether it has changed."""
+        cell = layout.cell
+        if cell == self.cell:
+            return False
+        self.set_cell(cell)
+        return True
+
+    def set_cell(self, cell: float) -> None:
+        """Set the side of a cell before the boxes are sorted again; a recording then has to bind the new cells."""
+        cells = hash_grid.HashGrid()
+        for name in hash_grid.HashGrid.vars:
+            setattr(cells, name, getattr(self.cells, name))
+        cells.cells_per_unit = 1.0 / cell
+        self.structs = self.arrays, cells
+        self.cell = cell
+
+    @property
+    def cells(self) -> Any:
+        """The cells and the buckets, a ``hash_grid.HashGrid``."""
+        return self.structs[1]
+
+    @staticmethod
+    def fill(
+        sets: Iterable["Grid"],
+        vertex_aabbs: Any,
+        launcher: Execution | Recording,
+        structs_of: Callable[["Grid"], tuple[Any, ...]] = lambda grid: grid.structs,
+        only_if: wp.array | None = None,
+    ) -> None:
+        """Compute and sort the boxes of spatial hashes from the vertex AABBs."""
+        grids = list(sets)
+        device = launcher.device
+        if only_if is None:
+            only_if = wp.empty(0, dtype=wp.int32, device=device)
+        with launcher.at_once():
+            for grid in grids:
+                primitives = grid.primitives
+                launcher.launch(
+                    hash_grid.fill_cells,
+                    primitives.count,
+                    inputs=[only_if, primitives.corners, vertex_aabbs, grid.arrays.num_aabbs],
+                    outputs=[structs_of(grid)[1], grid.unsorted_cells, grid.buckets, grid.order],
+                )
+        with launcher.at_once():
+            for grid in grids:
+                count = grid.primitives.count
+                if launcher.is_cuda:
+                    launcher.call(lambda g=grid, n=count: _radix_sort(g, n))  # type: ignore[misc]
+                else:
+                    ranges = max(1, min(launcher.num_threads, count // _WORTH_SORTING))
+                    inputs = [only_if, grid.buckets, count, ranges]
+                    launcher.launch(hash_grid.sort_range, ranges, inputs, [structs_of(grid)[1], grid.order], grain=1)
+        if launcher.is_cuda:
+            with launcher.at_once():
+                for grid in grids:
+                    num_buckets = len(grid.cells.bucket_begin)
+                    inputs = [only_if, grid.buckets, grid.primitives.count]
+                    launcher.launch(hash_grid.find_buckets, num_buckets, inputs, [structs_of(grid)[1]])
+        with launcher.at_once():
+            for grid in grids:
+                primitives = grid.primitives
+                launcher.launch(
+                    hash_grid.fill_grid,
+                    primitives.num_blocks,
+                    inputs=[
+                        only_if,
+                        grid.order,
+                        grid.unsorted_cells,
+                        primitives.ids,
+                        primitives.corners,
+                        primitives.num_corners,
+                        vertex_aabbs,
+                    ],
+                    outputs=[*structs_of(grid)],
+                    grain=256,
+                )
+
+    @staticmethod
+    def searches(pairs: list[Any]) -> list[Any]:
+        """The searches that find the pairs of these pairs of hashes: a box looks up only boxes that are no smaller.
+
+        So two different hashes are searched in both directions, the second time for pairs of different levels alone.
+        """
+        found = []
+        for pair in pairs:
+            found.append(pair)
+            if not pair.within:
+                turned = {"query": pair.target, "target": pair.query, "swapped": not pair.swapped}
+                found.append(replace(pair, **turned, rise=1))
+        return found
+
+
+def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, spare: float = 1.0) -> float:
+    """Side of a cell of the finest level in quantized coordinates, from samples of the step.
+
+    It is ``spare`` times as large where motions are still to come: too small a cell costs more than a large one. It is
+    a power of the fourth root of two, so that it stays the same, and with it the hashes of static bodies, while boxes
+    change little.
+    """
+    side = _CELL_FACTOR * large_half_side(topology, positions, _QUANTILE) * (2.0 * quantization.scale) * spare
+    exponent = math.ceil(4.0 * math.log2(side)) / 4.0 if 0.0 < side < math.inf else 0.0
+    return 2.0 ** min(max(exponent, _LEAST_CELL_EXPONENT), 0.0)
+
+
+def _radix_sort(grid: Grid, count: int) -> None:
+    """Sort the buckets and the order of a grid. Sorted ones stay as they are, as the sort is stable."""
+    bits = grid.cells.bucket_bits + 1  # with the bucket of empty boxes
+    wp.utils.radix_sort_pairs(grid.buckets, grid.order, count, end_bit=bits)

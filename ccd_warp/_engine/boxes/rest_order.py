@@ -1,0 +1,115 @@
+"""The order of a mesh's primitives in the rest configuration, or at other positions, by repeated halving."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.mesh.topology import (
+    BLOCK_CORNERS,
+    VERTEX_AABB_FLOATS,
+    WIDTH,
+    PrimitiveSet,
+    Topology,
+    choose_quantization,
+)
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels.boxes import box_tree, half_warp_tree
+from ccd_warp.kernels.boxes import rest_order as kernels
+
+# Bits of a coordinate within a segment: those of a float32.
+_MOST_BITS = 24
+
+
+def rest_order(topology: Topology, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
+    """Indices of the primitives and vertices of their blocks, in an order made for the undeformed mesh.
+
+    A surface bends but neighbours stay neighbours, so this order is made once and used as long as the blocks stay
+    small, which every step checks.
+    """
+    if primitives.name not in topology.orders:
+        order = order_at(topology, topology.mesh._vertices_in_space, primitives, execution)
+        topology.orders.setdefault(primitives.name, order)
+    return topology.orders[primitives.name]
+
+
+def order_at(
+    topology: Topology, vertices: NDArray[np.float64], primitives: PrimitiveSet, execution: Execution
+) -> tuple[wp.array, wp.array]:
+    """The order of a set at other positions of the mesh, and the vertices of its blocks, computed anew."""
+    mesh, device = topology.mesh, topology.device
+    positions: wp.array = wp.array(vertices, dtype=wp.vec3d, device=device)
+    quantization = choose_quantization(topology, (vertices, vertices), 1)
+    vertex_aabbs = wp.empty(mesh.num_vertices * VERTEX_AABB_FLOATS, dtype=wp.float32, device=device)
+    every = topology.array(np.arange(mesh.num_vertices, dtype=np.int32))
+    active = wp.ones(mesh.num_bodies, dtype=wp.int32, device=device)
+    execution.launch(
+        box_tree.fill_vertex_aabbs,
+        mesh.num_vertices,
+        inputs=[
+            every,
+            *topology.of_vertices(active),
+            positions,
+            positions,
+            1.0,
+            0.0,
+            topology.box_radius,
+            quantization.packed,
+            1,
+        ],
+        outputs=[vertex_aabbs],
+    )
+    order, mask = _halved_order(primitives, topology.vertex_body, vertex_aabbs, execution)
+    primitive = wp.empty(primitives.count, dtype=wp.int32, device=device)
+    block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=device)
+    apply_order(order, mask, primitives, [primitive, block_corners], execution)
+    return primitive, block_corners
+
+
+def _halved_order(
+    primitives: PrimitiveSet, vertex_body: wp.array, vertex_aabbs: wp.array, execution: Execution
+) -> tuple[wp.array, int]:
+    """The indices of the primitives in their order, int64, in those bits of each number that the mask selects.
+
+    On the CPU by selection, which takes 0.8 of the time of sorted keys on one thread and 0.45 on two.
+    """
+    count, device = primitives.count, execution.device
+    centres = wp.empty(count, dtype=wp.vec4f, device=device)
+    # the radix sort needs twice the size
+    order = wp.empty(2 * count if execution.is_cuda else count, dtype=wp.int64, device=device)
+    inputs = [primitives.corners, vertex_body, vertex_aabbs]
+    execution.launch(kernels.fill_centres, count, inputs, [centres, order])
+    size = WIDTH << (primitives.num_blocks - 1).bit_length()
+    if execution.is_cuda:
+        _sort_halves(primitives, centres, size, order, execution)
+        return order, (1 << primitives.index_bits) - 1
+    while size > WIDTH:
+        execution.launch(kernels.split_segments, -(-count // size), [centres, size], [order], grain=1)
+        size //= 2
+    return order, -1
+
+
+def _sort_halves(primitives: PrimitiveSet, centres: wp.array, size: int, order: wp.array, execution: Execution) -> None:
+    """Halve all segments of a size at once, by a sort of all primitives; then those of half the size."""
+    count, device = primitives.count, execution.device
+    unused: wp.array = wp.empty(2 * count, dtype=wp.int32, device=device)
+    bounds: wp.array = wp.empty(8 * primitives.num_blocks, dtype=wp.int32, device=device)
+    mask = (1 << primitives.index_bits) - 1
+    while size > WIDTH:
+        num_segments = -(-count // size)
+        bits = min(_MOST_BITS, 63 - primitives.index_bits - (num_segments - 1).bit_length())
+        bounds.fill_(kernels.UNBOUNDED)
+        execution.launch(kernels.bound_segments, primitives.num_blocks, [centres, count, size, mask, order], [bounds])
+        inputs = [centres, bounds, size, mask, primitives.index_bits, bits]
+        execution.launch(kernels.fill_keys, count, inputs, [order])
+        wp.utils.radix_sort_pairs(order, unused, count)
+        size //= 2
+
+
+def apply_order(
+    order: wp.array, mask: int, primitives: PrimitiveSet, outputs: list[wp.array], execution: Execution
+) -> None:
+    """Write the primitives, and the vertices of their blocks, in an order."""
+    kernel, count = box_tree.apply_order, primitives.num_blocks
+    if execution.is_cuda:
+        kernel, count = half_warp_tree.order_places, WIDTH * primitives.num_blocks
+    execution.launch(kernel, count, [order, mask, primitives.ids, primitives.corners], outputs, grain=64)

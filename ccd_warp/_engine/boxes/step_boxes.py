@@ -1,0 +1,221 @@
+"""The boxes of one step, in trees or spatial hashes that are kept in persistent arrays."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
+from ccd_warp._engine.boxes.grids import choose_cell
+from ccd_warp._engine.boxes.rest_order import apply_order, rest_order
+from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.topology import (
+    BLOCK_CORNERS,
+    VERTEX_AABB_FLOATS,
+    WIDTH,
+    Positions,
+    PrimitiveSet,
+    Topology,
+    choose_quantization,
+    sorted_keys,
+    typical_static_extent,
+    uneven_samples,
+)
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels.boxes import box_tree as kernels
+
+# A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
+_LARGEST_BLOCK = 12.0
+_CHECKED_BLOCKS = 64
+_NO_END = 1.0
+
+
+@dataclass(frozen=True)
+class _StaticKey:
+    """The values on which the boxes of static bodies depend."""
+
+    positions: list[NDArray[np.float64]]
+    quantization: tuple[float, ...]
+    inflation: float
+    num_aabbs: int
+
+    def same(self, other: "_StaticKey | None") -> bool:
+        return (
+            other is not None
+            and self.quantization == other.quantization
+            and (self.inflation, self.num_aabbs) == (other.inflation, other.num_aabbs)
+            and all(map(np.array_equal, self.positions, other.positions))
+        )
+
+
+class StepBoxes:
+    """Boxes of a mesh, kept between steps and recomputed by each.
+
+    Attributes:
+        sets: The trees, and the spatial hashes, that calls have asked for so far, by broad phase and name of the set of
+            primitives; see ``trees.tree_pairs_of``.
+        vertex_aabbs: AABBs of the vertices of this step.
+        quantization: The map to quantized coordinates of this step.
+        num_boxes: Boxes computed in this step; those of static bodies count only in the step that computes them.
+        num_sorted: Sets of primitives that had to be sorted again in this step.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+        self.topology = topology
+        self.buffers = buffers
+        self.sets: defaultdict[Any, dict[str, BoxSet]] = defaultdict(dict)
+        self.num_boxes = self.num_sorted = 0
+        self._num_aabbs = 0
+        # the boxes of each set, those of trees in the order of the rest configuration
+        self._rest: dict[str, tuple[Any, ...]] = {}
+        # sets of static bodies whose boxes are those of `_static_key`
+        self._filled: set[str] = set()
+        self._static_key: _StaticKey | None = None
+        self._static_extent = np.float32(0.0)
+
+    def begin(
+        self,
+        positions: Positions,
+        inflation: float,
+        num_aabbs: int,
+        sets: Sequence[BoxSet],
+        execution: Execution,
+    ) -> None:
+        """Start a step: choose its quantization, and build what static bodies need where it is not up to date.
+
+        Args:
+            positions: Start and end positions.
+            inflation: Enlargement of every box, a length.
+            num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
+            sets: The trees or spatial hashes that the step needs.
+            execution: Where to build them.
+        """
+        start = positions[0]
+        mesh = self.topology.mesh
+        self.num_boxes = self.num_sorted = 0
+        self.quantization = choose_quantization(self.topology, positions, num_aabbs)
+        if num_aabbs != self._num_aabbs:
+            self._num_aabbs = num_aabbs
+            self._rest.clear()
+            size = mesh.num_vertices * num_aabbs * VERTEX_AABB_FLOATS
+            self.vertex_aabbs = self.buffers.get("vertex_aabbs", size, wp.float32)
+        layout = Layout(
+            num_aabbs,
+            self.buffers.get,
+            lambda primitives: rest_order(self.topology, primitives, execution),
+            lambda: choose_cell(self.topology, positions, self.quantization),
+        )
+        for each in sets:
+            self._lay_out(each, layout)
+        if mesh.static_vertex_ranges:
+            self._begin_static(start, inflation, execution)
+            for each in sets:
+                if each.primitives.is_static and each.name not in self._filled:
+                    each.structs = self._rest[each.name]
+                    each.fill([each], self.vertex_aabbs, execution)
+                    self.keep_in_order(each, execution)
+                    self._filled.add(each.name)
+
+    def _lay_out(self, each: BoxSet, layout: Layout) -> None:
+        """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
+        is_new = each.name not in self._rest
+        if is_new:
+            each.lay_out(layout)
+        if is_new or each.adapt(layout):
+            self._rest[each.name] = each.structs
+            self._filled.discard(each.name)
+        if not each.primitives.is_static:
+            each.structs = self._rest[each.name]
+            self.num_boxes += each.primitives.count
+
+    def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
+        """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
+        topology = self.topology
+        static_positions = [start[begin:end] for begin, end in topology.mesh.static_vertex_ranges]
+        quantization = self.quantization
+        key = _StaticKey(static_positions, (*quantization.origin, quantization.scale), inflation, self._num_aabbs)
+        if key.same(self._static_key):
+            return
+        self._static_key = None
+        self._filled.clear()
+        self._static_extent = typical_static_extent(topology, start, self.quantization.scale)
+        positions: wp.array = wp.array(start, dtype=wp.vec3d, device=topology.device, copy=False)
+        every = wp.ones(topology.mesh.num_bodies, dtype=wp.int32, device=topology.device)
+        execution.launch(
+            kernels.fill_vertex_aabbs,
+            len(topology.static_vertices),
+            inputs=[
+                topology.static_vertices,
+                *topology.of_vertices(every),
+                positions,
+                positions,
+                _NO_END,
+                inflation,
+                topology.box_radius,
+                quantization.packed,
+                self._num_aabbs,
+            ],
+            outputs=[self.vertex_aabbs],
+        )
+        self._static_key = replace(key, positions=[positions.copy() for positions in static_positions])
+
+    def may_meet(self, a: BoxSet, b: BoxSet) -> bool:
+        """Whether the boxes around two sets overlap; on CUDA, and of spatial hashes, the search has to find out."""
+        if a is b or self.topology.device.is_cuda:
+            return True
+        of_a, of_b = a.bounds(), b.bounds()
+        if of_a is None or of_b is None:
+            return True
+        return bool((of_a[0] <= of_b[1]).all() and (of_b[0] <= of_a[1]).all())
+
+    def keep_in_order(self, each: BoxSet, execution: Execution) -> bool:
+        """Sort the primitives of a tree by their current positions unless most blocks consist of neighbours.
+
+        On CUDA sorting is cheap, and whether it is needed would have to be read back. Returns whether it was sorted.
+        """
+        if each.primitives.is_static:
+            self.num_boxes += each.primitives.count
+        if each.is_sorted_when_filled or (not execution.is_cuda and self._is_in_order(each)):
+            return False
+        self._sort(each, execution)
+        each.fill([each], self.vertex_aabbs, execution)
+        return True
+
+    def _sort(self, tree: Any, execution: Execution) -> None:
+        """Order the primitives by their current positions."""
+        self.num_sorted += 1
+        primitives, num_aabbs = tree.primitives, self._num_aabbs
+        extent = self._typical_extent_of(primitives)
+        keys = sorted_keys(primitives, self.vertex_aabbs, num_aabbs, extent, self.buffers, execution)
+        name = primitives.name
+        order = (
+            self.buffers.get(f"{name} order", primitives.count, wp.int32),
+            self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32),
+        )
+        apply_order(keys, (1 << primitives.index_bits) - 1, primitives, list(order), execution)
+        tree.set_order(num_aabbs, order, tree.arrays.nodes)
+
+    def _typical_extent_of(self, primitives: PrimitiveSet) -> np.float32:
+        """The typical extent by which the order of a set is checked and made.
+
+        The trees of static bodies are kept for steps with other positions, so their order must not depend on what moves
+        in the step that happens to build them.
+        """
+        return self._static_extent if primitives.is_static else self.quantization.typical_extent
+
+    def _is_in_order(self, tree: Any) -> bool:
+        """Whether most of the blocks are small enough to consist of neighbours."""
+        count = tree.levels[0]
+        # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours
+        if count <= WIDTH or tree.primitives.is_sample:
+            return True
+        chosen = uneven_samples(count, _CHECKED_BLOCKS)
+        boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
+        with np.errstate(invalid="ignore", over="ignore"):
+            longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
+        longest.sort()
+        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self._typical_extent_of(tree.primitives))

@@ -1,0 +1,347 @@
+"""Trees of boxes, and the pairs of trees whose primitives form pairs of a kind."""
+
+import itertools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout
+from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._status import PairKind
+from ccd_warp.kernels.boxes import box_tree as kernels
+from ccd_warp.kernels.boxes import half_warp_tree
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.search import search_types
+from ccd_warp.kernels.step import device_step
+
+_CHUNK = int(device_step.CHUNK)
+# A level of no more boxes than this is united in one launch with all levels above.
+_FEW_BOXES = 2048
+# The roles of bodies whose primitives are paired: one of the two is free.
+_PAIRED: tuple[tuple[Role, Role], ...] = (
+    ("moving", "moving"),
+    ("moving", "kinematic"),
+    ("kinematic", "moving"),
+    ("moving", "static"),
+    ("static", "moving"),
+)
+# Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
+LONG_SEARCH = 1 << 22
+# Largest number of queries of a launch on CUDA, whose threads are numbered in 32 bits.
+MOST_QUERIES = 1 << 26
+
+
+class Tree(BoxSet):
+    """A set of primitives and the tree of their boxes."""
+
+    walk = "search_trees"
+    parts = ("boxes",)
+    is_sorted_when_filled = False
+
+    def __init__(self, primitives: PrimitiveSet) -> None:
+        super().__init__(primitives, level_sizes(primitives.count), primitives.name)
+
+    def lay_out(self, layout: Layout) -> None:
+        """Give the tree an order, and arrays for boxes that it does not have yet."""
+        nodes = layout.allocate(f"{self.name} boxes", self.num_floats(layout.num_aabbs), wp.float32)
+        self.set_order(layout.num_aabbs, layout.order_of(self.primitives), nodes)
+
+    def set_order(self, num_aabbs: int, order: tuple[wp.array, wp.array], nodes: wp.array) -> None:
+        """Give the tree an order (`Layout.order_of`) and an array for its boxes."""
+        first = np.concatenate([[0], np.cumsum(self.levels)])
+        arrays = kernels.BoxTree()
+        arrays.num_boxes = self.primitives.count
+        arrays.num_levels = len(self.levels)
+        arrays.num_aabbs = num_aabbs
+        arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
+        arrays.nodes = nodes
+        arrays.primitive, arrays.corners = order
+        self.structs = (arrays,)
+
+    def level_boxes(self, level: int) -> NDArray[np.float32]:
+        """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
+        size = self.arrays.num_aabbs * BLOCK_FLOATS
+        first = sum(self.levels[:level])
+        floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
+        return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The box around the tree, in quantized coordinates; on the CPU."""
+        block = self.level_boxes(len(self.levels) - 1)[0]
+        return block[:, 0].min(axis=(0, 2)), block[:, 1].max(axis=(0, 2))
+
+    @staticmethod
+    def fill(
+        sets: Iterable["Tree"],
+        vertex_aabbs: Any,
+        launcher: Execution | Recording,
+        structs_of: Callable[["Tree"], tuple[Any, ...]] = lambda tree: tree.structs,
+        only_if: wp.array | None = None,
+    ) -> None:
+        """Compute the boxes of every level of trees from the vertex AABBs."""
+        trees = list(dict.fromkeys(sets))
+        if launcher.is_cuda:
+            _fill_in_half_warps(trees, vertex_aabbs, launcher, structs_of, only_if)
+        elif only_if is None:
+            _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
+        else:
+            _refresh(trees, vertex_aabbs, launcher, structs_of, only_if)
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)
+
+
+_StructsOf = Callable[[Tree], tuple[Any, ...]]
+
+
+def _fill_in_blocks(
+    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf
+) -> None:
+    """Compute the boxes on the CPU: a launch fills the lowest two levels, and one each of the large ones above."""
+    next_level = dict.fromkeys(trees, 2)
+    with launcher.at_once():
+        for tree in next_level:
+            inputs = [vertex_aabbs, tree.primitives.num_corners]
+            launcher.launch(kernels.fill_blocks, tree.levels[0], inputs, list(structs_of(tree)), grain=2048)
+    while True:
+        large = [
+            tree
+            for tree, level in next_level.items()
+            if level < len(tree.levels) and tree.levels[level - 1] > _FEW_BOXES
+        ]
+        if not large:
+            break
+        with launcher.at_once():
+            for tree in large:
+                level = next_level[tree]
+                count = tree.levels[level - 1]
+                launcher.launch(kernels.unite_blocks, count, inputs=[level, count], outputs=list(structs_of(tree)))
+                next_level[tree] += 1
+    with launcher.at_once():
+        for tree, level in next_level.items():
+            if level < len(tree.levels):
+                inputs = [level, tree.levels[level - 1]]
+                launcher.launch(kernels.unite_levels, 1, inputs, list(structs_of(tree)), grain=2)
+
+
+def _refresh(
+    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+) -> None:
+    """Compute the boxes on the CPU where a flag on the device is set."""
+    for tree in trees:
+        inputs = [only_if, vertex_aabbs, tree.primitives.num_corners]
+        count = -(-tree.levels[0] // _CHUNK)
+        launcher.launch(device_step.refresh_blocks, count, inputs, list(structs_of(tree)), grain=64)
+        if len(tree.levels) > 2:
+            launcher.launch(device_step.refresh_levels, 1, [only_if, tree.levels[1]], list(structs_of(tree)))
+
+
+def _fill_in_half_warps(
+    trees: list[Tree],
+    vertex_aabbs: Any,
+    launcher: Execution | Recording,
+    structs_of: _StructsOf,
+    only_if: wp.array | None,
+) -> None:
+    """Compute the boxes on CUDA: a launch fills the lowest two levels, and one each of those above."""
+    for tree in trees:
+        num_aabbs, corners = tree.arrays.num_aabbs, tree.primitives.num_corners
+        if only_if is None:
+            only_if = wp.empty(0, dtype=wp.int32, device=tree.primitives.ids.device)
+        inputs = [only_if, vertex_aabbs, corners]
+        launcher.launch(
+            half_warp_tree.fill_leaves,
+            tree.levels[0] * num_aabbs * WIDTH,
+            inputs=inputs,
+            outputs=list(structs_of(tree)),
+        )
+        for level in range(2, len(tree.levels)):
+            below, begin = sum(tree.levels[: level - 1]), sum(tree.levels[:level])
+            launcher.launch(
+                half_warp_tree.unite_rows,
+                tree.levels[level] * num_aabbs * BLOCK_FLOATS,
+                inputs=[only_if, below, begin, tree.levels[level - 1]],
+                outputs=list(structs_of(tree)),
+            )
+
+
+@dataclass(frozen=True)
+class TreePair:
+    """Two trees, or two spatial hashes, whose boxes may overlap; the same one twice for pairs within a set."""
+
+    kind: PairKind
+    query: BoxSet
+    target: BoxSet
+    swapped: bool = False
+    rise: int = 0  # of spatial hashes: the least number of levels by which the targets are above the query
+
+    @property
+    def within(self) -> bool:
+        """Whether the pairs are those of one set."""
+        return self.query is self.target
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether both primitives are of one kind, and the lower index comes first."""
+        return self.kind in (PairKind.EDGE_EDGE, PairKind.POINT_POINT)
+
+    @lazy_property
+    def packed(self) -> Any:
+        """The pair as the struct of the kernels."""
+        packed = search_types.TreePair()
+        packed.kind = int(self.kind)
+        packed.within = int(self.within)
+        packed.symmetric = int(self.is_symmetric)
+        packed.swapped = int(self.swapped)
+        packed.num_query_corners = self.query.primitives.num_corners
+        packed.num_target_corners = self.target.primitives.num_corners
+        packed.rise = self.rise
+        return packed
+
+
+@dataclass(frozen=True)
+class Part:
+    """Items of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
+
+    tree_pair: TreePair
+    level: int
+    items: range
+    number: int = 0  # of the tree pair
+
+    @staticmethod
+    def whole(tree_pair: TreePair, *, is_cuda: bool, number: int = 0) -> "Part":
+        """All items of a tree pair."""
+        query = tree_pair.query
+        count = query.primitives.count if is_cuda else query.levels[0]
+        return Part(tree_pair, 0 if is_cuda else 1, range(count), number)
+
+    @property
+    def num_queries(self) -> int:
+        """Number of query boxes."""
+        return len(self.items) * WIDTH**self.level
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
+        first = self.items[0]
+        return (self.number, first, 0) if self.level else (self.number, *divmod(first, WIDTH))
+
+    @property
+    def num_tests(self) -> int:
+        """Number of pairs of boxes, most of which the tree rejects early."""
+        return self.num_queries * self.tree_pair.target.primitives.count
+
+    def split(self, count: int) -> list["Part"]:
+        """These items in at least ``count`` parts, as far as that is possible."""
+        if len(self.items) == 1 and self.level == 1:
+            first = WIDTH * self.items[0]
+            queries = range(first, min(first + WIDTH, self.tree_pair.query.primitives.count))
+            return replace(self, level=0, items=queries).split(count)
+        count = min(count, len(self.items))
+        bounds = (len(self.items) * k // count for k in range(count + 1))
+        return [replace(self, items=self.items[i:j]) for i, j in itertools.pairwise(bounds)]
+
+
+def search_options(
+    t_end: float, inflation: float, separation: float, norm: str, flag: StopFlag, radii: tuple[wp.array, wp.array]
+) -> Any:
+    """What a step asks of the search, as the struct of the kernels; ``radii`` of vertices and of their boxes."""
+    packed = search_types.SearchOptions()
+    packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
+    packed.is_euclidean = int(is_ball(norm))
+    packed.radius, packed.box_radius = radii
+    packed.stop = flag.array
+    return packed
+
+
+def search_range(
+    level: int,
+    row: int,
+    items: range,
+    capacity: int = 0,
+    first_key: int = 0,
+    marks_overflow: bool = False,
+) -> Any:
+    """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
+    packed = search_types.SearchRange()
+    packed.first, packed.stride, packed.level = items.start, items.step, level
+    packed.row, packed.first_key, packed.capacity = row, first_key, capacity
+    packed.marks_overflow = int(marks_overflow)
+    return packed
+
+
+def tree_pairs_of(
+    topology: Topology,
+    kinds: tuple[PairKind, ...],
+    skip_free: bool,
+    trees: dict[str, BoxSet],
+    make: Callable[[PrimitiveSet], BoxSet],
+) -> list[TreePair]:
+    """The tree pairs to search: always with a tree of free bodies, and two of these unless ``skip_free`` is set.
+
+    Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
+    """
+
+    def tree(kind: str, role: Role) -> BoxSet:
+        primitives = topology.primitives(kind, role)
+        if primitives.name not in trees:
+            trees[primitives.name] = make(primitives)
+        return trees[primitives.name]
+
+    tree_pairs = []
+    paired = [pair for pair in _PAIRED if all(topology.bodies_of(role).any() for role in pair)]
+    for kind in kinds:
+        if kind == PairKind.VERTEX_PLANE:
+            continue  # every plane meets every vertex
+        first, second = topology.primitives_of(kind)
+        for of_first, of_second in paired:
+            is_mirrored = of_first != "moving" and first == second
+            if is_mirrored or (skip_free and of_first == of_second):
+                continue
+            if topology.primitives(first, of_first).count and topology.primitives(second, of_second).count:
+                a, b = tree(first, of_first), tree(second, of_second)
+                # the free primitives are the queries, so that the tree of the static ones is only traversed
+                swapped = of_first != "moving" or (
+                    topology.fewer_query and of_second == "moving" and b.primitives.count < a.primitives.count
+                )
+                tree_pairs.append(TreePair(kind, b, a, swapped=True) if swapped else TreePair(kind, a, b))
+    return tree_pairs
+
+
+def sampled_pairs_of(
+    tree_pairs: list[TreePair],
+    topology: Topology,
+    trees: dict[str, BoxSet],
+    make: Callable[[PrimitiveSet], BoxSet],
+) -> list[TreePair]:
+    """The tree pairs in which a sample of the queries takes the place of all of them.
+
+    Trees of samples that are not in ``trees`` yet are made and added to it. A pair of two primitives of one sample is
+    found twice.
+    """
+    found = []
+    for pair in tree_pairs:
+        kind = topology.primitives_of(pair.kind)[int(pair.swapped)]
+        primitives = topology.sampled_queries(pair.query.primitives, kind)
+        if primitives.count:
+            if primitives.name not in trees:
+                trees[primitives.name] = make(primitives)
+            found.append(TreePair(pair.kind, trees[primitives.name], pair.target, pair.swapped))
+    return found
+
+
+def trees_of(tree_pairs: list[TreePair]) -> list[BoxSet]:
+    """The trees of the pairs, each once."""
+    return list(dict.fromkeys(tree for pair in tree_pairs for tree in (pair.query, pair.target)))

@@ -1,0 +1,1 @@
+"""The driver of calls whose input and results stay on the device: it decides nothing."""

@@ -1,0 +1,108 @@
+"""What the pairs that a launch lists are asked for beside its arrays, computed on the device at that moment."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._engine.host.contacts import new_contact_list
+from ccd_warp._engine.mesh.planes import planes_of
+from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels.step import contact_place as kernels
+from ccd_warp.kernels.template import specialised
+
+
+class ContactArrays:
+    """Arrays with a row for each pair that a list has capacity for; one is made when it is first asked for.
+
+    The list is that of the contacts, or of what is near at one time, whose pairs have no toi and no points here.
+
+    Every call computes an array anew, from what the contacts and positions are when the device gets there. It has a
+    launch of fixed size and, after the first, neither allocates nor waits, so that a graph can hold it.
+    """
+
+    def __init__(
+        self, topology: Topology, execution: Execution, arrays: Mapping[str, wp.array], name: str = "contacts"
+    ) -> None:
+        """Take the arrays of a list by the names of ``kernels.step.contacts``, and what messages call it."""
+        self._topology, self._execution, self._name = topology, execution, name
+        self._list = new_contact_list(arrays)
+        self._capacity = len(arrays["kind"])
+        self._arrays: dict[str, wp.array] = {}
+
+    def vertices(self) -> wp.array:
+        """Vertices of each pair, vec4i."""
+        return self._filled("vertices", wp.vec4i, kernels.fill_vertices)
+
+    def bodies(self) -> wp.array:
+        """Bodies of both primitives, vec2i."""
+        topology = self._topology
+        return self._filled("bodies", wp.vec2i, kernels.fill_bodies, topology.vertex_body, planes_of(topology).body)
+
+    def world(self) -> wp.array:
+        """World of each pair, int32."""
+        return self._filled("world", wp.int32, kernels.fill_world, self._topology.vertex_world)
+
+    def points(self, name: str, positions: tuple[wp.array, wp.array]) -> wp.array:
+        """Points at toi, vec3d, in a step between positions of one precision, in an array of this name.
+
+        The first array has a row for every vertex, the second for every vertex or for the moving ones alone; its rows
+        of static vertices are not read.
+        """
+        start, end = positions
+        real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
+        dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
+        num_vertices = self._topology.mesh.num_vertices
+        inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
+        planes = planes_of(self._topology)
+        inputs += [planes.point, planes.vertex, planes.unit]
+        return self._filled(
+            name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs
+        )
+
+    def order_by_toi(self) -> wp.array:
+        """Rows of the contacts by ascending toi, those with one toi by kind and pair; then all rows without a contact.
+
+        Two stable sorts of the whole capacity, as the number of contacts is known on the device alone.
+        """
+        keys = self._array("order_by_toi", "keys", wp.int64, 2 * self._capacity)  # the sort needs twice the size
+        order = self._array("order_by_toi", "order", wp.int32, 2 * self._capacity)
+        launch = self._execution.launch
+        launch(kernels.fill_pair_keys, self._capacity, inputs=[self._list], outputs=[keys, order])
+        wp.utils.radix_sort_pairs(keys, order, self._capacity)
+        launch(kernels.fill_toi_keys, self._capacity, inputs=[self._list, order], outputs=[keys])
+        wp.utils.radix_sort_pairs(keys, order, self._capacity)
+        return order[: self._capacity]
+
+    def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
+        """The array of this name, filled by a kernel that takes the contacts and these inputs."""
+        array = self._array(name, name, dtype, self._capacity)
+        corners = [self._topology.corners[kind] for kind in ("edge", "face")]
+        self._execution.launch(kernel, self._capacity, inputs=[self._list, *corners, *inputs], outputs=[array])
+        return array
+
+    def _moving_row(self, name: str) -> wp.array:
+        """The place of each vertex among the moving ones, -1 for a static one."""
+        mesh, moving = self._topology.mesh, self._topology.moving_vertices
+        if len(moving) == mesh.num_vertices:
+            return moving  # each has its own
+
+        def rows() -> wp.array:
+            row = np.full(mesh.num_vertices, -1, dtype=np.int32)
+            row[mesh.moving_vertices] = np.arange(len(moving), dtype=np.int32)
+            return wp.array(row, dtype=wp.int32, device=self._topology.device)
+
+        return self._kept(name, "moving row", rows)
+
+    def _array(self, name: str, key: str, dtype: Any, size: int) -> wp.array:
+        return self._kept(name, key, lambda: wp.empty(size, dtype=dtype, device=self._topology.device))
+
+    def _kept(self, name: str, key: str, make: Callable[[], wp.array]) -> wp.array:
+        """An array that stays, made at its first use; ``name`` is what the user asked for."""
+        if key not in self._arrays:
+            if self._topology.device.is_capturing:  # memory of a capture is gone with its graph
+                raise RuntimeError(f"a graph is being captured; ask for {self._name}.{name} once before the capture")
+            self._arrays[key] = make()
+        return self._arrays[key]

@@ -1,0 +1,107 @@
+"""What starts within its distance in a line search on the device: how near it is, and the stages that let it part."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from ccd_warp._device_pairs import DeviceContacts
+from ccd_warp._engine.at_one_time.proximities import reach_of
+from ccd_warp._engine.boxes.trees import search_options
+from ccd_warp._engine.mesh.hold_distance import corners_by_kind, hold_distance
+from ccd_warp._engine.mesh.lengths import next_above
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.stages import Stages
+from ccd_warp._runtime.lanes import narrow_phase_on
+from ccd_warp._runtime.launch import Recording
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp.kernels.at_one_time import device_hold as kernels
+from ccd_warp.kernels.narrow_phase.sinks import HOLD
+from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.template import specialised
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.mesh.topology import Topology
+    from ccd_warp._input.options import Options
+
+
+class DeviceHold:
+    """The holds of the vertices in a line search, and the launches that find them.
+
+    The first pass is strict. Where it finds a contact in a world that may start within its distance, the distances at
+    the start are searched for there, and the pass is made again. All passes are solved in float64, each pair with a
+    separation of its own: in float32 the margin of a pair would be lost anew in each search.
+
+    Attributes:
+        is_near: Whether the first pass has found such a contact, int32, shape [1].
+    """
+
+    def __init__(
+        self,
+        topology: "Topology",
+        options: "Options",
+        stages: Stages,
+        contacts: DeviceContacts,
+        flag: StopFlag,
+        radius: wp.array | None,
+    ) -> None:
+        """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
+        mesh, device = topology.mesh, topology.device
+        self._topology, self._contacts = topology, contacts
+        self._hold: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
+        self._near: wp.array = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
+        self._world_near: wp.array = wp.empty(mesh.num_worlds, dtype=wp.int32, device=device)
+        self.is_near: wp.array = wp.empty(1, dtype=wp.int32, device=device)
+        length_scale = length_scale_of(mesh, options)
+        separation = options.separation(length_scale)
+        distance = hold_distance(mesh, options, mesh.radius)
+        norm = norm_of(mesh, options, may_change=True, is_held=True)
+        self._norm = shape_of(norm)
+        radii = topology.radius if radius is None else radius
+        exact = replace(options, precision="float64")
+        self._of_step: dict[str, Any] = {
+            "narrow_phase": narrow_phase_on(device, exact.real, norm),
+            "options": exact.for_kernel(length_scale, stop=flag.array, radius=radii, hold=self._hold),
+        }
+        # boxes of static bodies stay as they are, and those of the others make up for it
+        inflation = next_above(stages.inflation + (distance - separation))
+        self._of_start: dict[str, Any] = {
+            "inflation": inflation,
+            "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
+            "reach": reach_of(radii, distance, flag.array),
+        }
+
+    def stages(self, stages: Stages) -> Stages:
+        """These stages, with pairs that are held."""
+        return replace(stages, **self._of_step)
+
+    def record_begin(self, recording: Recording) -> None:
+        """Record that nothing is held."""
+        recording.launch(kernels.clear_holds, len(self._hold), inputs=[], outputs=[self._hold])
+        near = [self._near, self._world_near, self.is_near]
+        recording.launch(kernels.clear_near, max(map(len, near)), inputs=[], outputs=near)
+
+    def record_near(self, recording: Recording, stages: Stages) -> None:
+        """Record the launches that look for worlds in which the first pass has found a contact that may start close."""
+        topology, moving = self._topology, self._topology.moving_vertices
+        listed = self._contacts.count, self._contacts.kind, self._contacts.primitives
+        start, minima = stages.step.vertices_t0, stages.step.minima
+        recording.launch(
+            specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
+            len(self._contacts.kind),
+            inputs=[*listed, *corners_by_kind(topology), start, self._of_start["reach"], minima],
+            outputs=[self._world_near],
+        )
+        inputs = [moving, self._world_near, minima]
+        recording.launch(kernels.note_near_bodies, len(moving), inputs=inputs, outputs=[self._near, self.is_near])
+
+    def record_holds(
+        self, recording: Recording, stages: Stages, record_search: Callable[[Stages, wp.array], None]
+    ) -> None:
+        """Record the launches that find the holds, after a reset; ``record_search`` records those of a search."""
+        start = stages.step.vertices_t0
+        of_start = replace(stages.between(start, start), **self._of_start)
+        record_search(of_start, self._near)
+        of_start.measure_pairs(recording, HOLD, self._norm)
+        recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.step.minima], outputs=[self._hold])

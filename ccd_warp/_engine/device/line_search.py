@@ -1,0 +1,168 @@
+"""The line search on the device: its passes, whose number is fixed, and the launches of each."""
+
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._engine.device.input import SAFETY, Form, LineSearch
+from ccd_warp._engine.device.step import DeviceStep
+from ccd_warp._engine.mesh.scene import length_scale_of
+from ccd_warp._engine.stages import Stages
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.launch import Recording, Slot
+from ccd_warp._status import LaunchFlag
+from ccd_warp.kernels.step import device_step
+from ccd_warp.kernels.template import specialised
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.device.hold import DeviceHold
+
+# Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed, and
+# what has been stopped and is struck stays so.
+_KEPT_FLAGS = int(LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.INVALID_INPUT | LaunchFlag.STATIC_MOVED | LaunchFlag.STRUCK)
+_PER = {
+    "scene": int(device_step.PER_SCENE),
+    "world": int(device_step.PER_WORLD),
+    "body": int(device_step.PER_BODY),
+    "vertex": int(device_step.PER_VERTEX),
+}
+# Rounds of a line search that shorten by toi; in later rounds vertices in contact stay where they are.
+_ROUNDS_BY_TOI = 2
+# The last rounds, in which all vertices of a world move by one fraction, or not at all.
+_ROUNDS_BY_WORLD = 2
+# Fraction of its gap by which a pair may move where the first of these rounds finds toi 0, because the gap may only be
+# lost in the rounding of a long motion; vertices with toi 0 in the second round stay where they are. Of a half, a
+# quarter and an eighth, only an eighth let all the draped cloths in float32 move.
+_GAPS_MOVED = 0.125
+
+
+def passes_of(line_search: LineSearch) -> list[tuple[str, Any]]:
+    """For each pass, whose toi then limits the motion of a vertex, and the fraction of that toi it may move."""
+    if line_search.per in ("scene", "world"):
+        return [(line_search.per, SAFETY)] * _ROUNDS_BY_TOI + [("world", 0.0)]
+    # Stopped vertices may stop others in turn; one fraction for the world settles the contacts that remain.
+    num_own = line_search.num_rounds - _ROUNDS_BY_WORLD
+    by_toi = min(_ROUNDS_BY_TOI, num_own)
+    shares = [SAFETY] * by_toi + [0.0] * (num_own - by_toi)
+    return [*((line_search.per, share) for share in shares), ("world", SAFETY), ("world", 0.0)]
+
+
+class DeviceLineSearch(DeviceStep):
+    """A step on the device, and line searches, whose passes are such steps."""
+
+    def __init__(self, *arguments: Any) -> None:
+        """Allocate everything but what line searches alone need; the arguments are those of a step."""
+        super().__init__(*arguments)
+        self._touched: wp.array | None = None
+        self._hold: DeviceHold | None = None
+
+    def _begin(self) -> None:
+        """Allocate what line searches need."""
+        mesh, options, device = self._mesh, self._options, self.topology.device
+        self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)  # which bodies a pass searches
+        self._is_any_touched: wp.array = wp.empty(1, dtype=wp.int32, device=device)
+        if options.holds and (options.separation(length_scale_of(mesh, options)) > 0.0 or self._radius is not None):
+            from ccd_warp._engine.device.hold import DeviceHold  # few programs need it
+
+            self._hold = DeviceHold(
+                self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
+            )
+
+    def _held(self, stages: Stages) -> Stages:
+        """These stages, in which what starts within its distance may part and slide."""
+        if self._options.holds and stages.plane_query is not None:
+            stages = replace(stages, plane_query=self.plane_query(holds=True))
+        return stages if self._hold is None else self._hold.stages(stages)
+
+    def _record_form(self, recording: Recording, form: Form) -> None:
+        """Record the launches of a step, or of all passes of a line search."""
+        if form.line_search is None:
+            super()._record_form(recording, form)
+            return
+        if self._touched is None:
+            self._begin()
+        topology, mesh = self.topology, self._mesh
+        self._by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(mesh))
+        recording.launch(
+            device_step.set_active, mesh.num_bodies, inputs=[1], outputs=[self._touched, self._is_any_touched]
+        )
+        passes = passes_of(form.line_search)
+        has_kinematic = bool(mesh.kinematic.any())
+        for number, (per, share) in enumerate(passes):
+            # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
+            may_cut = number == 0 and passes[1][0] == per
+            gaps_moved = _GAPS_MOVED if may_cut else 0.0
+            if number == 0:
+                self._record_reset(recording)
+                self._record_first_pass(recording, form, gaps_moved)
+            else:
+                self._record_next_reset(recording)
+            # where nothing was touched in the pass before, there is nothing else to do
+            with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
+                if number > 0:
+                    self._record_pass(recording, form, is_first=False)
+                if number < len(passes) - 1 or has_kinematic:
+                    self._record_touched(recording)
+                recording.launch(
+                    specialised("step.input_rows", real=form.real, dimension=mesh.dimension).shorten,
+                    len(topology.moving_vertices),
+                    inputs=[
+                        topology.moving_vertices,
+                        Slot("vertices_t0"),
+                        int(form.t0_by_vertex),
+                        int(form.t1_by_vertex),
+                        _PER[per],
+                        share,
+                        self._stages.step.minima,
+                    ],
+                    outputs=[Slot("vertices_t1")],
+                )
+        if has_kinematic:  # which may strike what the last pass has stopped
+            self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
+            with recording.only_if(self._is_any_touched):
+                self._record_pass(recording, form, is_first=False)
+
+    def _record_first_pass(self, recording: Recording, form: Form, gaps_moved: float) -> None:
+        """Record the first pass, and another one for what starts within its distance."""
+        hold = self._hold
+        if hold is None:
+            self._record_pass(recording, form, gaps_moved=gaps_moved)
+            return
+        hold.record_begin(recording)
+        stages = self._record_pass(recording, form)
+        hold.record_near(recording, stages)
+        with recording.only_if(hold.is_near):
+            self._record_touched(recording)
+            self._record_next_reset(recording)
+            hold.record_holds(recording, stages, lambda of_start, near: self._record_search(recording, of_start, near))
+            self._record_next_reset(recording)
+            self._record_pass(recording, form, is_first=False, gaps_moved=gaps_moved)
+
+    def _record_pass(
+        self, recording: Recording, form: Form, *, is_first: bool = True, gaps_moved: float = 0.0
+    ) -> Stages:
+        """Record the launches of a pass after the reset; returns their stages."""
+        stages = self._held(self._record_pairs(recording, form, self._touched, is_first))
+        self._record_narrow_phase(recording, stages, self._touched, only_moving=True, gaps_moved=gaps_moved)
+        return stages
+
+    def _record_next_reset(self, recording: Recording) -> None:
+        """Record the reset before a pass that is not the first."""
+        self._record_reset(recording, _KEPT_FLAGS)
+        self._stages.reset_vertices(recording)
+
+    def _record_touched(self, recording: Recording) -> None:
+        """Record which bodies are searched again: a world found free stays so until something in it is shortened."""
+        moving, touched = self.topology.moving_vertices, [self._touched, self._is_any_touched]
+        recording.launch(device_step.set_active, self._mesh.num_bodies, inputs=[0], outputs=touched)
+        inputs = [moving, self._by_scene, self._stages.step.minima]
+        recording.launch(device_step.keep_touched, len(moving), inputs=inputs, outputs=touched)
+
+
+def _worlds_are_apart(mesh: CollisionMesh) -> bool:
+    """Whether no body has vertices in more than one world."""
+    within = np.diff(mesh.vertex_body) == 0
+    return not (within & (np.diff(mesh.vertex_world) != 0)).any()

@@ -1,0 +1,325 @@
+"""The driver of calls whose input and results stay on the device: all stages, recorded once and replayed."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._contact_place import located
+from ccd_warp._contacts import Contacts
+from ccd_warp._device_pairs import DeviceContacts
+from ccd_warp._device_results import LaunchResult
+from ccd_warp._engine.boxes.box_sets import Layout
+from ccd_warp._engine.boxes.grids import choose_cell
+from ccd_warp._engine.boxes.rest_order import order_at, rest_order
+from ccd_warp._engine.boxes.trees import search_options
+from ccd_warp._engine.device.contact_arrays import ContactArrays
+from ccd_warp._engine.device.input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
+from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
+from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, KEY_BYTES
+from ccd_warp._engine.mesh.lengths import half_up
+from ccd_warp._engine.mesh.planes import planes_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, plane_query
+from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
+from ccd_warp._engine.plan import Goal, Plan
+from ccd_warp._engine.stages import Stages, StepFields
+from ccd_warp._input.interop import as_positions, without_worlds
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED
+
+MOST_PAIRS = 1 << 28
+MOST_CONTACTS = np.iinfo(np.int32).max
+_LEAST_CAPACITY = 1 << 12
+_PLAY = "step"
+# By how much the cells of spatial hashes are larger than those for boxes at rest, as the motions are not known yet.
+_SPARE = 4.0
+# Recordings that are kept, enough for the different kinds of calls in a loop.
+_MOST_RECORDINGS = 16
+
+
+@dataclass(frozen=True)
+class Capacities:
+    """Capacities of a device step; see :meth:`ccd_warp.CollisionPipeline.reserve`."""
+
+    max_pairs: int
+    max_contacts: int
+
+    @staticmethod
+    def default(mesh: CollisionMesh) -> "Capacities":
+        """One pair of each kind for each primitive and one contact for each vertex, less memory than the boxes take."""
+        primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        return Capacities(min(max(_LEAST_CAPACITY, primitives), MOST_PAIRS), max(_LEAST_CAPACITY, mesh.num_vertices))
+
+    def num_bytes(self, num_kinds: int, *, is_cuda: bool) -> int:
+        """Bytes of the arrays that have these capacities, for pairs of so many kinds."""
+        keys = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1) + (QUEUE_BYTES if is_cuda else 0)
+        return self.max_pairs * keys + self.max_contacts * BYTES_PER_CONTACT
+
+
+class DeviceStep(Plan):
+    """All arrays to which a step on the device writes, and its launches.
+
+    Attributes:
+        result: The arrays of the result.
+        contact_arrays: What its contacts are asked for beside their own arrays.
+    """
+
+    goal: Goal = "contacts"
+
+    def __init__(
+        self,
+        topology: Topology,
+        options: Options,
+        capacities: Capacities,
+        vertices: NDArray[np.float64],
+        static_positions: NDArray[np.float64],
+        radius: wp.array | None = None,
+    ) -> None:
+        """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``.
+
+        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none.
+        """
+        self._mesh = mesh = topology.mesh
+        self._flag = StopFlag(topology.device)
+        execution = Execution(topology.device, options.threads, self._flag)
+        super().__init__(topology, options, execution, self.goal, norm_of(mesh, options, may_change=True))
+        _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
+        self._options, self._vertices, self._radius = options, vertices, radius
+        self._input = DeviceInput(topology, execution, static_positions, radius)
+        self._active = self._full(mesh.num_bodies, 1, wp.int32)
+        self._is_open = _low_half(self._counts, int(ANY_OPEN))
+        self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
+        self._last: PreparedLaunch | None = None
+        self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
+        quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
+        layout = Layout(
+            self._num_aabbs,
+            lambda _, n, dtype: self._empty(n, dtype),
+            self._order,
+            lambda: choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE),
+        )
+        for tree in self.trees:
+            tree.lay_out(layout)
+        self.result = self._new_result(capacities.max_contacts)
+        self.contact_arrays = ContactArrays(topology, execution, vars(self.result.contacts))
+        arrays = self._arrays(capacities, quantization.packed)
+        self._stages = Stages(topology, self.tree_pairs, self._num_aabbs, self._narrow_phase, **arrays)
+        self._stages.load(execution, self._sink)
+        if self.static_trees:
+            self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
+            self._stages.fill_boxes(execution, self.static_trees)
+
+    def _arrays(self, capacities: Capacities, quantization: Any) -> dict[str, Any]:
+        """The arrays and values of the stages."""
+        topology, options, result, mesh = self.topology, self._options, self.result, self._mesh
+        is_cuda, max_pairs = self.execution.is_cuda, capacities.max_pairs
+        length_scale = length_scale_of(mesh, options)
+        separation = options.separation(length_scale)
+        inflation = half_up(separation)
+        radii = topology.radius if self._radius is None else self._radius, self._input.box_radius
+        minima = new_minima(
+            topology,
+            vertex=result.vertex_toi,
+            body=result.body_toi,
+            world=result.world_toi,
+            scene=result.toi,
+            world_flags=result.world_flags,
+            flags=result.flags,
+        )
+        contacts = new_contact_list(vars(result.contacts))
+        if self.has_planes:
+            _ = planes_of(topology)  # made now, not in a capture
+        return {
+            "step": StepFields(self._counts, self._input.start, self._input.end, minima, contacts),
+            "vertex_aabbs": self._empty(mesh.num_vertices * self._num_aabbs * VERTEX_AABB_FLOATS, wp.float32),
+            "boxes": {tree.name: tree.structs for tree in self.trees},
+            "keys": {kind: self._empty(max_pairs, wp.int64) for kind in self._searched_kinds},
+            "candidates": {
+                kind: self._empty(CANDIDATES_EACH * max_pairs if is_cuda else 0, wp.int64)
+                for kind in self._searched_kinds
+            },
+            "quantization": quantization,
+            "t_end": options.t_max,
+            "inflation": inflation,
+            "box_radius": self._input.box_radius,
+            "is_thick": self._radius is not None,
+            "search_options": search_options(options.t_max, inflation, separation, self.norm, self._flag, radii),
+            "options": options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
+            "queue": new_queue(max_pairs, topology.device) if is_cuda and self._has_narrow_phase else None,
+            "plane_query": self.plane_query() if self.has_planes else None,
+        }
+
+    def plane_query(self, *, holds: bool = False) -> Any:
+        """What vertices and planes are asked for."""
+        length_scale = length_scale_of(self._mesh, self._options)
+        return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), holds=holds)
+
+    def _empty(self, count: int, dtype: Any) -> wp.array:
+        return wp.empty(count, dtype=dtype, device=self.topology.device)
+
+    def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
+        return wp.full(count, value=value, dtype=dtype, device=self.topology.device)
+
+    def static_positions(self) -> NDArray[np.float64]:
+        """Positions whose static rows are the current positions of these bodies; this waits for the device."""
+        return self._input.start.numpy().copy() if self._input.has_static else self._vertices
+
+    def _new_result(self, max_contacts: int) -> LaunchResult:
+        """The arrays of the result; until the first launch every toi is 0, so that nothing may move."""
+        mesh = self._mesh
+        sizes = {"toi": 1, "body_toi": mesh.num_bodies, "vertex_toi": mesh.num_vertices}
+        arrays = {name: self._full(count, 0.0, wp.float64) for name, count in sizes.items()}
+        arrays["flags"] = self._full(1, 0, wp.int32)
+        arrays["world_toi"], arrays["world_flags"] = arrays["toi"], arrays["flags"]
+        if mesh.num_worlds > 1:
+            arrays["world_toi"] = self._full(mesh.num_worlds, 0.0, wp.float64)
+            arrays["world_flags"] = self._full(mesh.num_worlds, 0, wp.int32)
+        contact_arrays = {name: self._empty(max_contacts, dtype) for name, dtype in CONTACT_DTYPES.items()}
+        count = self._full(1, 0, wp.int32)
+        contacts = DeviceContacts(count=count, **contact_arrays)
+        return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
+
+    def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
+        if self._vertices is self._mesh._vertices_in_space:
+            return rest_order(self.topology, primitives, self.execution)
+        return order_at(self.topology, self._vertices, primitives, self.execution)
+
+    def prepare(self, vertices_t0: Any, vertices_t1: Any, **options: Any) -> PreparedLaunch:
+        """Check the arguments of a launch; see :meth:`DeviceInput.prepare`."""
+        prepared, device = self._input.prepare(vertices_t0, vertices_t1, **options), self.topology.device
+        if prepared.form not in self._recordings and device.is_capturing and device.is_cuda:
+            raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
+        return prepared
+
+    def launch(self, prepared: PreparedLaunch) -> None:
+        """Launch a step. If this raises, the device step is in an inconsistent state and must not be used again."""
+        form, start, end = prepared.form, prepared.vertices_t0, prepared.vertices_t1
+        recording = self._recordings.get(form)
+        if recording is None:
+            recording = self._record(form, start, end)
+            if len(self._recordings) == _MOST_RECORDINGS:
+                self._recordings.pop(next(iter(self._recordings)))
+            self._recordings[form] = recording
+        recording.bind("vertices_t0", start)
+        recording.bind("vertices_t1", end)
+        recording.bind(SAFETY.name, prepared.safety)
+        self._input.copy_in(prepared)
+        recording.play(_PLAY)
+        self._input.copy_out(prepared)
+        self._last = prepared._replace(given=None)
+
+    def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
+        """Contacts of a launch that know their mesh, and their points in a step between these positions.
+
+        If these are None, they are what the arrays of the last launch hold now; this waits for the device.
+        """
+        if vertices_t0 is not None:
+            given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
+            return located(contacts, self._mesh, *self._mesh.frames(*given))
+        last = self._last_positions()
+        if last is None:
+            return located(contacts, self._mesh)
+        return located(contacts, self._mesh, *(v.numpy().reshape(-1, 3) for v in last))
+
+    def contact_points(self) -> wp.array:
+        """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.
+
+        Raises:
+            ValueError: If there was no launch.
+        """
+        last = self._last_positions()
+        if last is None:
+            raise ValueError("contacts.points are not known, as no launch has read positions; expected a launch before")
+        return self.contact_arrays.points("points", last)
+
+    def contact_points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
+        """Points of the contacts at given positions, those at the start of every vertex, as for a launch otherwise."""
+        mesh, device = self._mesh, self.topology.device
+        every = {mesh.num_vertices: "one a vertex"}
+        moving = {len(mesh.moving_vertices): "one a moving vertex"}
+        vertices_t0 = without_worlds(vertices_t0, "vertices_t0", mesh.rows_by_world, mesh.dimension)
+        vertices_t1 = without_worlds(vertices_t1, "vertices_t1", mesh.rows_by_world, mesh.dimension)
+        start = as_positions(vertices_t0, "vertices_t0", device, every, mesh.dimension)
+        rows = every | moving if self._input.has_static else every
+        end = as_positions(vertices_t1, "vertices_t1", device, rows, mesh.dimension)
+        check_same_dtype(start, end, "vertices_t1")
+        return self.contact_arrays.points(f"points_at with {start.dtype.__name__}", (start, end))
+
+    def _last_positions(self) -> tuple[wp.array, wp.array] | None:
+        """Positions of all vertices in the last launch, in float64; None before the first."""
+        if self._last is None:
+            return None
+        if self._input.is_copied(self._last.form):
+            return self._input.start, self._input.end
+        return self._last.vertices_t0, self._last.vertices_t1
+
+    def _record(self, form: Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
+        """A recording of all launches."""
+        recording = self._new_recording(vertices_t0=vertices_t0, vertices_t1=vertices_t1)
+        with recording.section(_PLAY):
+            self._record_form(recording, form)
+        return recording
+
+    def _new_recording(self, **values: Any) -> Recording:
+        """A recording with these values of its slots."""
+        return Recording(self.execution, {SAFETY.name: 1.0, **values})
+
+    def _record_form(self, recording: Recording, form: Form) -> None:
+        """Record all launches of a step."""
+        self._record_reset(recording)
+        stages = self._record_pairs(recording, form, self._active)
+        self._record_narrow_phase(recording, stages, self._active)
+
+    def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
+        """Record the launch that resets the results of the last step, or of the last pass."""
+        num_contacts, stop = self.result.contacts.count, self._flag.array
+        self._stages.reset(recording, num_contacts, stop, kept_flags, keeps_toi=keeps_toi)
+
+    def _record_pairs(self, recording: Recording, form: Form, active: Any, is_first: bool = True) -> Stages:
+        """Record the launches from the input to the pairs that the cull leaves; returns their stages.
+
+        Only the first pass of a line search reads the positions of static bodies, and may meet coordinates that are not
+        finite; no later one changes either.
+        """
+        stages = self._stages.between(*self._input.slots(form))
+        self._record_input(recording, form, stages, is_first)
+        self._record_search(recording, stages, active)
+        return stages
+
+    def _record_input(self, recording: Recording, form: Form, stages: Stages, is_first: bool) -> None:
+        """Record the launches that read the input and, in the first pass, reset the vertices."""
+        self._input.record(recording, form, stages, is_first)
+        if is_first:
+            stages.reset_vertices(recording)
+            if self.static_trees:
+                self._input.record_refresh(recording, self._stages, self.static_trees)
+
+    def _record_search(self, recording: Recording, stages: Stages, active: Any) -> None:
+        """Record the boxes of the bodies that are active, and the search."""
+        if self.moving_trees:
+            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, active)
+        stages.fill_boxes(recording, self.moving_trees)
+        stages.find_pairs(recording, self.tree_pairs, is_any_unlisted=self._is_any_unlisted)
+
+    def _record_narrow_phase(
+        self, recording: Recording, stages: Stages, active: Any, *, only_moving: bool = False, gaps_moved: float = 0.0
+    ) -> None:
+        """Record both rounds of the narrow phase, and what vertices and half-spaces do."""
+        if stages.plane_query is not None:
+            stages.meet_planes(recording, self._sink, active, only_moving=only_moving, gaps_moved=gaps_moved)
+        stages.solve(recording, self._sink, is_second=False, only_moving=only_moving, gaps_moved=gaps_moved)
+        with recording.only_if(self._is_open):
+            stages.solve(recording, self._sink, is_second=True, only_moving=only_moving, gaps_moved=gaps_moved)
+
+
+def _low_half(counts: wp.array, column: int) -> wp.array:
+    """The low half of a count in the first row, int32, shape [1]: a flag, as there are fewer than 2³² pairs."""
+    place = counts.ptr + column * counts.strides[1]  # the bytes of a number are in ascending order on all devices
+    return wp.array(ptr=place, dtype=wp.int32, shape=1, device=counts.device)

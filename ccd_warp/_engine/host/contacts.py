@@ -1,0 +1,294 @@
+"""Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._contacts import Contacts
+from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.planes import planes_of
+from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp.kernels.step import contacts as kernels
+from ccd_warp.kernels.step.minima import Minima
+from ccd_warp.kernels.step.step import ContactList
+
+CONTACT_DTYPES = dtypes_of(ContactList)
+# The type and the shape of an element of each in NumPy.
+_ON_HOST = {
+    name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
+    for name, dtype in CONTACT_DTYPES.items()
+}
+# Bytes of an entry of the list; and the most that a contact takes: an entry of the list while it is copied to one of
+# twice the size, or an entry of the list and one of the result, with its key and its position in the order.
+BYTES_PER_CONTACT = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))
+BYTES_KEPT = 3 * BYTES_PER_CONTACT + 16
+_LAST, _NO_CONTACT = int(kernels.NO_CONTACT), np.int32(-1)
+# Number of contacts above which threads share the sorting.
+_WORTH_THREADS = 1 << 15
+_SAMPLES = 1 << 10
+# Every array of an allocation that CUDA reads at once begins at a multiple of so many bytes.
+_ALIGNMENT = 256
+# Contacts that are few: their launches are recorded for so many, whatever their number.
+_FEW = 1 << 10
+
+
+def new_minima(topology: Topology, **arrays: wp.array) -> Any:
+    """The struct of atomic minima: toi as bits, which order like the non-negative numbers, and flags."""
+    of_mesh = {name: getattr(topology, name) for name in ("vertex_body", "vertex_world", "body_kinematic")}
+    bits = {name: array if "flags" in name else array.view(wp.int64) for name, array in arrays.items()}
+    return struct_of(Minima, of_mesh | bits)
+
+
+new_contact_list = partial(struct_of, ContactList)
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Sorted contacts, and the earliest of every vertex, body and world."""
+
+    contacts: Contacts
+    toi: float
+    vertex_toi: NDArray[np.float64]
+    body_toi: NDArray[np.float64]
+    world_toi: NDArray[np.float64]
+    vertex_contact: NDArray[np.int32]
+    body_contact: NDArray[np.int32]
+    world_contact: NDArray[np.int32]
+
+
+class _Ordered:
+    """Arrays for sorted contacts, and for the first contact of every vertex, body and world.
+
+    They are parts of one allocation, which CUDA reads at once.
+
+    Attributes:
+        keys: Keys by which the contacts are sorted; on CUDA the array has capacity for twice as many.
+        order: Positions of the contacts in the list, in ascending order of their keys.
+    """
+
+    def __init__(self, topology: Topology, count: wp.array, minima: Any, capacity: int, is_cuda: bool) -> None:
+        """Make arrays for the contacts of a list, whose number is ``count``, and which have these minima."""
+        device, mesh = topology.device, topology.mesh
+        self._topology, self._minima, self._capacity = topology, minima, capacity
+        self._bounds = [0, *itertools.accumulate((mesh.num_vertices, mesh.num_bodies, mesh.num_worlds))]
+        sizes = [capacity * wp.types.type_size_in_bytes(dtype) for dtype in CONTACT_DTYPES.values()]
+        padded = [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes]
+        self._places = [0, *itertools.accumulate(padded)]
+        self._all: wp.array = wp.empty(self._places[-1] + 4 * self._bounds[-1], dtype=wp.uint8, device=device)
+        *at, at_first = (self._all.ptr + place for place in self._places)
+        arrays: dict[str, wp.array] = {
+            name: wp.array(ptr=place, dtype=dtype, shape=capacity, device=device)
+            for place, (name, dtype) in zip(at, CONTACT_DTYPES.items(), strict=True)
+        }
+        self._all_first: wp.array = wp.array(ptr=at_first, dtype=wp.int32, shape=self._bounds[-1], device=device)
+        self._contacts = new_contact_list({"count": count, **arrays})
+        self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
+        self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
+        self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
+        self._views = None if is_cuda else self._views_of(self._all.numpy())
+
+    def _views_of(self, memory: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+        """The columns of the contacts in the allocation on the host, and the first ones."""
+        columns = {
+            name: np.ndarray((self._capacity, *shape), dtype, memory, place)
+            for place, (name, (dtype, shape)) in zip(self._places, _ON_HOST.items(), strict=False)
+        }
+        return columns, memory[self._places[-1] :].view(np.int32)
+
+    def read(self, count: int) -> tuple[dict[str, NDArray[Any]], list[NDArray[np.int32]]]:
+        """The columns of the contacts, and the first of ``count`` of every vertex, body and world, -1 for none."""
+        views = self._views
+        if views is None:
+            views = self._views_of(self._all.numpy() if count else np.empty(len(self._all), np.uint8))
+        columns, first = views
+        first = np.where(first == _LAST, _NO_CONTACT, first) if count else np.full(len(first), _NO_CONTACT)
+        return columns, [first[i:j] for i, j in itertools.pairwise(self._bounds)]
+
+    def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
+        """Compute the keys of the contacts of a list."""
+        launcher.launch(kernels.contact_keys, self._capacity, inputs=[found], outputs=[self.keys])
+
+    def sort(self, count: int, execution: Execution) -> None:
+        """Find the order of ``count`` contacts from their keys."""
+        if execution.is_cuda:
+            sort_places(self.keys, self.order, count, execution)
+        else:
+            keys, order = self._sorted
+            order[:count] = _sorted_places(keys[:count], execution)
+
+    @lazy_property
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Keys and order on the CPU, whose views Warp takes as long to make as few contacts take to sort."""
+        return self.keys.numpy(), self.order.numpy()
+
+    def fill(self, launcher: Execution | Recording, found: Any) -> None:
+        """Copy the contacts in order, and find the first of every vertex, body and world."""
+        launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
+        inputs = [self.order, found]
+        launcher.launch(kernels.order_contacts, self._capacity, inputs=inputs, outputs=[self._contacts])
+        corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
+        inputs = [self._contacts, *corners, self._minima]
+        launcher.launch(kernels.first_contacts, self._capacity, inputs=inputs, outputs=self._first)
+        if len(self._topology.mesh.planes):
+            from ccd_warp.kernels.narrow_phase import meet_planes  # not before a scene needs it
+
+            inputs = [self._contacts, planes_of(self._topology).body, self._minima]
+            launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
+
+
+# Launches on a list of contacts, or on the slot of one.
+_Launches = Callable[[Execution | Recording, Any], None]
+
+
+class ContactStore:
+    """Contacts of the batches of a step, and the minima over them; its arrays stay for the next step.
+
+    Attributes:
+        minima: The minima that the narrow phase updates; a step begins by setting them to infinity.
+        count: Number of contacts in the list, int32, shape [1].
+        total: Number of contacts found.
+        num_with_planes: Number of contacts of vertices and planes for which steps begin with capacity.
+    """
+
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+        mesh = topology.mesh
+        self.total, self.num_with_planes = 0, _FEW
+        self._topology, self._buffers = topology, buffers
+        sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
+        self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
+        # the number of contacts is behind them, so that CUDA reads both at once
+        self._toi: wp.array = wp.zeros(self._ranges[-1][1] + 1, dtype=wp.float64, device=topology.device)
+        place = self._toi.ptr + 8 * self._ranges[-1][1]
+        self.count: wp.array = wp.array(ptr=place, dtype=wp.int32, shape=1, device=topology.device)
+        self._read: NDArray[np.float64] | None = None  # on CUDA, at the end of a batch
+        toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, self._ranges, strict=True)}
+        # flags tell of too little capacity alone, and here the counts do
+        flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
+        self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
+        self._list: Any = None
+        self._capacity = 0
+        self._recording: Any = None
+
+    def begin(self, execution: Execution, largest: int) -> None:
+        """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
+        self.total, self._read = 0, None
+        self._execution, self._largest = execution, largest
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all contacts were kept."""
+        return self.total <= self._largest
+
+    def begin_batch(self, num_pairs: int) -> Any:
+        """The list that a batch of so many pairs appends to, with a place for each of them."""
+        kept, wanted = min(self.total, self._capacity), min(self.total + num_pairs, self._largest)
+        if wanted > self._capacity or self._list is None:
+            arrays = {
+                name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)
+                for name, dtype in CONTACT_DTYPES.items()
+            }
+            self._list = new_contact_list({"count": self.count, **arrays})
+            self._capacity = min(map(len, arrays.values()))
+        self._read = None
+        if self._topology.device.is_cuda:
+            self.count.fill_(kept)
+        else:
+            self._count_view[0] = kept
+        return self._list
+
+    @lazy_property
+    def _count_view(self) -> NDArray[np.int32]:
+        return self.count.numpy()
+
+    @lazy_property
+    def _toi_view(self) -> NDArray[np.float64]:
+        return self._toi.numpy()
+
+    def end_batch(self, appended: int | None = None) -> None:
+        """Count what the batch has appended, unless that is given."""
+        if appended is not None:
+            self.total += appended
+            return
+        count = self._count_view
+        if self._topology.device.is_cuda:
+            self._read = self._toi.numpy()
+            count = self._read[-1:].view(np.int32)
+        self.total += int(count[0]) - min(self.total, self._capacity)
+
+    def gather(self) -> Gathered:
+        """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
+        count, is_cuda = self.total, self._execution.is_cuda
+        are_few = count <= _FEW and not is_cuda
+        ordered = self._few if are_few else _Ordered(self._topology, self.count, self.minima, count, is_cuda)
+        launched = self._play if are_few else self._launch
+        if count > 0:
+            launched("keys", ordered.fill_keys)
+            ordered.sort(count, self._execution)
+            launched("contacts", ordered.fill)
+        contacts, first = ordered.read(count)
+        if are_few:  # the arrays stay
+            contacts = {name: values[:count].copy() for name, values in contacts.items()}
+        if is_cuda:
+            toi = self._toi.numpy() if self._read is None else self._read
+        else:
+            toi = self._toi_view.copy()
+        vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
+        return Gathered(Contacts(**contacts), float(scene_toi[0]), vertex_toi, body_toi, world_toi, *first)
+
+    @lazy_property
+    def _few(self) -> "_Ordered":
+        """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
+        return _Ordered(self._topology, self.count, self.minima, _FEW, is_cuda=False)
+
+    def _launch(self, section: str, launch: _Launches) -> None:
+        """Launch what a recording would have as a section."""
+        launch(self._execution, self._list)
+
+    def _play(self, section: str, record: _Launches) -> None:
+        """Run a section of the recording for few contacts, recorded at its first use."""
+        if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
+            self._recording = Recording(self._execution, {"found": None})
+        self._recording.bind("found", self._list)
+        if section not in self._recording:
+            with self._recording.section(section):
+                record(self._recording, Slot("found"))
+        self._recording.play(section)
+
+
+def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution) -> None:
+    """Write the permutation that sorts the first ``count`` keys; on CUDA the keys have capacity for twice as many."""
+    if execution.is_cuda:
+        places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=keys.device)
+        wp.utils.radix_sort_pairs(keys, places, count)
+        wp.copy(order, places, count=count)
+    else:
+        order.numpy()[:count] = _sorted_places(keys.numpy()[:count], execution)
+
+
+def _sorted_places(keys: NDArray[np.int64], execution: Execution) -> NDArray[np.int32]:
+    """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""
+    if len(keys) < _WORTH_THREADS or execution.num_threads == 1:
+        return np.argsort(keys).astype(np.int32)
+    sample = np.sort(keys[:: len(keys) // _SAMPLES])
+    pieces = execution.num_threads
+    pivots = sample[[len(sample) * k // pieces for k in range(1, pieces)]]
+    bounds = [None, *pivots.tolist(), None]
+
+    def sort(low: int | None, high: int | None) -> NDArray[np.int32]:
+        chosen = np.ones(len(keys), dtype=bool) if low is None else keys >= low
+        if high is not None:
+            chosen &= keys < high
+        places = np.flatnonzero(chosen)
+        return places[np.argsort(keys[places])].astype(np.int32)
+
+    tasks = [lambda low=low, high=high: sort(low, high) for low, high in itertools.pairwise(bounds)]  # type: ignore[misc]
+    return np.concatenate(execution.run(tasks))

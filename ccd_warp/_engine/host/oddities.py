@@ -1,0 +1,167 @@
+"""What is odd about a step, and sentences for it: positions that blow up, a distance of many edges, many overlaps."""
+
+import sys
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._display import shortened
+from ccd_warp._pairs import pair_corners
+from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ccd_warp._engine.mesh.topology import Positions, Topology
+    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._status import PairKind
+
+# Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them.
+_MANY_EDGES = 4.0
+# Vertices of a body from which on some are so near each other and share no edge.
+_LEAST_VERTICES = 16
+# Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
+_MANY_PAIRS = 1_000_000
+_MANY_PAIRS_EACH = 16
+# Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
+_MOST_SAMPLED = 1 << 12
+
+
+class Farthest(NamedTuple):
+    """The vertex that is farthest from the others in a step.
+
+    Attributes:
+        vertex: Its index.
+        length: How far it is from the median of the start positions, along an axis.
+        is_end: Whether it is there at the end of the step.
+    """
+
+    vertex: int
+    length: float
+    is_end: bool
+
+    @classmethod
+    def of(cls, positions: "Positions") -> "Farthest":
+        """That of a step, whose mesh has vertices."""
+        start, end = positions
+        with np.errstate(over="ignore"):
+            centre = np.median(start, axis=0)
+            largest = np.minimum([np.abs(x - centre).max(axis=1) for x in (start, end)], np.finfo(np.float64).max)
+        at, vertex = np.unravel_index(np.argmax(largest), largest.shape)
+        return cls(int(vertex), float(largest[at, vertex]), bool(at))
+
+    def hides_gaps(self, tolerance: float, length_scale: float) -> bool:
+        """Whether rounding at this size is more than the tolerance, even in float64."""
+        most = max(tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
+        return PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64] * self.length > most
+
+    def described(self, mesh: "CollisionMesh") -> str:
+        """Which vertex is how far from the others, and when."""
+        when = "end" if self.is_end else "start"
+        return f"vertex {self.vertex}{mesh._where(self.vertex)} is {self.length:.3g} from the others at the {when}"
+
+
+class DistanceInEdges(NamedTuple):
+    """A distance beside the edges of the bodies that collide with themselves.
+
+    Attributes:
+        distance: At which a typical pair counts as touching, a length.
+        edge: The median length of an edge.
+        has_radius: Whether radii are part of it.
+    """
+
+    distance: float
+    edge: float
+    has_radius: bool
+
+    @classmethod
+    def of(cls, topology: "Topology", start: NDArray[np.float64], distance: float) -> "DistanceInEdges | None":
+        """That of a mesh at its start positions, from samples of its edges; None where no edge counts.
+
+        Args:
+            topology: The mesh.
+            start: Its start positions.
+            distance: What is added to the radii, a length.
+        """
+        mesh = topology.mesh
+        if len(mesh.edges) == 0 or not (distance > 0.0 or mesh.is_thick):
+            return None
+        edges = topology.samples[1].T
+        body = mesh.vertex_body[edges[:, 0]]
+        has_neighbours = mesh.self_collision & ~mesh.static & (np.diff(mesh.body_vertex_range) >= _LEAST_VERTICES)
+        edges = edges[has_neighbours[body]]
+        if len(edges) == 0:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            edge = float(np.median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)))
+            if mesh.radius is not None:
+                distance += 2.0 * float(np.median(mesh.radius[edges].max(axis=1)))
+        return cls(distance, edge, mesh.is_thick)
+
+    @property
+    def is_many(self) -> bool:
+        """Whether the distance is many edges long."""
+        return self.distance > _MANY_EDGES * self.edge > 0.0
+
+    def described(self) -> str:
+        """How many edges the distance is, and what to do."""
+        name = "distance of a pair, radii included," if self.has_radius else "distance at which pairs touch"
+        return (
+            f"the {name} is {self.distance:.6g}, {self.distance / self.edge:.3g} times the median edge of "
+            f"{self.edge:.6g}; neighbours are within it: exclusion_rings of the mesh leaves them out, or is the unit "
+            "another?"
+        )
+
+
+def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions") -> str:
+    """A sentence on so many pairs whose gaps at the start rounding hides, empty if there are none."""
+    if not count:
+        return ""
+    gaps = "the gap of 1 pair" if count == 1 else f"the gaps of {count:,} pairs"
+    return f"rounding hides {gaps} at the start, with toi 0: {Farthest.of(positions).described(mesh)}"
+
+
+def are_many(mesh: "CollisionMesh", num_pairs: int) -> bool:
+    """Whether so many pairs are left by the cull that parts of the scene seem to lie in each other."""
+    return num_pairs >= max(_MANY_PAIRS, _MANY_PAIRS_EACH * _num_primitives(mesh))
+
+
+def overlaps_described(mesh: "CollisionMesh", num_pairs: int, keys: "Mapping[PairKind, wp.array]") -> str:
+    """A sentence on so many pairs, of which some keys are given, with the bodies of most of these."""
+    return (
+        f"{num_pairs:,} pairs of {_num_primitives(mesh):,} primitives may touch, so parts of the scene seem to lie in "
+        f"each other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
+        + ("" if mesh.num_bodies == 1 else f"; they are most often of {_most_common_bodies(mesh, keys)}")
+    )
+
+
+def _num_primitives(mesh: "CollisionMesh") -> int:
+    return mesh.num_vertices + mesh.num_edges + mesh.num_faces
+
+
+def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:
+    """The two bodies, or the one, to which the most pairs belong, and the share of these in a sample."""
+    total = sum(map(len, keys.values()))
+    sample = []
+    for kind, of_kind in keys.items():
+        most = max(1, _MOST_SAMPLED * len(of_kind) // total)
+        chosen = of_kind[:: max(1, -(-len(of_kind) // most))].numpy()
+        pairs = np.stack([chosen >> 32, chosen & 0xFFFFFFFF], axis=1).astype(np.int32)
+        bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
+        sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
+    pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
+    a, b = pairs[np.argmax(counts)].tolist()
+    names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
+    return f"{names} ({100 * counts.max() / counts.sum():.0f} % of a sample)"
+
+
+def warn(message: str) -> None:
+    """Warn, as of the line of the caller's program that has called the package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, RuntimeWarning, stacklevel=level)

@@ -1,0 +1,440 @@
+"""The driver of calls on the host, whose sizes and positions change from step to step: sections that it plays."""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
+from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
+from ccd_warp._engine.mesh.scene import norm_of
+from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
+from ccd_warp._engine.plan import AT_ONE_TIME, NUM_ALL_COUNTS, Goal, Plan
+from ccd_warp._engine.stages import Stages, StepFields
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._status import PairKind
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+from ccd_warp.kernels.step.step import ContactList
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.host.workspace import Workspace
+    from ccd_warp._input.options import Options
+
+# Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
+_FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
+# Plans that a workspace keeps, enough for the different kinds of calls in a loop.
+_MOST_PLANS = 8
+_NONE = dict.fromkeys(PairKind, 0)
+_COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
+_OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
+_POSITIONS = ("vertices_t0", "vertices_t1")
+# Fields of the stages, each of which is a slot of its name.
+_FIELDS = (
+    *("vertex_aabbs", "quantization", "t_end", "inflation", "search_options"),
+    *("options", "queue", "plane_query", "reach", "proximities"),
+)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pairs whose keys the search has just written.
+
+    Attributes:
+        found: Number of pairs by kind.
+        is_only: Whether these are all pairs of the search.
+    """
+
+    found: dict[PairKind, int]
+    is_only: bool
+
+
+class HostPlan(Plan):
+    """What a workspace keeps for calls with one goal, of the same pair kinds, precision and number of threads.
+
+    Attributes:
+        most_partners: Number of primitives in the largest set in which partners are searched.
+        memory: Memory for the pairs that a search finds.
+        num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
+        num_candidates: Pairs of each kind whose boxes overlap, in the last search.
+        num_batches: Number of batches of this step.
+    """
+
+    @staticmethod
+    def of(workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False) -> "HostPlan":
+        """The plan of a workspace for such calls; ``is_held`` is whether some pairs start within their distance."""
+        key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase, is_held)
+        if key not in workspace.plans:
+            if len(workspace.plans) >= _MOST_PLANS:
+                workspace.plans.clear()
+            workspace.plans[key] = HostPlan(workspace, options, goal, is_held)
+        return workspace.plans[key]
+
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool = False) -> None:
+        self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
+        execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
+        norm = norm_of(topology.mesh, options, is_held=is_held)
+        if goal in ("proximities", "displacements"):
+            norm = EUCLIDEAN_NORM
+        super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
+        self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
+        has_queue = execution.is_cuda and self._has_narrow_phase
+        self.memory = PairMemory(
+            workspace.buffers,
+            self._searched_kinds,
+            is_cuda=execution.is_cuda,
+            keeps_toi=goal == "bound",
+            has_queue=has_queue,
+        )
+        self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
+        self._search_values: tuple[float, ...] | None = None
+        self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
+        self._least_bits = self._counters[NUM_ALL_COUNTS:]
+        self._view = None if execution.is_cuda else _split(self._counters.numpy())
+        self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
+        self.begin_counts()
+
+        boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
+        of_pairs = self.memory.slots()
+        names = [*_POSITIONS, *_FIELDS]
+        names += [slot.name for slots in boxes.values() for slot in slots]
+        names += [slot.name for slots in of_pairs.values() for slot in slots.values()]
+        self._recording = Recording(execution, dict.fromkeys(names) | {"contacts": ContactList()})
+        self.memory.bind_to(self._recording)
+        slots: dict[str, Any] = {name: Slot(name) for name in _FIELDS}
+        start, end = map(Slot, _POSITIONS)
+        self._stages = Stages(
+            topology,
+            self.tree_pairs,
+            self._num_aabbs,
+            self._narrow_phase,
+            step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self._least_bits),
+            box_radius=topology.box_radius,
+            is_thick=topology.is_thick,
+            boxes=boxes,
+            **of_pairs,
+            **slots,
+        )
+        self._stages.load(execution, self._sink)
+
+    def _minima(self) -> Any:
+        """The minima that the calls lower; of others only which vertex is in which world is read."""
+        if self._goal in ("contacts", *AT_ONE_TIME):
+            return self._workspace.contacts.minima
+        minima = Minima()
+        minima.vertex_world = self.topology.vertex_world
+        return minima
+
+    def begin_counts(self) -> None:
+        """Forget the counts of the last step."""
+        self.num_searches = dict(_NONE)
+        self.num_batches = self._num_met_by_planes = 0
+        self.begin_candidates()
+
+    def begin_candidates(self) -> None:
+        """Count the candidates of the next search."""
+        self.num_candidates = _NONE | {PairKind.VERTEX_PLANE: self._num_met_by_planes}
+
+    def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
+        """Run a section of the recording; ``record`` records it at its first use."""
+        if section not in self._recording:
+            with self._recording.section(section):
+                record(self._stages, self._recording)
+        self._read = None
+        self._recording.play(section)
+
+    def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
+        """Use the positions of a step, and return them on the device."""
+        arrays = []
+        for name, values in zip(_POSITIONS, positions, strict=True):
+            if self._are_copied:
+                arrays.append(self._workspace.positions(name, values))
+            else:
+                arrays.append(wp.array(values, dtype=wp.vec3d, device=self.topology.device, copy=False))
+            self._recording.bind(name, arrays[-1])
+        return arrays[0], arrays[1]
+
+    def release_positions(self) -> None:
+        """Do not keep the caller's arrays alive."""
+        if not self._are_copied:
+            none = self.topology.array(np.empty((0, 3)), wp.vec3d)
+            self.bind(vertices_t0=none, vertices_t1=none)
+
+    def bind(self, **values: Any) -> None:
+        """Use these values of the stages: ``options``, ``contacts``, ``plane_query``, ``reach``, ``proximities``."""
+        for name, value in values.items():
+            self._recording.bind(name, value)
+
+    def meet_planes(self, record: Callable[[Stages, Recording], None] | None = None) -> int:
+        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs."""
+        sink = self._sink
+        self._clear_counts()
+        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink)))
+        kind = PairKind.VERTEX_PLANE
+        self._num_met_by_planes = int(self.counts()[kind, FOUND])
+        self.num_searches[kind], self.num_candidates[kind] = 1, self._num_met_by_planes
+        return self._num_met_by_planes
+
+    def fill_boxes(self, positions: Positions, t_end: float, inflation: float, active: wp.array) -> None:
+        """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
+        boxes = self._boxes
+        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution)
+        self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
+        self._active = active
+        self._bind_trees()
+        if not self.trees:
+            return  # no pairs but those with half-spaces, which have no boxes
+        is_sorted = self.trees[0].is_sorted_when_filled
+        # on CUDA each tree is sorted anew by the AABBs of its vertices, and then filled
+        self._fill(t_end, with_trees=is_sorted or not self.execution.is_cuda)
+        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self.moving_trees]):
+            self._bind_trees()
+
+    def shorten_boxes(self, t_end: float) -> None:
+        """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
+        if self.trees:
+            self._fill(t_end, with_trees=True)
+
+    def _fill(self, t_end: float, *, with_trees: bool) -> None:
+        self.bind(t_end=t_end)
+
+        def record(stages: Stages, recording: Recording) -> None:
+            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, self._active)
+            if with_trees:
+                stages.fill_boxes(recording, self.moving_trees)
+
+        self.play("boxes" if with_trees else "vertex AABBs", record)
+
+    def _bind_trees(self) -> None:
+        for tree in self.trees:
+            for slot, struct in zip(tree.slots, tree.structs, strict=True):
+                self._recording.bind(slot, struct)
+
+    def may_meet(self, tree_pair: TreePair) -> bool:
+        """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""
+        query, target = tree_pair.query, tree_pair.target
+        return not target.primitives.is_static or self._boxes.may_meet(query, target)
+
+    def set_search(self, t_end: float, inflation: float, separation: float) -> None:
+        """Search for pairs that touch before ``t_end``."""
+        values = (t_end, inflation, separation)
+        if values != self._search_values:
+            radii = self.topology.radius, self.topology.box_radius
+            self.bind(search_options=search_options(*values, self.norm, self._workspace.flag, radii))
+            self._search_values = values
+
+    def stages_now(self) -> Stages:
+        """The stages with the values of their slots, to launch now."""
+        return self._stages.with_values(self._recording.values)
+
+    def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
+        """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
+
+        The first search tells how many pairs there are. If they are more than the capacity, which grows up to
+        ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
+        search is in parts from the beginning.
+        """
+        section, tree_pairs = ("pairs of a sample", self.sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
+        if not tree_pairs:
+            return
+        if section in self._excess:
+            yield from self._batches_of_parts(section, tree_pairs, largest, self._excess[section])
+            return
+        self.memory.reserve(lambda kind: sum(p.query.primitives.count for p in tree_pairs if p.kind == kind), largest)
+        self._meets = [self.may_meet(tree_pair) for tree_pair in tree_pairs]
+
+        def record(stages: Stages, recording: Recording) -> None:
+            stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
+
+        while True:
+            for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
+                self.num_searches[tree_pair.kind] += meets
+            self._clear_counts()
+            self.play(section, record)
+            needed = self._num_needed()
+            if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
+                yield self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
+                return
+            if not self.memory.grow(needed, largest):
+                break
+        yield from self._batches_of_parts(section, tree_pairs, largest, needed)
+
+    def few_batches(self, largest: int) -> Iterator[Batch]:
+        """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
+        largest = min(largest, _FEW_PAIRS)
+        self.memory.share(largest)
+        stages = self.stages_now()
+        for tree_pair in filter(self.may_meet, self.tree_pairs):
+            count = tree_pair.query.primitives.count
+            self._search_part(stages, Part(tree_pair, 0, range(0, count, -(-count // _FEW_QUERIES))))
+            found = {kind: min(count, largest) for kind, count in self._num_found().items()}
+            if found[tree_pair.kind] > 0:
+                yield self._batch(found, is_only=False)
+
+    def _batches_of_parts(
+        self, section: str, tree_pairs: list[TreePair], largest: int, expected: Mapping[PairKind, int]
+    ) -> Iterator[Batch]:
+        """Batches of at most ``largest`` pairs, given how many there may be of each kind."""
+        pending: deque[Part] = deque()
+        for tree_pair in filter(self.may_meet, tree_pairs):
+            whole = Part.whole(tree_pair, is_cuda=self.execution.is_cuda)
+            pending += whole.split(_pieces(expected[tree_pair.kind], largest))
+        total = sum(part.num_queries for part in pending)
+        total_needed: Counter[PairKind] = Counter()
+        self.memory.share(largest)
+        stages = self.stages_now()
+        done = 0
+        while pending:
+            part = pending.popleft()
+            kind = part.tree_pair.kind
+            self.execution.progress.begin("pairs", total, done)
+            self._search_part(stages, part)
+            needed = self._num_needed()[kind]
+            if needed > largest:
+                pending.extendleft(reversed(part.split(_pieces(needed, largest))))
+                continue
+            found = self._num_found()
+            done += part.num_queries
+            total_needed[kind] += needed
+            batch = self._batch(found, is_only=False)
+            if found[kind] > 0:
+                yield batch
+        if total_needed.total() > largest:
+            self._excess[section] = total_needed
+        else:
+            self._excess.pop(section, None)
+
+    def _search_part(self, stages: Stages, part: Part) -> None:
+        """Search some items of a tree pair alone, now."""
+        self._clear_counts()
+        stages.find_some_pairs(self.execution, part.tree_pair, part.items, part.level)
+        self.num_searches[part.tree_pair.kind] += 1
+
+    def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
+        """A batch, after it is counted."""
+        self.num_batches += 1
+        counts = self.counts()[:, CANDIDATES].tolist()
+        for kind in self._searched_kinds:
+            self.num_candidates[kind] += counts[kind]
+        return Batch(found, is_only)
+
+    def _on_host(self) -> _OnHost:
+        """The counts and the least toi; on CUDA this waits for the device, once after what has changed them."""
+        if self._view is not None:
+            return self._view
+        if self._read is None:
+            self._read = _split(self._counters.numpy())
+        return self._read
+
+    def counts(self) -> NDArray[np.int64]:
+        """The counts of the pairs of each kind; on CUDA those after the last launch."""
+        return self._on_host()[0]
+
+    def _num_found(self) -> dict[PairKind, int]:
+        counts = self.counts()[:, FOUND].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds}
+
+    def _num_needed(self) -> dict[PairKind, int]:
+        """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
+        needed = self._num_found()
+        if self.execution.is_cuda:
+            counts = self.counts()
+            return {kind: max(n, -(-int(counts[kind, CANDIDATES]) // CANDIDATES_EACH)) for kind, n in needed.items()}
+        return needed
+
+    def num_open(self) -> dict[PairKind, int]:
+        """Number of pairs that the first round of the narrow phase has left open, by kind."""
+        counts = self.counts()[:, OPEN].tolist()
+        return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
+
+    def _clear_counts(self) -> None:
+        self._read = None
+        if self._view is None:
+            self._counts.zero_()
+        else:
+            self._view[0].fill(0)
+
+    def solve(self, *, is_second: bool) -> None:
+        """A round of the narrow phase on the pairs of a batch."""
+        section = "narrow phase, second round" if is_second else "narrow phase"
+        self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
+
+    def measure_pairs(self, sink: int) -> None:
+        """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
+        self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
+
+    def found_keys(self, kind: PairKind, count: int) -> wp.array:
+        """The keys of a batch, which has so many of a kind; those that the narrow phase leaves open are marked."""
+        return self.memory.keys(kind, count)
+
+    def replace_keys(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
+        """Let a batch consist of these pairs of a kind, some of those that it has."""
+        if len(keys):
+            self.found_keys(kind, len(keys)).assign(keys)
+        counts = self.counts()
+        counts[kind, FOUND] = len(keys)
+        if self._view is None:
+            self._counts.assign(counts)
+
+    def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
+        """The marked keys of the open pairs among the first ``count`` of a batch."""
+        keys = self.memory.keys(kind, count).numpy()
+        return keys[keys < 0]
+
+    def open_pairs(self, kind: PairKind, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The marked keys of the same pairs, and their toi so far."""
+        keys, toi = self.memory.keys(kind, count).numpy(), self.memory.open_toi(kind, count).numpy()
+        return keys[keys < 0], toi[keys < 0]
+
+    def set_number_open(self, num_open: Mapping[PairKind, int]) -> None:
+        """Let the open pairs of a kind share their work with others: so many of them in all."""
+        counts = self.counts()
+        for kind, count in num_open.items():
+            counts[kind, OPEN] = count
+        if self._view is None:
+            self._counts.assign(counts)
+
+    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64], num_open: int) -> None:
+        """Make these marked keys the pairs of the second round, which share the work of so many."""
+        pairs = self._workspace.buffers.get("open keys", len(keys), wp.int64)
+        pairs[: len(keys)].assign(keys)
+        self.memory.take_over(kind, pairs, len(keys))
+        counts = np.zeros(self._counts.shape, dtype=np.int64)
+        counts[kind, FOUND], counts[kind, OPEN] = len(keys), num_open
+        self._counts.assign(counts)
+        self._read = None
+
+    def reset_minima(self, num_contacts: wp.array) -> None:
+        """Set every toi to infinity."""
+
+        def record(stages: Stages, recording: Recording) -> None:
+            stages.reset(recording, num_contacts, self._workspace.flag.array)
+            stages.reset_vertices(recording)
+
+        self.play("reset", record)
+
+    def set_least(self, toi: float) -> None:
+        """Set the least toi so far."""
+        if self._view is None:
+            self._least_bits.assign(np.array([toi]).view(np.int64))
+            self._read = None
+        else:
+            self._view[1][0] = toi
+
+    def least(self) -> float:
+        """The least toi so far."""
+        return float(self._on_host()[1][0])
+
+
+def _split(counters: NDArray[np.int64]) -> _OnHost:
+    """The counts and the least toi of an array of both."""
+    return counters[:NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE), counters[NUM_ALL_COUNTS:].view(np.float64)
+
+
+def _pieces(count: int, largest: int) -> int:
+    """Number of parts in which so many pairs are likely to fit one by one, at least two."""
+    return max(2, -(-3 * count // (2 * largest)))

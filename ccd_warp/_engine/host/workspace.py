@@ -1,0 +1,119 @@
+"""What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.boxes.step_boxes import StepBoxes
+from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.host.contacts import ContactStore
+from ccd_warp._engine.mesh.scene import norm_of, plane_query
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp.kernels.pair.norm import is_ball
+
+_MOST_OPTIONS = 8
+
+
+class Workspace:
+    """The state of one mesh on one device, used by one step at a time.
+
+    After a step that fails it may be inconsistent; it is then discarded, and the next step makes a new one.
+    """
+
+    def __init__(self, mesh: CollisionMesh, device: Any, topology: Topology | None = None) -> None:
+        """The state for a mesh; ``topology`` is another than its own, for a search of another kind."""
+        self.topology = topology or Topology.of(mesh, device)
+        self.buffers = Buffers(device)
+        self.flag = StopFlag(device)
+        self.boxes = StepBoxes(self.topology, self.buffers)
+        self.progress = Progress()
+        self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
+        self._packed: dict[Any, Any] = {}
+        self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
+        self._active: wp.array | None = None
+        self._is_all_active = False
+        self._at_one_time: dict[str, Workspace] = {}
+
+    def at_one_time(self, goal: str, topology_of: Callable[[Topology], Topology] | None = None) -> "Workspace":
+        """The state of calls at one time with a goal, whose boxes have another size than those of a step.
+
+        Args:
+            goal: The goal.
+            topology_of: The topology in which they search, given that of the mesh, which is the default.
+        """
+        if goal not in self._at_one_time:
+            topology = self.topology if topology_of is None else topology_of(self.topology)
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology)
+        return self._at_one_time[goal]
+
+    @lazy_property
+    def own_positions(self) -> Positions:
+        """Positions at both ends of a step, for a search that fills them itself."""
+        start, end = np.empty((2, self.topology.mesh.num_vertices, 3))
+        return start, end
+
+    @lazy_property
+    def contacts(self) -> ContactStore:
+        """The contacts and the minima of a step."""
+        return ContactStore(self.topology, self.buffers)
+
+    def positions(self, name: str, values: NDArray[np.float64]) -> wp.array:
+        """An array that stays, with a copy of the positions."""
+        device = self.topology.device
+        if name not in self._positions:
+            array = wp.empty(len(values), dtype=wp.vec3d, device=device)
+            self._positions[name] = (array, np.empty(0) if device.is_cuda else array.numpy())
+        array, view = self._positions[name]
+        if device.is_cuda:
+            array.assign(values)
+        else:
+            view[...] = values
+        return array
+
+    def active(self, bodies: NDArray[np.bool_] | None) -> wp.array:
+        """Which bodies are active, int32, shape [B]: all of them by default."""
+        if self._active is None:
+            self._active = wp.empty(self.topology.mesh.num_bodies, dtype=wp.int32, device=self.topology.device)
+        if bodies is not None:
+            self._active.assign(bodies.astype(np.int32))
+        elif not self._is_all_active:
+            self._active.fill_(1)
+        self._is_all_active = bodies is None
+        return self._active
+
+    @lazy_property
+    def hold(self) -> wp.array:
+        """How near each vertex is to anything at the start of a step, float64, shape [V]."""
+        return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+
+    def packed(self, options: Options, length_scale: float, *, is_held: bool = False) -> Any:
+        """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""
+        key = (options, length_scale, is_held)
+        if key not in self._packed:
+            if len(self._packed) >= _MOST_OPTIONS:
+                self._packed.clear()
+            self._packed[key] = options.for_kernel(
+                length_scale,
+                stop=self.flag.array,
+                radius=self.topology.radius,
+                hold=self.hold if is_held else None,
+            )
+        return self._packed[key]
+
+    def plane_query(self, options: Options, length_scale: float, *, holds: bool = False) -> Any:
+        """What vertices and planes are asked for, as a struct of the kernels, packed once for options and scale."""
+        key = ("planes", options, length_scale, holds)
+        if key not in self._packed:
+            if len(self._packed) >= _MOST_OPTIONS:
+                self._packed.clear()
+            is_euclidean = is_ball(norm_of(self.topology.mesh, options))
+            self._packed[key] = plane_query(options, length_scale, is_euclidean=is_euclidean, holds=holds)
+        return self._packed[key]

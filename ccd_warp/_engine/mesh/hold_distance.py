@@ -1,0 +1,43 @@
+"""Up to which distance the pairs of a mesh are held at the start of a step, and what contacts are made of."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.mesh.lengths import sum_up
+from ccd_warp._engine.mesh.scene import length_scale_of
+
+if TYPE_CHECKING:
+    from ccd_warp._input.options import Options
+
+# What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
+# the mesh are far above the margin of a pair (`kernels.pair.hold`), unless its motion is far larger than the mesh.
+# A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice that is held there, and with it
+# solved in float64.
+_OF_DISTANCE = 2.0**-20
+_OF_SIZE = {"float64": 2.0**-40, "float32": 2.0**-16}
+
+
+def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
+    """The distance up to which pairs are held, radii besides."""
+    return sum_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
+
+
+def corners_by_kind(topology: Any) -> list[wp.array]:
+    """The vertices of the primitives that contacts name: of vertices, edges and faces."""
+    return [topology.corners[name] for name in ("vertex", "edge", "face")]
+
+
+def _slack(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
+    distance = options.separation(length_scale_of(mesh, options))
+    thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
+    with np.errstate(over="ignore"):
+        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE[options.precision] * mesh.length_scale
+    return min(slack, float(np.finfo(np.float64).max))
+
+
+def holds_pairs(mesh: Any, options: "Options") -> bool:
+    """Whether pairs keep a distance within which they may start."""
+    return options.holds and (options.minimum_separation > 0 or options.minimum_distance > 0 or mesh.is_thick)

@@ -1,0 +1,222 @@
+"""The planes of half-spaces on a device, and which vertices are near them or in the solid, on the host."""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._half_space import unit_normals
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.mesh.topology import Topology
+    from ccd_warp._mesh import CollisionMesh
+
+_U = 2.0**-53
+_UP = 1.0 + 4.0 * _U
+# The largest relative error of a length or sum of three numbers is 2u.
+_LENGTH_UP = 1.0 + 8.0 * _U
+# Components of a scaled normal below this may have lost bits.
+_LEAST_NORMAL = 2.0**-1000
+_LOST = 2.0**-1070
+# As in `kernels.narrow_phase.planes`.
+_LARGE, _SMALL, _SHRINK, _GROW = 2.0**1000, 2.0**-400, 2.0**-16, 2.0**600
+_FAR = 2.0**1015
+_VALUE, _ABSOLUTE = 4.5 * _U, 2.0**-1000
+
+
+class ScaledPlanes(NamedTuple):
+    """The planes as the kernels take them; those of a mesh in the plane have z = 0.
+
+    Attributes:
+        point: A point of each, shape [H, 3].
+        normal: Normals times powers of two, so that the largest component is in [1, 2), shape [H, 3].
+        lost: Bound of what a component of the normal has lost by that, shape [H].
+        length: Length of each normal, rounded up, shape [H].
+        sum: Sum of its magnitudes, rounded up, shape [H].
+    """
+
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    lost: NDArray[np.float64]
+    length: NDArray[np.float64]
+    sum: NDArray[np.float64]
+
+
+def scaled_planes(mesh: "CollisionMesh") -> ScaledPlanes:
+    """The planes of a mesh, scaled."""
+    given = mesh._in_space(mesh.planes.normals)
+    largest = np.abs(given).max(axis=1, initial=0.0)
+    normal = np.ldexp(given, 1 - np.frexp(largest)[1][:, None])
+    is_small = (given != 0.0) & (np.abs(normal) < _LEAST_NORMAL)
+    return ScaledPlanes(
+        mesh._in_space(mesh.planes.points),
+        normal,
+        np.where(is_small.any(axis=1), _LOST, 0.0),
+        np.array([math.hypot(*n) for n in normal.tolist()]) * _LENGTH_UP,
+        np.array([math.fsum(map(abs, n)) for n in normal.tolist()]) * _LENGTH_UP,
+    )
+
+
+def meets(mesh: "CollisionMesh") -> NDArray[np.bool_]:
+    """Whether the collision filter leaves a plane and a body, shape [H, B]."""
+    found = np.ones((len(mesh.planes), mesh.num_bodies), dtype=bool)
+    if mesh.body_pairs is not None:
+        found = mesh.body_pairs[mesh.planes.bodies]
+    number = np.full(mesh.num_bodies, -1)
+    number[mesh.planes.bodies] = np.arange(len(mesh.planes))
+    pairs = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32))
+    for first, second in (pairs.T, pairs.T[::-1]):
+        is_plane = number[first] >= 0
+        found[number[first[is_plane]], second[is_plane]] = False
+    return found
+
+
+def planes_by_world(mesh: "CollisionMesh") -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The planes that the vertices of each world meet, world after world, and where those of each begin, and the end.
+
+    One that does not move meets all worlds; one that moves that of its vertex.
+    """
+    point, number = mesh.planes.vertices, np.arange(len(mesh.planes))
+    shared, moving = number[point < 0], number[point >= 0]
+    worlds = np.arange(mesh.num_worlds)
+    world = np.concatenate([np.repeat(worlds, len(shared)), mesh.vertex_world[point[moving]]])
+    of_world = np.concatenate([np.tile(shared, mesh.num_worlds), moving])
+    begin = np.append(0, np.cumsum(np.bincount(world, minlength=mesh.num_worlds)))
+    return begin.astype(np.int32), of_world[np.lexsort((of_world, world))].astype(np.int32)
+
+
+def excluded_keys(mesh: "CollisionMesh") -> NDArray[np.int64]:
+    """Keys of the excluded pairs of a vertex and a plane, ascending."""
+    pairs = mesh.exclude_pairs.get("vertex_plane", np.zeros((0, 2), dtype=np.int32)).astype(np.int64)
+    return pairs[:, 0] << 32 | pairs[:, 1]
+
+
+def planes_of(topology: "Topology") -> Any:
+    """The planes of a mesh on its device as the struct of the kernels, made once."""
+    if topology.planes is None:
+        topology.planes = _planes_on(topology.mesh, topology.array)
+    return topology.planes
+
+
+def _planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.array]) -> Any:
+    """The planes of a mesh as the struct of the kernels; ``array`` puts values of a dtype on a device."""
+    from ccd_warp.kernels.narrow_phase.planes import Planes  # not before a scene needs it
+
+    planes = Planes()
+    if len(mesh.planes) == 0:
+        return planes
+    scaled = scaled_planes(mesh)
+    planes.point = array(scaled.point, wp.vec3d)
+    if mesh._moves_planes:
+        planes.vertex = array(mesh.planes.vertices, wp.int32)
+        if mesh.num_worlds > 1:
+            begin, of_world = planes_by_world(mesh)
+            planes.world_begin, planes.of_world = array(begin, wp.int32), array(of_world, wp.int32)
+    planes.normal = array(scaled.normal, wp.vec3d)
+    planes.lost, planes.length, planes.sum = (array(values, wp.float64) for values in scaled[2:])
+    planes.unit = array(mesh._in_space(unit_normals(mesh.planes.normals)), wp.vec3d)
+    planes.body = array(mesh.planes.bodies, wp.int32)
+    planes.meets = array(meets(mesh).astype(np.uint8), wp.uint8)
+    planes.excluded = array(excluded_keys(mesh), wp.int64)
+    return planes
+
+
+def plane_candidates(
+    mesh: "CollisionMesh",
+    vertices: NDArray[np.int32],
+    positions: tuple[NDArray[np.float64], NDArray[np.float64]],
+    inflation: float,
+    box_radius: NDArray[np.float64],
+) -> NDArray[np.int32]:
+    """Those of the vertices and planes whose boxes, enlarged by ``inflation``, overlap in a step, lexicographically.
+
+    The enlarged half-space is where f ≤ inflation·Σ|n_k|, and the box of a vertex reaches as far beyond it, and by its
+    radius more where there are any. So they overlap where f of the vertex is at most the sum of both, and f is least at
+    one of both ends of the step.
+    """
+    scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
+    found = []
+    with np.errstate(over="ignore", under="ignore"):
+        for k in range(len(mesh.planes)):
+            chosen = vertices[of_plane[k, mesh.vertex_body[vertices]]]
+            chosen = _in_world_of(mesh, k, chosen)
+            is_near = np.zeros(len(chosen), dtype=bool)
+            for x in positions:
+                f, error, s = _values(x[chosen], _point_at(mesh, scaled, k, x), scaled, k)
+                enlarged = 2.0 * inflation + (box_radius[chosen] if len(box_radius) else 0.0)
+                reach = np.minimum(enlarged * s * scaled.sum[k] * _UP, _FAR)
+                is_near |= f <= (error + reach) * _UP
+            found.append(_pairs_with(chosen[is_near], k))
+    pairs = np.concatenate(found)
+    if len(keys):
+        pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
+    return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)
+
+
+def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Vertices of free bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order.
+
+    Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
+    """
+    scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
+    vertices = mesh._free_surface_vertices
+    found = []
+    with np.errstate(over="ignore", under="ignore"):
+        for k in range(len(mesh.planes)):
+            chosen = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
+            p = _point_at(mesh, scaled, k, x)
+            f, error, _ = _values(x[chosen], p, scaled, k)
+            is_in = f <= error
+            is_open = is_in & (f >= -error) & (error > 0.0)
+            point, normal = p[: mesh.dimension].tolist(), mesh.planes.normals[k].tolist()
+            for row in np.flatnonzero(is_open).tolist():
+                is_in[row] = _exact_value(x[chosen[row], : mesh.dimension].tolist(), point, normal) <= 0
+            found.append(_pairs_with(chosen[is_in], k))
+    pairs = np.concatenate(found)
+    if len(keys):
+        pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
+    return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)
+
+
+def _pairs_with(vertices: NDArray[np.int32], k: int) -> NDArray[np.int64]:
+    return np.stack([vertices.astype(np.int64), np.full(len(vertices), k, dtype=np.int64)], axis=1)
+
+
+def _in_world_of(mesh: "CollisionMesh", k: int, vertices: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Those of the vertices that are in the world of plane k, where it moves and thus is in one."""
+    point = mesh.planes.vertices[k]
+    if point < 0 or mesh.num_worlds == 1:
+        return vertices
+    return vertices[mesh.vertex_world[vertices] == mesh.vertex_world[point]]
+
+
+def _point_at(mesh: "CollisionMesh", planes: ScaledPlanes, k: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A point of plane k, where vertices are at positions ``x``."""
+    vertex = mesh.planes.vertices[k]
+    point: NDArray[np.float64] = planes.point[k] if vertex < 0 else x[vertex]
+    return point
+
+
+def _values(
+    x: NDArray[np.float64], p: NDArray[np.float64], planes: ScaledPlanes, k: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(x - p)·n for scaled positions and plane k at p, the bounds of the errors, and the scales."""
+    n = planes.normal[k]
+    largest = np.maximum(np.abs(x).max(axis=1, initial=0.0), np.abs(p).max())
+    s = np.where(largest > _LARGE, _SHRINK, np.where(largest < _SMALL, _GROW, 1.0))
+    difference = s[:, None] * x - s[:, None] * p
+    terms = n * difference
+    error = _VALUE * np.abs(terms).sum(axis=1) + _ABSOLUTE + planes.lost[k] * np.abs(difference).sum(axis=1)
+    is_exact = (s >= 1.0) & (planes.lost[k] == 0.0)
+    error[is_exact & ((n == 0.0) | (difference == 0.0)).all(axis=1)] = 0.0
+    return terms.sum(axis=1), error, s
+
+
+def _exact_value(x: list[float], point: list[float], normal: list[float]) -> Fraction:
+    return sum(
+        ((Fraction(a) - Fraction(b)) * Fraction(n) for a, b, n in zip(x, point, normal, strict=True)), Fraction(0)
+    )

@@ -1,0 +1,89 @@
+"""What the options of a call mean for a scene: kinds of pairs, norm, length scale, what half-spaces are asked."""
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from ccd_warp._engine.mesh.lengths import next_above
+from ccd_warp._input.arguments import shown
+from ccd_warp._status import PairKind
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
+
+if TYPE_CHECKING:
+    from ccd_warp._input.options import Options
+    from ccd_warp._mesh import CollisionMesh
+
+
+def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind, ...]:
+    """Kinds of pairs that the primitives of a mesh can form and the options select.
+
+    In the plane vertices with edges, and points with points, suffice. Let A and B be two segments, or a point and a
+    segment, that do not touch at the start. They touch where the origin is in the convex polygon A - B. It moves
+    continuously, so the origin enters it, and first comes within a distance of it, at its boundary. Each side of that
+    boundary is a vertex of one of the two minus the other, because A - B is the convex hull of such sides: a
+    parallelogram, or, of parallel segments, one segment that the four sides cover.
+    """
+    if mesh.dimension == 2:
+        possible = {
+            PairKind.POINT_SEGMENT: mesh.num_edges > 0,
+            PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
+            PairKind.VERTEX_PLANE: len(mesh.planes) > 0,
+        }
+        return tuple(kind for kind in options.kinds if possible.get(kind))
+    possible = {
+        PairKind.VERTEX_FACE: mesh.num_faces > 0,
+        PairKind.EDGE_EDGE: mesh.num_edges > 0,
+        PairKind.POINT_SEGMENT: len(mesh.codimensional_points) > 0 and len(mesh.codimensional_edges) > 0,
+        PairKind.POINT_POINT: len(mesh.codimensional_points) > 0,
+        PairKind.VERTEX_PLANE: len(mesh.planes) > 0,
+    }
+    return tuple(kind for kind in options.kinds if possible[kind])
+
+
+def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False, is_held: bool = False) -> str:
+    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
+
+    Args:
+        mesh: The bodies.
+        options: The options of the call.
+        may_change: Whether radii of 0 may be replaced by others, as on the device.
+        is_held: Whether what starts within its distance is held, so that each pair has a separation of its own.
+
+    Raises:
+        ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
+    """
+    if mesh.radius is None or not (may_change or mesh.is_thick):
+        return OWN_BOX_NORM if is_held and not is_ball(options.norm) else options.norm
+    if options.minimum_separation > 0:
+        raise ValueError(
+            f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
+            f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
+        )
+    return EUCLIDEAN_NORM
+
+
+def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
+    """The unit of tolerance and separation: that of the options, or the size of the mesh."""
+    return mesh.length_scale if options.length_scale is None else options.length_scale
+
+
+def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, holds: bool = False) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels.
+
+    ``holds`` is whether what starts within its distance may part and slide.
+    """
+    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
+    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
+
+    separation = options.separation(length_scale)
+
+    query = PlaneQuery()
+    query.is_euclidean = int(is_euclidean)
+    query.distance = separation
+    if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
+        query.distance = next_above(separation)
+    query.start_gap_fraction = options.start_gap_share
+    query.holds = int(holds)
+    query.t_max = options.t_max
+    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
+    return query

@@ -1,0 +1,559 @@
+"""The data of a mesh on a device: its primitives in sets, their spatial order, and its collision filter."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
+from ccd_warp._engine.mesh.rings import excluded_vertices
+from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._status import PairKind, primitives_of
+from ccd_warp.kernels.boxes import box_tree as kernels
+from ccd_warp.kernels.search.collision_filter import CollisionFilter
+
+if TYPE_CHECKING:
+    from ccd_warp._mesh import CollisionMesh
+
+WIDTH = int(kernels.WIDTH)
+# A sample of a set: of so many runs of primitives that follow one another by number, one. A run is a block of the tree
+# where neighbours have neighbouring numbers, as in most meshes.
+_SAMPLE_STRIDE, _RUN = 96, 16
+WORTH_SAMPLING = 1 << 14  # vertices
+VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
+BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
+NUM_SAMPLES = 128
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+_MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
+# Positions at the start and at the end of a step, each of shape [V, 3].
+Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
+# Largest number of vertices whose positions are copied, which costs less than to record where they are.
+MOST_COPIED = 1 << 15
+_CLASS_BITS = int(kernels.CLASS_BITS)
+LARGEST_EXPONENT = 1000
+LARGEST_ORIGIN = 2.0**1022
+
+# The kinds of the two primitives of a pair, and the arrays that hold their vertices.
+PRIMITIVES = {
+    PairKind.VERTEX_FACE: ("vertex", "face"),
+    PairKind.EDGE_EDGE: ("edge", "edge"),
+    PairKind.POINT_SEGMENT: ("codimensional_point", "codimensional_edge"),
+    PairKind.POINT_POINT: ("codimensional_point", "codimensional_point"),
+}
+# The arrays of those kinds of primitives that have none of their own.
+ARRAYS = {"codimensional_point": "vertex", "codimensional_edge": "edge"}
+# In the plane, where vertices and edges are what vertices and faces are in space.
+_PRIMITIVES_IN_PLANE = PRIMITIVES | {PairKind.POINT_SEGMENT: ("vertex", "edge")}
+CORNER_ARRAYS = {kind: primitives_of(kind) for kind in PRIMITIVES}
+# What the listed pairs of the collision filter are, in the order of the pair kinds, and the bodies.
+_LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
+
+
+# What a body is to a step: free to move, moved as it is told, or static.
+Role = Literal["moving", "kinematic", "static"]
+
+
+@dataclass(frozen=True)
+class PrimitiveSet:
+    """Primitives of one kind, all of bodies with one role.
+
+    Attributes:
+        name: Name of its buffers.
+        role: The role of their bodies.
+        num_corners: Number of vertices of a primitive.
+        ids: Indices among all primitives of the kind, int32, shape [n].
+        corners: Vertex indices, wp.vec3i, shape [n]; where there are fewer than three, one repeats.
+        is_sample: Whether these are some of a set, which are no neighbours of each other.
+    """
+
+    name: str
+    role: Role
+    num_corners: int
+    ids: wp.array
+    corners: wp.array
+    is_sample: bool = False
+
+    @property
+    def is_static(self) -> bool:
+        """Whether they are static."""
+        return self.role == "static"
+
+    @lazy_property
+    def count(self) -> int:
+        """Number of primitives."""
+        return len(self.ids)
+
+    @property
+    def num_blocks(self) -> int:
+        """Number of blocks of sixteen primitives."""
+        return -(-self.count // WIDTH)
+
+    @property
+    def index_bits(self) -> int:
+        """Number of bits of a key that hold the index."""
+        return max(1, (self.count - 1).bit_length())
+
+
+class Topology:
+    """The data of a mesh that no step changes; made once for each mesh and device."""
+
+    fewer_query = False  # whether the queries of two moving sets are those of the smaller one, not of the first
+
+    def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
+        self.mesh = mesh
+        self.device = device
+        self.num_vertices_in_all = mesh.num_vertices  # of the whole mesh, of which this one may be a part
+        self.vertex_body = self.array(mesh.vertex_body)
+        has_worlds = mesh.num_worlds > 1
+        self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
+        self.world_places = self.place_worlds()
+        self.worlds = self._make_worlds()
+        self.radius = self.array(np.zeros(0) if mesh.radius is None else mesh.radius, wp.float64)
+        vertex_static = mesh.static[mesh.vertex_body]
+        self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
+        self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
+        self.planes: Any = None  # as the struct of the kernels, once `planes.planes_of` has made it
+        self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
+        self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
+
+    @staticmethod
+    def of(mesh: "CollisionMesh", device: Any) -> "Topology":
+        """The topology of a mesh on a device."""
+        cache = MeshCache.of(mesh).topologies
+        key = str(device)
+        if key not in cache:
+            cache.setdefault(key, Topology(mesh, device))  # of two concurrent threads, one wins
+        return cache[key]
+
+    @property
+    def is_thick(self) -> bool:
+        """Whether a vertex has a radius above 0."""
+        return self.mesh.is_thick
+
+    def of_vertices(self, active: wp.array) -> list[wp.array]:
+        """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
+        return [self.vertex_body, active, self.worlds]
+
+    def place_worlds(self) -> WorldPlaces:
+        """Where worlds are, and how large."""
+        mesh = self.mesh
+        return place_worlds(mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, mesh.static[mesh.vertex_body])
+
+    def _make_worlds(self) -> Any:
+        """The places of worlds as the struct of the kernels, without arrays for a single world."""
+        places = self.world_places
+        num_worlds = len(places.unit)
+        cells = np.concatenate([world_lattice(num_worlds), places.unit[:, None].astype(np.float32)], axis=1)
+        worlds = kernels.Worlds()
+        worlds.of_vertex = self.vertex_world
+        worlds.cell = self.array(cells, wp.vec4f)
+        worlds.anchor = self.array(places.anchor.ravel())
+        worlds.origin = self.array(places.origin.reshape(-1, 3), wp.vec3d)
+        worlds.inner = inner_part(num_worlds)
+        return worlds
+
+    def array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+        """Values on the device."""
+        if self.device.is_capturing:  # the copy would be part of the graph, and not made now
+            raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    @lazy_property
+    def corners(self) -> dict[str, wp.array]:
+        """Vertices of every primitive, by kind and index; arrays of kinds that a mesh lacks are empty."""
+        return {name: self.array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
+
+    @lazy_property
+    def box_radius(self) -> wp.array:
+        """For each vertex the largest radius of the primitives that contain it; empty where no radius was given.
+
+        Boxes of vertices that grow by it hold, united, the thick primitive. Vertices of a primitive are joined by an
+        edge, so these are the radii of a vertex and of its neighbours.
+        """
+        return self.array(largest_around(self.mesh), wp.float64)
+
+    @lazy_property
+    def neighbours(self) -> tuple[wp.array, wp.array]:
+        """Where the list of each vertex begins, and the vertices with which each shares an edge."""
+        mesh = self.mesh
+        a, b = np.concatenate([mesh.edges, mesh.edges[:, ::-1]]).T
+        begin = np.concatenate([[0], np.cumsum(np.bincount(a, minlength=mesh.num_vertices))])
+        return self.array(begin.astype(np.int32)), self.array(b[np.argsort(a, kind="stable")])
+
+    @lazy_property
+    def plane_vertices(self) -> wp.array:
+        """The vertices that meet the planes of half-spaces: all of free bodies, or of a part some of them."""
+        mesh = self.mesh
+        if not mesh.kinematic.any() and not len(mesh.inner_vertices):
+            return self.moving_vertices
+        return self.array(mesh._free_surface_vertices)
+
+    @lazy_property
+    def body_static(self) -> wp.array:
+        """Whether each body is static, int32."""
+        return self.array(self.mesh.static.astype(np.int32))
+
+    @lazy_property
+    def body_kinematic(self) -> wp.array:
+        """Whether each body is kinematic, int32; empty where none is."""
+        kinematic = self.mesh.kinematic
+        return self.array((kinematic if kinematic.any() else kinematic[:0]).astype(np.int32))
+
+    @lazy_property
+    def may_have_inactive_bodies(self) -> bool:
+        """Whether a body may be without a partner in a step: one that is free and does not collide with itself."""
+        mesh = self.mesh
+        return mesh.num_bodies > 1 and mesh.num_worlds == 1 and not mesh.self_collision[mesh._is_free].all()
+
+    @lazy_property
+    def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
+        mesh = self.mesh
+        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
+        chosen = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
+        return uneven_samples(mesh.num_vertices, NUM_SAMPLES), chosen.T.astype(np.intp, order="C")
+
+    def sampled(self, positions: Positions) -> NDArray[np.float64]:
+        """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
+
+        The third axis holds single vertices, and then the vertices of primitives. With several worlds they are seen
+        from the origin of their world, in its unit.
+        """
+        places = self._sampled_places
+        taken = np.empty((2, *places.shape))
+        for values, at_end in zip(positions, taken, strict=True):
+            values.take(places, out=at_end, mode="clip")  # which NumPy writes in place; there is nothing to clip
+        if self.world_places.has_origins:
+            world = self.mesh.vertex_world[places[0] // 3]
+            taken = np.moveaxis(self.world_places.seen(np.moveaxis(taken, 1, -1), world, positions[0]), -1, 1).copy()
+        return taken
+
+    @lazy_property
+    def _sampled_places(self) -> NDArray[np.intp]:
+        """The places of the coordinates of the samples in an array of positions, shape [3, 1 + k, n]."""
+        vertices, primitives = self.samples
+        places: NDArray[np.intp] = 3 * np.concatenate([vertices[None], primitives]) + np.arange(3)[:, None, None]
+        return places
+
+    def seen(self, vertices: NDArray[np.intp], positions: Positions) -> NDArray[np.float64]:
+        """Positions of vertices at both ends of a step, as seen from the origin of their world, in its unit."""
+        start = positions[0]
+        seen = np.stack([x[vertices] for x in positions])
+        if self.mesh.num_worlds < 2:
+            return seen
+        return self.world_places.seen(seen, self.mesh.vertex_world[vertices], start)
+
+    def seen_radius(self, primitives: NDArray[np.intp]) -> NDArray[np.float64]:
+        """The largest radius of the vertices of each primitive, given as shape [k, n], in the unit of its world."""
+        mesh = self.mesh
+        if mesh.radius is None:
+            return np.zeros(primitives.shape[1])
+        radius: NDArray[np.float64] = mesh.radius[primitives].max(axis=0)
+        return radius * self.world_places.unit[mesh.vertex_world[primitives[0]]] if mesh.num_worlds > 1 else radius
+
+    def typical_radius_of(self, primitives: NDArray[np.intp]) -> float:
+        """The median of these."""
+        return 0.0 if self.mesh.radius is None else float(np.median(self.seen_radius(primitives)))
+
+    def _corners_host(self, name: str) -> NDArray[np.int32]:
+        mesh = self.mesh
+        if name == "vertex":
+            return np.repeat(np.arange(mesh.num_vertices, dtype=np.int32)[:, None], 3, axis=1)
+        return mesh.edges[:, [0, 1, 1]] if name == "edge" else mesh.faces
+
+    @property
+    def kinds(self) -> tuple[PairKind, ...] | None:
+        """Kinds of pairs to search for; None for those that the mesh can form and the options select."""
+        return None
+
+    def primitives_of(self, kind: PairKind) -> tuple[str, str]:
+        """The kinds of the two primitives of a pair."""
+        return (PRIMITIVES if self.mesh.dimension == 3 else _PRIMITIVES_IN_PLANE)[kind]
+
+    def corner_arrays(self, kind: PairKind) -> tuple[str, str]:
+        """The arrays, among ``corners``, with the vertices of the two primitives of a pair."""
+        return CORNER_ARRAYS[kind]
+
+    def primitives(self, kind: str, role: Role) -> PrimitiveSet:
+        """The primitives of a kind of bodies with one role."""
+        key = (kind, role)
+        if key not in self._sets:
+            self._sets.setdefault(key, self._make_set(kind, role))
+        return self._sets[key]
+
+    def bodies_of(self, role: Role) -> NDArray[np.bool_]:
+        """The bodies with one role whose primitives are searched, bool, shape [B]."""
+        mesh = self.mesh
+        if role == "kinematic":
+            chosen = mesh.kinematic.copy()
+            chosen[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
+            return chosen
+        return mesh.static if role == "static" else mesh._is_free
+
+    @property
+    def samples_queries(self) -> bool:
+        """Whether the search for a bound begins with a sample."""
+        return self.num_vertices_in_all >= WORTH_SAMPLING
+
+    def sampled_queries(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
+        """Some primitives of a set of this kind, by their numbers alone: the same wherever they are, in any order."""
+        key: tuple[str, Role] = (f"sampled {kind}", primitives.role)
+        if key not in self._sets:
+            ids = primitives.ids.numpy()
+            chosen = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
+            corners = self.array(primitives.corners.numpy()[chosen], wp.vec3i)
+            name, of_ids = f"sampled {primitives.name}", self.array(ids[chosen])
+            found = PrimitiveSet(name, primitives.role, primitives.num_corners, of_ids, corners, is_sample=True)
+            self._sets.setdefault(key, found)
+        return self._sets[key]
+
+    def numbers(self, kind: str) -> NDArray[np.integer]:
+        """The index of each primitive of a kind in the whole mesh."""
+        mesh = self.mesh
+        count = {"edge": mesh.num_edges, "face": mesh.num_faces}.get(ARRAYS.get(kind, kind), mesh.num_vertices)
+        return np.arange(count)
+
+    def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
+        mesh, of_role = self.mesh, self.bodies_of(role)
+        array = ARRAYS.get(kind, kind)
+        body = {"vertex": mesh.vertex_body, "edge": mesh.edge_body, "face": mesh.face_body}[array]
+        among = {
+            "codimensional_point": mesh.codimensional_points,
+            "codimensional_edge": mesh.codimensional_edges,
+            "vertex": mesh._surface_vertices if len(mesh.inner_vertices) else None,
+        }.get(kind)
+        num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
+        name = f"{role} {kind}"
+        if among is None and of_role.all():
+            ids = np.arange(len(body), dtype=np.int32)
+            return PrimitiveSet(name, role, num_corners, self.array(ids), self.corners[array])
+        chosen = np.arange(len(body), dtype=np.int32) if among is None else among
+        ids = chosen[of_role[body[chosen]]].astype(np.int32)
+        corners = self.array(self._corners_host(array)[ids], wp.vec3i)
+        return PrimitiveSet(name, role, num_corners, self.array(ids), corners)
+
+    @lazy_property
+    def collision_filter(self) -> Any:
+        """The collision filter of the mesh, as the struct of the kernels."""
+        return self._make_filter()
+
+    def _make_filter(self) -> Any:
+        mesh = self.mesh
+        collision_filter = CollisionFilter()
+        none = wp.empty(0, dtype=wp.int32, device=self.device)
+        collision_filter.vertex_body = self.vertex_body
+        collision_filter.by_pair = int(mesh.body_pairs is not None)
+        collision_filter.by_body = int(not mesh.self_collision.all() or collision_filter.by_pair)
+        collision_filter.self_collision = self.array(mesh.self_collision.astype(np.int32))
+        pairs = np.zeros((1, 1), dtype=np.uint8) if mesh.body_pairs is None else mesh.body_pairs.astype(np.uint8)
+        collision_filter.body_pairs = self.array(pairs, wp.uint8)
+        collision_filter.by_world = int(mesh.num_worlds > 1)
+        collision_filter.vertex_world = self.vertex_world
+        collision_filter.by_ring = int(mesh._excludes_by_vertices)
+        collision_filter.ring_begin, collision_filter.ring = none, none
+        if collision_filter.by_ring:
+            collision_filter.ring_begin, collision_filter.ring = (
+                self.array(array) for array in self._excluded_vertices()
+            )
+        listed = [mesh.exclude_pairs.get(name, np.zeros((0, 2))).astype(np.int64) for name in _LISTED]
+        collision_filter.listed_begin = self.array(np.append(0, np.cumsum([len(pairs) for pairs in listed])))
+        collision_filter.listed = self.array(np.concatenate([a << 32 | b for a, b in (p.T for p in listed)]), wp.int64)
+        collision_filter.by_listed_body = int(len(listed[-1]) > 0)
+        collision_filter.by_listed_pair = int(any(len(pairs) for pairs in listed[:-1]))
+        collision_filter.applies = int(
+            collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
+        )
+        return collision_filter
+
+    def _excluded_vertices(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        return excluded_vertices(self.mesh)
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether excluded pairs of bodies or of primitives are listed; those of vertices are part of the rings."""
+        return any(name in self.mesh.exclude_pairs for name in _LISTED)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes on the device that belong to the mesh, not to a step."""
+        arrays = [self.vertex_body, self.vertex_world, self.moving_vertices, self.static_vertices]
+        arrays += [self.worlds.cell, self.worlds.origin, self.worlds.anchor]
+        arrays += [self.radius, self.box_radius]
+        arrays += [self.plane_vertices] if len(self.mesh.planes) else []
+        arrays += self.corners.values()
+        arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
+        arrays += [array for order in self.orders.values() for array in order]
+        collision_filter = self.collision_filter
+        arrays += [
+            collision_filter.self_collision,
+            collision_filter.body_pairs,
+            collision_filter.ring_begin,
+            collision_filter.ring,
+            collision_filter.listed_begin,
+            collision_filter.listed,
+        ]
+        return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
+
+
+def uneven_samples(count: int, num: int) -> NDArray[np.intp]:
+    """Numbers below ``count``, one from each of ``num`` equal ranges, each time at another place of it.
+
+    At a fixed distance they could all stand for one vertex of many equal bodies or worlds.
+    """
+    numbers = np.arange(num)
+    places: NDArray[np.intp] = ((numbers + numbers * _GOLDEN % 1.0) * (count / num)).astype(np.intp)
+    return places
+
+
+def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
+    """The largest radius of a vertex and of those that share an edge with it; empty where no radius was given."""
+    if mesh.radius is None:
+        return np.zeros(0)
+    largest = mesh.radius.copy()
+    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
+        np.maximum.at(largest, a, mesh.radius[b])
+    return largest
+
+
+def sorted_keys(
+    primitives: PrimitiveSet,
+    vertex_aabbs: wp.array,
+    num_aabbs: int,
+    typical_extent: np.float32,
+    buffers: Buffers,
+    execution: Execution,
+) -> wp.array:
+    """Ascending keys of the primitives along the Morton curve; the lowest bits hold the index."""
+    count = primitives.count
+    size = 2 * count if execution.is_cuda else count  # the radix sort needs twice the size
+    keys = buffers.get(f"{primitives.name} sort", size, wp.int64)
+    morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
+    execution.launch(
+        kernels.sort_keys,
+        count,
+        inputs=[primitives.corners, vertex_aabbs, num_aabbs, typical_extent, morton_bits, primitives.index_bits],
+        outputs=[keys],
+    )
+    sort_in_place(keys, count, execution)
+    return keys
+
+
+def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
+    """Sort the first ``count`` non-negative int64 keys; on CUDA the array has capacity for twice as many.
+
+    On the CPU NumPy's SIMD sort takes a fraction of the time of the radix sort.
+    """
+    if count < 2:
+        return
+    if execution.is_cuda:
+        wp.utils.radix_sort_pairs(keys, wp.empty(2 * count, dtype=wp.int32, device=execution.device), count)
+    else:
+        keys.numpy()[:count].sort()
+
+
+class Quantization(NamedTuple):
+    """The map to float32, and the typical extent of a box.
+
+    Attributes:
+        origin: What maps to 0.
+        scale: By how much lengths shrink, a power of two.
+        typical_extent: The longest side of a typical box, in quantized coordinates.
+    """
+
+    origin: tuple[float, float, float]
+    scale: float
+    typical_extent: np.float32
+
+    @property
+    def packed(self) -> Any:
+        """The map as the struct of the kernels; the same one for the same map, which mostly stays from step to step."""
+        return _packed_quantization(self.origin, self.scale)
+
+
+@lru_cache(maxsize=64)
+def _packed_quantization(origin: tuple[float, float, float], scale: float) -> Any:
+    packed = kernels.Quantization()
+    packed.origin, packed.scale = wp.vec3d(*origin), scale
+    return packed
+
+
+def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int) -> Quantization:
+    """The map to float32 and the typical extent of a box, from samples of the step.
+
+    The box of the middle nine tenths of the vertices, enlarged three times, maps into [-1/2, 1/2], so a distant vertex
+    costs the others no resolution. The origin lies on a coarse lattice, so that it and the trees of static bodies stay
+    the same as long as the scene stays in place. With several worlds the box is that of one of them, and maps into the
+    middle of its cell.
+    """
+    if len(positions[0]) == 0:
+        return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0))
+    halves, has_origins = topology.sampled(positions), topology.world_places.has_origins
+    with np.errstate(over="ignore", under="ignore"):
+        halves *= 0.5  # so that no sum or difference overflows
+        centres = halves[0, :, 0] + halves[1, :, 0]
+        if has_origins:  # with these `half` is how far from its origin most of a world is
+            distances = np.sort(np.abs(centres).max(axis=0))
+        centres.sort()
+        extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
+        extents.sort()
+    low, centre, high = centres[:, _MARGIN].tolist(), centres[:, _MIDDLE].tolist(), centres[:, -1 - _MARGIN].tolist()
+    half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
+    half = max([0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True)])
+    if has_origins:
+        half = float(distances[-1 - 2 * _MARGIN])
+    exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
+    lattice = 2.0 ** (exponent - 2)
+    x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
+    scale = 2.0 ** -(exponent + topology.world_places.bits)
+    half_extent += topology.typical_radius_of(topology.samples[1])
+    return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
+
+
+def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
+    """The longest side of all boxes of each primitive, given its first points, its second ones, …, shape [2, 3, n]."""
+    # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
+    low, high = reduce(np.minimum, points), reduce(np.maximum, points)
+    sides = np.maximum(*(high - low)) if num_aabbs == 2 else np.maximum(*high) - np.minimum(*low)
+    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
+
+
+def _rounded(number: float) -> float:
+    """The nearest integer, also of an infinite number; even where two are."""
+    return float(round(number)) if abs(number) < 2.0**52 else number
+
+
+def large_half_side(topology: Topology, positions: Positions, quantile: float) -> float:
+    """Half the length that this share of the primitives' boxes over the whole step do not exceed, from samples."""
+    if len(positions[0]) == 0:
+        return 0.0
+    _, primitives = topology.samples
+    points = topology.seen(primitives, positions)  # axes: end of the step, vertex, primitive, coordinate
+    with np.errstate(under="ignore"):
+        points *= 0.5
+    sides = (points.max(axis=(0, 1)) - points.min(axis=(0, 1))).max(axis=1)
+    if topology.mesh.radius is not None:
+        with np.errstate(over="ignore"):
+            sides += topology.seen_radius(primitives)
+        sides = np.minimum(sides, np.finfo(np.float64).max)
+    return float(np.quantile(sides, quantile))
+
+
+def typical_static_extent(topology: Topology, start: NDArray[np.float64], scale: float) -> np.float32:
+    """The typical extent of the primitives of static bodies alone, in the quantized coordinates of a scale."""
+    mesh = topology.mesh
+    among = mesh.edges[mesh.static[mesh.edge_body]]
+    if len(among) == 0:
+        return np.float32(0.0)
+    with np.errstate(over="ignore", under="ignore"):
+        chosen = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
+        points = topology.seen(chosen, (start, start))[0]
+        half_extent = float(np.median((0.5 * points.max(axis=0) - 0.5 * points.min(axis=0)).max(axis=1)))
+        half_extent += topology.typical_radius_of(chosen)
+        return np.float32(2.0 * half_extent * scale)
