@@ -98,10 +98,15 @@ def test_rehearsal_on_the_cpu(tmp_path, capsys):
     assert "== bits: done in" in said and "## Goals" in said
 
 
-def test_emulated_from_beginning_to_end(tmp_path, capsys):
+def test_emulated_from_beginning_to_end(tmp_path, capsys, monkeypatch):
     require_emulation_here()
+    entered, checked = [], Target.checked
+    monkeypatch.setattr(Target, "checked", lambda target: entered.append(target.kind) or checked(target))
     assert rehearse(tmp_path, "--emulated", "--tests", str(TESTS)) == 0, capsys.readouterr().out[-3000:]
     check_whole(tmp_path, "emulation")
+    found = records(tmp_path)
+    of_reference = [each.name for each in stages.STAGES if each.has_reference]
+    assert len(entered) >= sum(len(found[name].cases) for name in stages.NAMES if name not in of_reference) > 80
 
 
 # --- what goes wrong ---
@@ -181,13 +186,15 @@ def test_two_gpus_and_two_versions_of_the_code_are_kept_apart_and_each_goes_on_w
 _HANGS = """
 import json, subprocess, sys, time
 from pathlib import Path
-from ccd_warp.benchmarks.gpu_check.journal import Journal
-order, folder = json.loads(sys.argv[1]), Path(sys.argv[2])
-journal = Journal(folder, order["settings"])
-journal.add(stage=order["stage"], case="first", outcome="passed", rows=[{"n": 1}])
+stage, folder = json.loads(sys.argv[1])["stage"], Path(sys.argv[2])
+run = json.loads((folder / "gpu_check.jsonl").read_text().splitlines()[0])["run"]
+def add(**line):
+    with (folder / "gpu_check.jsonl").open("a") as file:
+        print(json.dumps({"run": run, "stage": stage, **line}), file=file)
+add(case="first", outcome="passed", rows=[{"n": 1}])
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
 (folder / "child").write_text(str(child.pid))
-journal.add(stage=order["stage"], case="second", outcome="begun")
+add(case="second", outcome="begun")
 time.sleep(600)
 """
 # The check, in which this is the program of every stage.
@@ -229,7 +236,7 @@ def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows
         return popen(command, **options)
 
     monkeypatch.setattr(runner.subprocess, "Popen", start)
-    monkeypatch.setattr(runner, "_GRACE", 2.0)
+    monkeypatch.setattr(runner, "_GRACE", 1.0)
     chosen = [stage({}, "queries")]
     run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
     found = records(tmp_path)["queries"]
@@ -253,8 +260,6 @@ def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case
     check.kill()
     check.wait()
     assert wait_until(lambda: not is_running(child))
-    with file.open("a") as cut:  # as the last line may be
-        cut.write('{"run": "')
 
     begun = []
     case = {name: lambda record, name=name: begun.append(name) for name in ("first", "second", "third")}
@@ -273,10 +278,11 @@ from ccd_warp.benchmarks.gpu_check.target import Target
 
 def fail(record):
     Target.is_lost = lambda target: True
+    cases["d"] = None
     raise RuntimeError("illegal address")
 
 cases = {"a": lambda record: record.add(n=1), "b": lambda record: os._exit(9), "c": fail}
-cases["d"] = cases["a"]
+cases["d"] = lambda record: record.add(n=2 if cases["d"] else 3)
 runner.STAGES = (stages.Stage("queries", "what it does", lambda target, **_: cases, 1.0),)
 sys.exit(runner.run_ordered(sys.argv[1], Path(sys.argv[2])))
 """
@@ -293,7 +299,7 @@ def test_stage_goes_on_after_a_case_that_ends_its_process_and_after_the_device_i
     monkeypatch.setattr(runner.subprocess, "Popen", start)
     run_in(tmp_path, [stage({}, "queries")], monkeypatch, seconds=300.0, is_apart=True)
     found = records(tmp_path)["queries"]
-    assert found.status == DONE and found.rows == [{"n": 1}, {"n": 1}]
+    assert found.status == DONE and found.rows == [{"n": 1}, {"n": 2}]
     assert list(found.failed) == ["b", "c"] and "illegal address" in found.failed["c"]
     assert found.failed["b"] == "its process ended with status 9 in b"
 
@@ -323,6 +329,15 @@ def test_tests_of_a_folder_are_cases_and_those_for_other_devices_are_left_out(tm
     assert {name: outcome for name, outcome in outcomes.items() if "broken" not in name} == one
     broken = next(why for name, why in found.failed.items() if "test_broken.py" in name)
     assert "No module named 'no_such_module'" in broken
+
+
+def test_line_that_was_cut_off_costs_no_other(tmp_path):
+    journal = Journal(tmp_path, {"kind": CPU})
+    for name in ("a", "b"):
+        journal.add(stage="bits", case=name, outcome="passed", rows=[{"n": 1}])
+        with journal.path.open("a") as cut:
+            cut.write('{"run": "')
+    assert journal.stage("bits").over == {"a", "b"}
 
 
 def test_goal_is_not_judged_where_nothing_was_compared():
