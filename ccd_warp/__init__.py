@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from ccd_warp._device_pairs import DeviceContacts
-from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, HostLaunchResult, LaunchResult
+from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._engine.host.line_search import LineSearchResult
 from ccd_warp._frames import Frames, read_frames
@@ -46,7 +46,7 @@ from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
-from ccd_warp._results import Contact, Contacts, Counts, MeshResult
+from ccd_warp._results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
 from ccd_warp._sequence import FrameSequence, read_sequence
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._version import __version__

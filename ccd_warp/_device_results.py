@@ -1,4 +1,4 @@
-"""What launches on a device return: arrays that later launches overwrite, and copies of them on the host."""
+"""What launches on a device return: arrays that later launches overwrite."""
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
@@ -9,62 +9,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contacts import Contacts, Outcome, first_contacts
 from ccd_warp._device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._display import counted
 from ccd_warp._proximities import Proximities
-from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._results import HostLaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp._texts import text_completed_by
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class HostLaunchResult(Outcome):
-    """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
-
-    Attributes:
-        toi: Earliest time of impact of the scene in [0, t_max]; inf if there is certainly none.
-        world_toi: Earliest toi of each world, float64, shape [W].
-        body_toi: Earliest toi of each body, float64, shape [B].
-        vertex_toi: Earliest toi of each vertex, float64, shape [V].
-        contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
-        flags: Flags of the scene.
-        world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
-        num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
-        num_contacts: Number of contacts found, including those beyond the capacity.
-    """
-
-    toi: float
-    world_toi: NDArray[np.float64]
-    body_toi: NDArray[np.float64]
-    vertex_toi: NDArray[np.float64]
-    contacts: Contacts
-    flags: LaunchFlag
-    world_flags: NDArray[np.int32]
-    num_pairs: dict[PairKind, int]
-    num_contacts: int
-
-    @lazy_property
-    def vertex_contact(self) -> NDArray[np.int32]:
-        """Index of the contact that gives the toi of each vertex, as in :class:`ccd_warp.MeshResult`, shape [V].
-
-        It is -1 where there is none, and where it was beyond the capacity.
-        """
-        return first_contacts(self.contacts.toi, self.contacts.vertices, self.vertex_toi)
-
-    @lazy_property
-    def body_contact(self) -> NDArray[np.int32]:
-        """Index of the contact that gives the toi of a body, the first of several, -1 for none, int32, shape [B]."""
-        return first_contacts(self.contacts.toi, self.contacts.bodies, self.body_toi)
-
-    @lazy_property
-    def world_contact(self) -> NDArray[np.int32]:
-        """Index of the contact that gives the toi of a world, the first of several, -1 for none, int32, shape [W]."""
-        return first_contacts(self.contacts.toi, self.contacts.world[:, None], self.world_toi)
-
-    def __repr__(self) -> str:
-        flags = "" if not self.flags else f", {self.flags!r}"
-        return f"HostLaunchResult({self._outcome()}{flags})"
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._display import counted, html_table, listed, shown_range
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import check_items
-from ccd_warp._input.arrays import check_finite
-from ccd_warp._input.body_arrays import as_positions, joined_bodies, validated_positions
+from ccd_warp._input.arrays import as_positions, check_finite, validated_positions
+from ccd_warp._input.body_arrays import joined_bodies
 from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.cells import cells_by_type, with_surfaces
 from ccd_warp._input.edges import unique_edges

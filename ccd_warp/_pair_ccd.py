@@ -10,8 +10,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ccd_warp._display import counted
-from ccd_warp._input.arrays import as_array, as_float64, check_finite
-from ccd_warp._input.foreign import is_device_array
+from ccd_warp._input.arrays import as_array, as_float64, check_finite, is_device_array
 from ccd_warp._input.interop import as_warp
 from ccd_warp._input.option_types import PairOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device

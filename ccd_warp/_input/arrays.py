@@ -2,16 +2,19 @@
 
 import math
 import numbers
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arguments import check_unmasked, shown
+from ccd_warp._input.arguments import check_unmasked, on_one_line, shown
 
 _FEW = 1 << 13
 _LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
+# Device types of DLPack: the CPU, and host memory that CUDA has pinned or manages.
+_HOST_MEMORY = (1, 3, 13)
 
 
 def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
@@ -125,3 +128,118 @@ def _as_given(given: Any, rounded: NDArray[np.float64]) -> tuple[NDArray[Any], N
         for exact, value in zip(numbers_given.ravel(), rounded.ravel().tolist(), strict=True)
     ]
     return numbers_given, np.reshape(is_exact, rounded.shape)
+
+
+def as_positions(
+    values: ArrayLike,
+    name: str,
+    dimension: int,
+    count: int | None = None,
+    reason: str = "",
+    by_world: Collection[tuple[int, int]] = (),
+) -> NDArray[np.float64]:
+    """Float64 array of shape [n, dimension], with n = ``count`` if given, or a ValueError.
+
+    Args:
+        values: The positions; those of several worlds may have an axis of worlds before the others.
+        name: Name of the argument, for the messages.
+        dimension: Number of columns, 3 in space and 2 in the plane.
+        count: Number of rows.
+        reason: Why it must be this number, for the messages.
+        by_world: The accepted numbers of worlds and of rows in each.
+    """
+    if type(values) is np.ndarray and values.shape == (count, dimension) and is_float64(values):
+        return values
+    expected = f"(n, {dimension})" if count is None else f"{(count, dimension)} {reason}"
+    array = as_array(on_host(values, name), name, f"shape {expected}")
+    if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == dimension:
+        if not hasattr(values, "__array_interface__") and isinstance(values, (list, tuple)):
+            values = [row for world in values for row in world]  # so that its numbers are compared one by one
+        array = array.reshape(-1, dimension)
+    if count is not None and array.shape != (count, dimension):
+        raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
+    if array.ndim != 2 or array.shape[1] != dimension:
+        if array.size == 0 and array.ndim <= 2:
+            return np.zeros((0, dimension))
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, {dimension})")
+    return as_float64(array, name, values)
+
+
+def validated_positions(
+    values: ArrayLike,
+    name: str,
+    dimension: int,
+    count: int | None = None,
+    reason: str = "",
+    by_world: Collection[tuple[int, int]] = (),
+    where: Callable[[int], str] | None = None,
+) -> NDArray[np.float64]:
+    """Finite positions as of :func:`as_positions`, or a ValueError; ``where`` describes a row."""
+    array = as_positions(values, name, dimension, count, reason, by_world)
+    check_finite(array, name, where=where)
+    return array
+
+
+def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
+    """Valid vertex indices of shape [n, columns], or a ValueError."""
+    array = as_array(on_host(values, name), name, f"shape (n, {columns})")
+    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
+        return np.zeros((0, columns), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"{name} has shape {array.shape}; expected (n, {columns})")
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected integers")
+    for index in (array.min(), array.max()):
+        if not 0 <= index < num_vertices:
+            raise ValueError(f"{name} holds index {index}; expected indices in [0, {num_vertices})")
+    return array.astype(np.int64)
+
+
+def is_device_array(value: Any) -> bool:
+    """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
+    return isinstance(value, wp.array) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+
+
+def speaks_dlpack(value: Any) -> bool:
+    """Whether a value is an array that can be shared, and not a class of such arrays."""
+    return hasattr(value, "__dlpack__") and not isinstance(value, type)
+
+
+def is_of_jax(value: Any) -> bool:
+    """Whether a value is an array of JAX."""
+    return type(value).__module__.partition(".")[0] in ("jax", "jaxlib")
+
+
+def reason_of(error: Exception) -> str:
+    """The error message of another library on one line, and what was expected."""
+    return f"{on_one_line(str(error))}; expected one that can"
+
+
+def place_of(value: Any, name: str) -> tuple[int, int]:
+    """Type and index of the device of an array, in the numbering of DLPack."""
+    try:
+        kind, index = value.__dlpack_device__()
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error
+    return int(kind), int(index)
+
+
+def on_host(value: Any, name: str) -> Any:
+    """The value as NumPy can read it in place; arrays of other libraries must not be on a GPU.
+
+    Raises:
+        ValueError: If it is an array on a GPU, or one that NumPy cannot read, as a tensor that requires a gradient.
+    """
+    if is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY:
+        raise ValueError(
+            f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
+            f"or CollisionPipeline.launch, which takes arrays on its device"
+        )
+    if isinstance(value, wp.array):
+        return value.numpy()
+    if not is_device_array(value):
+        return value
+    try:
+        return np.asarray(value)
+    except Exception as error:  # whatever the other library raises
+        raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error

@@ -1,15 +1,13 @@
 """Positions and indices, checked, and those of bodies, joined into the arrays of one mesh."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_any_array, as_array, as_float64, check_finite, is_float64
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_any_array, on_host, validated_indices, validated_positions
 from ccd_warp._input.names import body_label
 
 
@@ -32,71 +30,6 @@ def common_dimension(vertices: Mapping[int, Any], names: Sequence[str]) -> int:
             f"{body_label(planar[0], names)} 2; expected all bodies in the plane, or none"
         )
     return 2 if planar else 3
-
-
-def as_positions(
-    values: ArrayLike,
-    name: str,
-    dimension: int,
-    count: int | None = None,
-    reason: str = "",
-    by_world: Collection[tuple[int, int]] = (),
-) -> NDArray[np.float64]:
-    """Float64 array of shape [n, dimension], with n = ``count`` if given, or a ValueError.
-
-    Args:
-        values: The positions; those of several worlds may have an axis of worlds before the others.
-        name: Name of the argument, for the messages.
-        dimension: Number of columns, 3 in space and 2 in the plane.
-        count: Number of rows.
-        reason: Why it must be this number, for the messages.
-        by_world: The accepted numbers of worlds and of rows in each.
-    """
-    if type(values) is np.ndarray and values.shape == (count, dimension) and is_float64(values):
-        return values
-    expected = f"(n, {dimension})" if count is None else f"{(count, dimension)} {reason}"
-    array = as_array(on_host(values, name), name, f"shape {expected}")
-    if array.ndim == 3 and array.shape[:2] in by_world and array.shape[2] == dimension:
-        if not hasattr(values, "__array_interface__") and isinstance(values, (list, tuple)):
-            values = [row for world in values for row in world]  # so that its numbers are compared one by one
-        array = array.reshape(-1, dimension)
-    if count is not None and array.shape != (count, dimension):
-        raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
-    if array.ndim != 2 or array.shape[1] != dimension:
-        if array.size == 0 and array.ndim <= 2:
-            return np.zeros((0, dimension))
-        raise ValueError(f"{name} has shape {array.shape}; expected (n, {dimension})")
-    return as_float64(array, name, values)
-
-
-def validated_positions(
-    values: ArrayLike,
-    name: str,
-    dimension: int,
-    count: int | None = None,
-    reason: str = "",
-    by_world: Collection[tuple[int, int]] = (),
-    where: Callable[[int], str] | None = None,
-) -> NDArray[np.float64]:
-    """Finite positions as of :func:`as_positions`, or a ValueError; ``where`` describes a row."""
-    array = as_positions(values, name, dimension, count, reason, by_world)
-    check_finite(array, name, where=where)
-    return array
-
-
-def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: str) -> NDArray[np.int64]:
-    """Valid vertex indices of shape [n, columns], or a ValueError."""
-    array = as_array(on_host(values, name), name, f"shape (n, {columns})")
-    if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (columns,)):
-        return np.zeros((0, columns), dtype=np.int64)
-    if array.ndim != 2 or array.shape[1] != columns:
-        raise ValueError(f"{name} has shape {array.shape}; expected (n, {columns})")
-    if array.dtype.kind not in "iu":
-        raise ValueError(f"{name} has dtype {shown(array.dtype)}; expected integers")
-    for index in (array.min(), array.max()):
-        if not 0 <= index < num_vertices:
-            raise ValueError(f"{name} holds index {index}; expected indices in [0, {num_vertices})")
-    return array.astype(np.int64)
 
 
 class JoinedBodies(NamedTuple):

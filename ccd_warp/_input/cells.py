@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_array
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_array, on_host, validated_indices, validated_positions
 from ccd_warp._input.names import body_label
 
 _Integers = NDArray[np.int64]
@@ -61,8 +60,6 @@ def cells_by_type(cells: Any) -> dict[str, Any]:
 
 def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], NDArray[np.bool_]]:
     """Bodies of :meth:`ccd_warp.CollisionMesh.from_arrays` with faces in place of cells, and which had cells."""
-    from ccd_warp._input.body_arrays import validated_positions
-
     is_of_cells = np.zeros(len(bodies), dtype=bool)
     for b, body in enumerate(bodies):
         if isinstance(body, (tuple, list)) and len(body) in (2, 3) and isinstance(body[1], Mapping):
@@ -111,8 +108,6 @@ def surface_of(
         ValueError: If a type or an index is not known, or two volumes have the same corners, or more
             than two the same side, so that nobody could say what is outside.
     """
-    from ccd_warp._input.body_arrays import validated_indices
-
     volumes, shells, keys = [], [], []
     for kind, values in cells:
         if kind not in _CORNERS:

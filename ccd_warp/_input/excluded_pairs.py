@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import check_items, shown
-from ccd_warp._input.arrays import as_array
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_array, on_host
 
 # What is paired, by key.
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane")

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._half_space import HalfSpace, Planes
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_array, as_float64
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_array, as_float64, on_host
 
 
 def planes_of(

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._input.arguments import check_unmasked, shown
-from ccd_warp._input.foreign import is_of_jax, place_of, reason_of, speaks_dlpack
+from ccd_warp._input.arrays import is_of_jax, place_of, reason_of, speaks_dlpack
 from ccd_warp._quiet import start_warp
 
 # Device types of CUDA in DLPack: memory of a GPU, host memory that CUDA has pinned, and memory that it manages.

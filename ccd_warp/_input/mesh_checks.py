@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_count, check_items, check_real, shown
-from ccd_warp._input.arrays import as_any_array, as_array, as_float64
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_any_array, as_array, as_float64, on_host
 from ccd_warp._input.names import body_label, is_default_name
 
 

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arrays import as_array
-from ccd_warp._input.body_arrays import validated_indices, validated_positions
-from ccd_warp._input.foreign import on_host
+from ccd_warp._input.arrays import as_array, on_host, validated_indices, validated_positions
 from ccd_warp._input.mesh_checks import validated_radius
 
 

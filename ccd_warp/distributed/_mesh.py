@@ -13,10 +13,8 @@ from ccd_warp._display import counted
 from ccd_warp._engine.mesh.topology import NUM_SAMPLES, uneven_samples
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_any_array, as_array, check_finite
-from ccd_warp._input.body_arrays import as_positions, validated_indices
+from ccd_warp._input.arrays import as_any_array, as_array, as_positions, check_finite, on_host, validated_indices
 from ccd_warp._input.excluded_pairs import ExcludedPairs
-from ccd_warp._input.foreign import on_host
 from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._input.mesh_checks import (
     validated_body_pairs,

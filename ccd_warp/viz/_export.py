@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import points_at_toi
-from ccd_warp._device_results import HostLaunchResult
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pairs import pair_bodies
-from ccd_warp._results import MeshResult
+from ccd_warp._results import HostLaunchResult, MeshResult
 from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista
 

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import points_at_toi
-from ccd_warp._device_results import HostLaunchResult
 from ccd_warp._display import listed, shortened
 from ccd_warp._half_space import unit_normals
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pairs import pair_corners
-from ccd_warp._results import Contacts, MeshResult
+from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._status import PairKind
 
 STATIC_COLOUR = "#c6c6c2"
