@@ -14,6 +14,7 @@ from scenes import (
     cables_and_particles,
     cloth_and_ball_in_worlds,
     crowd,
+    crowd_in_plane,
     leaning_stack,
     sheet,
     sheet_over_ball,
@@ -152,19 +153,6 @@ def worlds():
     return mesh, start, end
 
 
-def in_the_plane():
-    rng = np.random.default_rng(13)
-    segments = rng.random((60, 1, 2)) + 0.1 * rng.standard_normal((60, 2, 2))
-    bodies = [
-        (segments.reshape(-1, 2), np.arange(120).reshape(-1, 2)),
-        (rng.random((30, 2)), np.zeros((0, 2), dtype=int)),
-        (segments.reshape(-1, 2) * 10, np.arange(120).reshape(-1, 2)),
-    ]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[2])
-    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
-
-
 def body_far_from_the_others():
     """A body that no other comes near has empty boxes."""
     mesh = ccd.CollisionMesh.from_arrays(
@@ -194,10 +182,10 @@ SCENES = {
             fast_flight,
             cables,
             worlds,
-            in_the_plane,
             body_far_from_the_others,
         )
     },
+    "in the plane": lambda: crowd_in_plane(np.random.default_rng(13), static=["segments"]),
     **{f"box that overflows, {small}": lambda s=small: box_that_overflows(s) for small in (5e-324, 1e-100, 1e200)},
 }
 
