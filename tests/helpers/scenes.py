@@ -27,6 +27,12 @@ def soup(rng, num_faces, size, num_vertices=None, spread=1.0):
     return vertices, faces if num_vertices is None else faces % num_vertices
 
 
+def triangles(rng, count, **options):
+    """Triangles at random places, a body each: mesh and positions."""
+    mesh = ccd.CollisionMesh.from_arrays([(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(count)], **options)
+    return mesh, mesh.vertices.copy()
+
+
 def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     """Faces at random places that move at random: mesh, start and end positions."""
     start, faces = soup(rng, num_faces, size)

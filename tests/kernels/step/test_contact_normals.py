@@ -5,7 +5,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import warp as wp
 from ccd_warp.benchmarks.distance_oracle import exact_gap
 from ccd_warp.benchmarks.distance_queries import KINDS
 from ccd_warp.benchmarks.hard_cases import FAMILIES
@@ -185,17 +184,6 @@ def test_segments_in_the_plane_are_pushed_apart_along_the_gap():
     assert len(contacts) and contacts.normal.shape == (len(contacts), 2)
     of_point = contacts[contacts.primitives[:, 0] == 2]
     assert of_point.normal.tolist() == [[0, 1]] * len(of_point) and len(of_point)
-
-
-def test_launched_contacts_have_the_same_normals():
-    rng = np.random.default_rng(11)
-    points_t0, points_t1 = FAMILIES["random_colliding"]("vertex-face", 24, rng)
-    mesh, start, end = pairs_in_worlds("vertex-face", points_t0, points_t1)
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.05, device="cpu")
-    expected = pipeline.mesh_ccd(start, end).contacts
-    found = pipeline.launch(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end))).to_host().contacts
-    assert len(expected) > 10
-    assert np.array_equal(found.normal, expected.normal) and np.array_equal(found.parameters, expected.parameters)
 
 
 @every_kind
