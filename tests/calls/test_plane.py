@@ -9,6 +9,7 @@ import warp as wp
 from exact import exact_tois
 from launches import CAPACITIES, check_same
 from oracles import brute_force, check_candidates, corners_of, exact_pairs
+from scenes import crowd_in_plane
 
 import ccd_warp as ccd
 
@@ -16,23 +17,6 @@ VECTORS = {"float32": wp.vec2f, "float64": wp.vec2d}
 SEGMENT = np.array([[-1.0, 0], [1, 0]])
 EDGE = [[0, 1]]
 NO_EDGES = np.zeros((0, 2), dtype=int)
-
-
-def crowd_in_plane(rng, count=25, size=0.1, speed=0.3, **options):
-    """Chains of two segments, single segments, and points, a body each, that move at random, some points head-on."""
-    chains = np.repeat(rng.random((count, 1, 2)), 3, axis=1) + size * rng.standard_normal((count, 3, 2))
-    of_chain = np.arange(3 * count).reshape(-1, 3)
-    segments = np.repeat(rng.random((count, 1, 2)), 2, axis=1) + size * rng.standard_normal((count, 2, 2))
-    bodies = [
-        (chains.reshape(-1, 2), np.concatenate([of_chain[:, :2], of_chain[:, 1:]])),
-        (segments.reshape(-1, 2), np.arange(2 * count).reshape(-1, 2)),
-        (rng.random((count, 2)), NO_EDGES),
-    ]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, names=["chains", "segments", "dust"], **options)
-    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
-    points = mesh.codimensional_points[: count // 4 * 4].reshape(-1, 4)
-    end[points[:, 0]], end[points[:, 1]] = mesh.vertices[points[:, 1]], mesh.vertices[points[:, 0]]
-    return mesh, mesh.vertices, np.where(mesh.static[mesh.vertex_body][:, None], mesh.vertices, end)
 
 
 @pytest.mark.parametrize("inflation", [0.0, 0.05])

@@ -16,7 +16,7 @@ from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois
 from launches import host, on_device
 from oracles import brute_force, corners_of
-from scenes import NO_FACES, sheet
+from scenes import NO_FACES, pairs_in_worlds, sheet
 from thick_scenes import (
     KIND_NAMES,
     check_contacts,
@@ -134,28 +134,6 @@ def test_every_pair_that_comes_within_its_own_distance_is_found_by_every_way(mak
             assert found_contacts(launched.to_host().contacts) == found_contacts(result.contacts)
 
 
-def pairs_in_worlds(kind, points_t0, points_t1, radius):
-    """Each query as a world of its own, with two bodies' radii; mesh, start and end."""
-    n, corners = points_t0.shape[:2]
-    split = 2 if kind == "edge-edge" else 1
-    index = np.arange(n * corners).reshape(n, corners)
-    bodies = []
-    for part in (index[:, :split], index[:, split:]):
-        local = np.arange(part.size).reshape(part.shape)
-        vertices = points_t0.reshape(-1, 3)[part.ravel()]
-        arrays = {1: (NO_FACES,), 2: (NO_FACES, local), 3: (local,)}[part.shape[1]]
-        bodies.append((vertices, *arrays))
-    order = np.concatenate([index[:, :split].ravel(), index[:, split:].ravel()])
-    mesh = ccd.CollisionMesh.from_arrays(
-        bodies,
-        codimensional_points=kind.startswith("point"),
-        self_collision=False,
-        vertex_world=order // corners,
-        radius=np.concatenate([np.repeat(radius[:, 0], split), np.repeat(radius[:, 1], corners - split)]),
-    )
-    return mesh, points_t0.reshape(-1, 3)[order], points_t1.reshape(-1, 3)[order]
-
-
 def summed_up(*lengths):
     """The least float64 number that is no less than the exact sum."""
     exact = sum(map(Fraction, lengths))
@@ -170,7 +148,9 @@ def test_pair_with_radii_has_the_bits_of_one_with_their_sum_as_distance(kind):
     n = len(points[0])
     # one of the two is 0, and so is the minimum distance, so that no sum is rounded twice
     radius = rng.random((n, 2)) * 10.0 ** rng.uniform(-8, -0.5, (n, 2)) * np.eye(2)[rng.integers(0, 2, n)]
-    mesh, start, end = pairs_in_worlds(kind, *points, radius)
+    split = 2 if kind == "edge-edge" else 1
+    side = (np.arange(points[0].shape[1]) >= split).astype(int)
+    mesh, start, end = pairs_in_worlds(kind, *points, radius[:, side].ravel())
     for options in (
         {},
         {"precision": "float32", "start_gap_fraction": 0.5},

@@ -114,10 +114,7 @@ def _needles() -> Made:
     start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
     solved = ccd.edge_edge_ccd(start, end, **_NEEDLES)
     chosen = np.argsort(-solved.iterations)[:20]
-    start, end = (x[chosen].reshape(-1, 3) for x in (start, end))
-    edges = np.arange(len(start)).reshape(-1, 2)
-    mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(len(start)) // 4)
-    return mesh, start, end
+    return scenes.pairs_in_worlds("edge-edge", start[chosen], end[chosen])
 
 
 def _in_a_plane_at_rest() -> Made:

@@ -179,9 +179,7 @@ def test_needles_that_cross_at_many_speeds():
         hardest = np.argmax(solved.iterations * np.isfinite(solved.toi))
         speeds = np.random.default_rng(5).permutation(np.linspace(0.5, 1, 8))[:, None, None]
         start = np.repeat(start[hardest : hardest + 1], 8, axis=0)
-        end = (start + speeds * (end[hardest] - start[0])).reshape(-1, 3)
-        start, edges = start.reshape(-1, 3), np.arange(32).reshape(-1, 2)
-        mesh = ccd.CollisionMesh.from_arrays([(start, scenes.NO_FACES, edges)], vertex_world=np.arange(32) // 4)
+        mesh, start, end = scenes.pairs_in_worlds("edge-edge", start, start + speeds * (end[hardest] - start[0]))
         return outputs_of(ccd.mesh_ccd(mesh, start, end, **options), "mesh_ccd")
 
     expected, found = arrays_on_both("needles at many speeds", step)

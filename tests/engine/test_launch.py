@@ -45,9 +45,10 @@ def test_random_soups_are_never_late(seed, size, flat, t_max):
             assert not any(truth.late(toi) for toi in [*result["vertex_toi"][four], result["toi"][0]])
 
 
-def test_capture_follows_a_static_body_that_is_moved(device):
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_capture_follows_a_static_body_that_is_moved(device, broad_phase):
     mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, broad_phase=broad_phase, **CAPACITIES)
     vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
     result = pipeline.launch(vertices_t0, vertices_t1)
     with wp.ScopedCapture(device=device) as capture:

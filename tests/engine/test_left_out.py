@@ -8,6 +8,7 @@ import pytest
 import warp as wp
 from ccd_warp.benchmarks import scenes
 from ccd_warp.benchmarks.hard_cases import FAMILIES
+from scenes import pairs_in_worlds
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options
@@ -137,10 +138,7 @@ def test_the_second_round_runs_in_a_graph_where_a_pair_is_open():
     options = {"tolerance": 1e-15, "length_scale": 1.0}
     points = FAMILIES["needle_against_needle"]("edge-edge", 1000, np.random.default_rng(0))
     is_hard = ccd.edge_edge_ccd(*points, **options).iterations > Options().first_iterations
-    start, end = (x[is_hard].reshape(-1, 3) for x in points)
-    edges = np.arange(len(start)).reshape(-1, 2)
-    body = (start, np.zeros((0, 3), int), edges)
-    mesh = ccd.CollisionMesh.from_arrays([body], vertex_world=np.arange(len(start)) // 4)
+    mesh, start, end = pairs_in_worlds("edge-edge", *(x[is_hard] for x in points))
     expected = bits_of(ccd.CollisionPipeline(mesh, **options).launch(on_cpu(start), on_cpu(end)))
     pipeline = ccd.CollisionPipeline(mesh, **options)
     pipeline.reserve()

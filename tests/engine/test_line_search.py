@@ -5,14 +5,24 @@ import pytest
 import trimesh
 import warp as wp
 from oracles import exact_contacts, num_touching
-from scenes import FACE, TRIANGLE, stacked, with_static_at_rest
+from scenes import FACE, TRIANGLE, stacked, triangles, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.device import line_search as device_line_search
 from ccd_warp._runtime.launch import Slot
 
-PER = ("scene", "body", "vertex")
-every_per = pytest.mark.parametrize("per", PER)
+EVERY_PER = ("scene", "world", "body", "vertex")
+every_per = pytest.mark.parametrize("per", EVERY_PER)
+
+
+def _launched(mesh, start, end, dtype=wp.vec3d, device="cpu", **options):
+    """Start and end positions of a line search on the device, as they are there, and its result."""
+    real = np.float64 if dtype is wp.vec3d else np.float32
+    vertices_t0, vertices_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (start, end))
+    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch_line_search(
+        vertices_t0, vertices_t1, **options
+    )
+    return vertices_t0.numpy().astype(np.float64), vertices_t1.numpy().astype(np.float64), result
 
 
 @every_per
@@ -27,7 +37,7 @@ def test_nothing_in_the_way_moves_all_the_way(per):
 
 @every_per
 @pytest.mark.parametrize("safety", [0.5, 0.9, 0.999])
-def test_one_body_falls_on_another(per, safety):
+def test_one_body_falls_on_another(per, safety, device):
     mesh, start = stacked(0.0, 1.0)
     end = start.copy()
     end[3:, 2] -= 2.0
@@ -37,9 +47,12 @@ def test_one_body_falls_on_another(per, safety):
     if per != "vertex":  # one fraction for all that moves together
         for vertices in (slice(0, 3), slice(3, 6)) if per == "body" else (slice(0, 6),):
             assert len(set(step.vertex_fraction[vertices])) == 1
+    begin, reached, _ = _launched(mesh, start, end, device=device, per=per, safety=0.5)
+    assert exact_contacts(mesh, begin, reached) == []
+    assert reached[3:, 2].min() == pytest.approx(0.5, rel=1e-9)
 
 
-def test_a_vertex_that_is_stopped_stops_the_one_behind_it():
+def test_a_vertex_that_is_stopped_stops_the_one_behind_it(device):
     """The first moves into a wall and the second follows it; the second alone has no contact in the original motion.
 
     Shortening each vertex by its own toi would leave the first in the way of the second.
@@ -52,23 +65,28 @@ def test_a_vertex_that_is_stopped_stops_the_one_behind_it():
     assert np.isinf(naive[6:]).all(), "the second touches nothing in the original motion"
     shortened = start + np.minimum(0.9 * naive, 1.0)[:, None] * (end - start)
     assert exact_contacts(mesh, start, shortened), "so the fractions of the tois alone do not do"
-    for per in PER:
+    for per in EVERY_PER:
         step = ccd.line_search(mesh, start, end, per=per)
         assert exact_contacts(mesh, start, step.vertices) == []
         assert step.fraction > 0
+        _, reached, result = _launched(mesh, start, end, device=device, per=per)
+        assert exact_contacts(mesh, start, reached) == []
+        assert np.isinf(result.toi.numpy()[0]) and (reached[3:] != start[3:]).any(axis=1).all()
 
 
 @every_per
 @pytest.mark.parametrize("seed", range(6))
-def test_random_soup_is_free_by_exact_arithmetic(per, seed):
+def test_random_soup_is_free_by_exact_arithmetic(per, seed, device):
     rng = np.random.default_rng(seed)
-    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
-    start = np.concatenate([vertices for vertices, _ in bodies])
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    mesh, start = triangles(rng, 6)
     end = start + rng.uniform(-1, 1, start.shape)
     step = ccd.line_search(mesh, start, end, per=per)
     assert exact_contacts(mesh, start, step.vertices) == []
     assert ((step.vertex_fraction >= 0) & (step.vertex_fraction <= 1)).all()
+    for dtype in (wp.vec3d, wp.vec3f):
+        begin, reached, result = _launched(mesh, start, end, dtype, device, per=per)
+        assert exact_contacts(mesh, begin, reached) == []
+        assert np.isinf(result.toi.numpy()[0]) and (begin != reached).all(axis=1).any()
 
 
 def test_finer_fractions_move_more():
@@ -76,25 +94,20 @@ def test_finer_fractions_move_more():
     end = start.copy()
     end[3:6, 2] -= 2.0
     end[6:] += [1.0, 0, 0]
-    moved = {per: ccd.line_search(mesh, start, end, per=per).vertex_fraction.sum() for per in PER}
+    moved = {per: ccd.line_search(mesh, start, end, per=per).vertex_fraction.sum() for per in EVERY_PER}
     assert moved["scene"] < moved["body"] <= moved["vertex"]
 
 
 @every_per
 def test_touching_at_the_start_holds_those_that_touch(per):
-    """A vertex lies exactly on a face and is pushed into it; a third body is free."""
-    bodies = [(TRIANGLE, FACE), (np.array([[0, 0, 0.0], [0.5, 0.2, 1], [-0.5, 0.2, 1]]), FACE), (TRIANGLE + 5, FACE)]
-    start = np.concatenate([vertices for vertices, _ in bodies])
+    bodies, start, end = _pushed_while_touching()
     mesh = ccd.CollisionMesh.from_arrays(bodies)
-    end = start.copy()
-    end[3:6, 2] -= 0.5
-    end[6:] += 1.0
     step = ccd.line_search(mesh, start, end, per=per)
     assert len(step.touching) > 0 and not step.is_limited
     assert step.vertex_fraction[3] == 0.0
     assert np.array_equal(step.vertices[3], start[3])
     assert exact_contacts(mesh, start, step.vertices) == []
-    if per != "scene":
+    if per in ("body", "vertex"):
         assert (step.vertex_fraction[6:] == 1.0).all()
 
 
@@ -123,9 +136,7 @@ def test_static_bodies_stay_and_are_not_counted():
 
 def test_a_search_that_takes_too_long_moves_by_one_fraction_or_not_at_all():
     rng = np.random.default_rng(3)
-    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(8)]
-    start = np.concatenate([vertices for vertices, _ in bodies])
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    mesh, start = triangles(rng, 8)
     end = start + rng.uniform(-2, 2, start.shape)
     step = ccd.line_search(mesh, start, end, per="vertex", max_rounds=3)
     assert step.is_limited and step.num_rounds <= 3
@@ -135,11 +146,10 @@ def test_a_search_that_takes_too_long_moves_by_one_fraction_or_not_at_all():
 
 def test_a_world_whose_search_takes_too_long_does_not_hold_others():
     rng = np.random.default_rng(3)
-    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(8)]
-    start = np.concatenate([vertices for vertices, _ in bodies])
-    mesh = ccd.CollisionMesh.from_arrays([*bodies, *bodies], vertex_world=np.repeat([0, 1], len(start)))
+    one, start = triangles(rng, 8)
+    mesh = one.replicate(2)
     end = start + rng.uniform(-2, 2, start.shape)
-    both = np.concatenate([start, start]), np.concatenate([end, start + 0.25])
+    both = np.stack([start, start]), np.stack([end, start + 0.25])
     step = ccd.line_search(mesh, *both, per="vertex", max_rounds=3, length_scale=1.0)
     assert step.is_limited and len(set(step.vertex_fraction[: len(start)])) == 1
     assert step.vertex_fraction[0] < 1.0 and (step.vertex_fraction[len(start) :] == 1.0).all()
@@ -172,53 +182,6 @@ def test_stationary_coordinates_do_not_move_by_a_rounding(per):
 
 
 # --- on the device ---
-
-EVERY_PER = ("scene", "world", "body", "vertex")
-
-
-def _launched(mesh, start, end, dtype=wp.vec3d, device="cpu", **options):
-    """Start and end positions of a line search on the device, as they are there, and its result."""
-    real = np.float64 if dtype is wp.vec3d else np.float32
-    vertices_t0, vertices_t1 = (wp.array(x.astype(real), dtype=dtype, device=device) for x in (start, end))
-    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch_line_search(
-        vertices_t0, vertices_t1, **options
-    )
-    return vertices_t0.numpy().astype(np.float64), vertices_t1.numpy().astype(np.float64), result
-
-
-@pytest.mark.parametrize("per", EVERY_PER)
-@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
-@pytest.mark.parametrize("seed", range(4))
-def test_soup_on_the_device_is_free_by_exact_arithmetic(per, dtype, seed, device):
-    rng = np.random.default_rng(seed)
-    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
-    wished = np.concatenate([vertices for vertices, _ in bodies])
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
-    start, end, result = _launched(mesh, wished, wished + rng.uniform(-1, 1, wished.shape), dtype, device, per=per)
-    assert exact_contacts(mesh, start, end) == []
-    assert np.isinf(result.toi.numpy()[0]) and (start != end).all(axis=1).any()
-
-
-@pytest.mark.parametrize("per", EVERY_PER)
-def test_one_body_falls_on_another_on_the_device(per, device):
-    mesh, start = stacked(0.0, 1.0)
-    wished = start.copy()
-    wished[3:, 2] -= 2.0
-    start, end, _ = _launched(mesh, start, wished, device=device, per=per, safety=0.5)
-    assert exact_contacts(mesh, start, end) == []
-    assert end[3:, 2].min() == pytest.approx(0.5, rel=1e-9)
-
-
-def test_a_vertex_that_is_stopped_stops_the_one_behind_it_on_the_device(device):
-    mesh, start = stacked(0.0, 1.0, 2.0)
-    wished = start.copy()
-    wished[3:6, 2] = -0.9
-    wished[6:, 2] = 0.05
-    for per in EVERY_PER:
-        _, end, result = _launched(mesh, start, wished, device=device, per=per)
-        assert exact_contacts(mesh, start, end) == []
-        assert np.isinf(result.toi.numpy()[0])
-        assert (end[3:] != start[3:]).any(axis=1).all()
 
 
 def _pushed_while_touching():
@@ -278,8 +241,7 @@ def test_worlds_are_shortened_as_each_alone(per, device):
 def test_what_a_look_finds_free_has_no_pairs_in_the_next(device):
     for seed in range(100):
         rng = np.random.default_rng(seed)
-        bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(2)]
-        mesh = ccd.CollisionMesh.from_arrays(bodies)
+        mesh, _ = triangles(rng, 2)
         end = mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape)
         vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (mesh.vertices, end))
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
@@ -307,7 +269,7 @@ def _two_worlds_of_one_body():
     return mesh, wished
 
 
-@pytest.mark.parametrize("per", EVERY_PER)
+@every_per
 def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, device):
     mesh, wished = _two_worlds_of_one_body()
     free = ccd.mesh_ccd(mesh, mesh.vertices, wished, length_scale=1.0).world_toi
@@ -322,8 +284,7 @@ def test_a_world_that_another_shortens_is_checked_again(device, monkeypatch):
     monkeypatch.setattr(device_line_search, "passes_of", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
     for seed in range(100):
         rng = np.random.default_rng(seed)
-        bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(4)]
-        mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat([0, 1], 6))
+        mesh, _ = triangles(rng, 4, vertex_world=np.repeat([0, 1], 6))
         vertices_t0 = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
         vertices_t1 = wp.array(mesh.vertices + rng.uniform(-1, 1, mesh.vertices.shape), dtype=wp.vec3d, device=device)
         pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
@@ -364,7 +325,7 @@ def _random_scene(rng):
     return mesh, with_static_at_rest(mesh, mesh.vertices, np.concatenate(ends))
 
 
-@pytest.mark.parametrize("per", EVERY_PER)
+@every_per
 @pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
 def test_random_scenes_are_free_whatever_the_capacity(per, dtype, device):
     rng = np.random.default_rng(EVERY_PER.index(per))
@@ -396,9 +357,7 @@ def test_coordinates_that_are_no_numbers_stop_their_world(device):
 
 def test_without_capacity_for_pairs_nothing_moves_into_another(device):
     rng = np.random.default_rng(0)
-    bodies = [(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(6)]
-    start = np.concatenate([vertices for vertices, _ in bodies])
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    mesh, start = triangles(rng, 6)
     wished = start + rng.uniform(-1, 1, start.shape)
     vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device=device) for x in (start, wished))
     pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, max_pairs=1, device=device)

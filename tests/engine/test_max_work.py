@@ -8,7 +8,7 @@ import pytest
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
-from scenes import FACE
+from scenes import FACE, pairs_in_worlds
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options
@@ -27,16 +27,10 @@ def needles(kind):
     return start[is_hard], end[is_hard]
 
 
-def scene_of(kind, count, *, of_worlds=True):
-    """Hard pairs one after the other, mirrored in turn: each in a world of its own, or all at one place."""
-    start, end = (x[np.arange(count) % len(x)] for x in needles(kind))
+def scene_of(kind, count):
+    """Hard pairs one after the other, mirrored in turn, each in a world of its own."""
     mirror = np.random.default_rng(1).choice([-1.0, 1.0], (count, 1, 3))
-    first = 4 * np.arange(count)[:, None]
-    positions = [np.ascontiguousarray((x * mirror).reshape(-1, 3)) for x in (start, end)]
-    edges = np.concatenate([first + [0, 1], first + [2, 3]])
-    body = (positions[0], first + [1, 2, 3]) if kind == "vertex_face" else (positions[0], np.zeros((0, 3), int), edges)
-    worlds = np.repeat(np.arange(count), 4) if of_worlds else None
-    return ccd.CollisionMesh.from_arrays([body], vertex_world=worlds), *positions
+    return pairs_in_worlds(kind, *(mirror * x[np.arange(count) % len(x)] for x in needles(kind)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -62,14 +56,12 @@ def test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work(kind):
     assert len(later) > 10 and cut.toi[first] < exact.toi[first]
     bound = 0.5 * (exact.toi[first] + cut.toi[later].min())
     chosen = np.append(first, later)
-    hard = [x[chosen].reshape(-1, 3) for x in (start, end)]
-    number = 4 * np.arange(len(chosen))[:, None]
-    edges = np.concatenate([number + [0, 1], number + [2, 3]])
-    body = (hard[0], number + [1, 2, 3]) if kind == "vertex_face" else (hard[0], np.zeros((0, 3), int), edges)
+    hard, *ends = pairs_in_worlds(kind, start[chosen], end[chosen])
+    body = (hard.vertices, hard.faces, hard.edges[hard.codimensional_edges])
     faces = [np.array([[0.0, 0, z], [1, 0, z], [0, 1, z]]) for z in (0.0, bound)]
-    worlds = np.append(np.repeat(np.arange(len(chosen)), 4), np.full(6, len(chosen)))
+    worlds = np.append(hard.vertex_world, np.full(6, len(chosen)))
     mesh = ccd.CollisionMesh.from_arrays([body, *((face, FACE) for face in faces)], vertex_world=worlds)
-    positions = mesh.vertices, np.concatenate([hard[1], faces[0] + [0, 0, 1.0], faces[1]])
+    positions = mesh.vertices, np.concatenate([ends[1], faces[0] + [0, 0, 1.0], faces[1]])
     enough = int(exact.iterations[first]) + 1
     assert ccd.collision_free_step(mesh, *positions, max_work=enough, **OPTIONS) == exact.toi[first]
 

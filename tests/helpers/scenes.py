@@ -27,6 +27,12 @@ def soup(rng, num_faces, size, num_vertices=None, spread=1.0):
     return vertices, faces if num_vertices is None else faces % num_vertices
 
 
+def triangles(rng, count, **options):
+    """Triangles at random places, a body each: mesh and positions."""
+    mesh = ccd.CollisionMesh.from_arrays([(rng.uniform(-1, 1, (3, 3)), FACE) for _ in range(count)], **options)
+    return mesh, mesh.vertices.copy()
+
+
 def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     """Faces at random places that move at random: mesh, start and end positions."""
     start, faces = soup(rng, num_faces, size)
@@ -63,6 +69,44 @@ def random_pairs(kind, count=200, seed=0, dimension=3):
     """Points of pairs at both ends of a step, [count, 4, 3] or as the kind has it, in which some touch."""
     start = np.random.default_rng(seed).uniform(-1, 1, (count, CORNERS[kind], dimension))
     return start, start[:, ::-1] + 0.1
+
+
+def pairs_in_worlds(kind, start, end, radius=None):
+    """A mesh of pairs, each in a world of its own, start and end positions: row i of the points are its vertices.
+
+    A radius may be given for each vertex.
+    """
+    count, corners, dimension = start.shape
+    kind = kind.replace("_", "-")
+    first = corners * np.arange(count)[:, None]
+    sides = {"edge-edge": [[0, 1], [2, 3]], "point-segment": [[1, 2]]}.get(kind, [])
+    edges = np.concatenate([first + side for side in sides]) if sides else np.zeros((0, 2), dtype=int)
+    faces = first + [1, 2, 3] if kind == "vertex-face" else NO_FACES
+    points = start.reshape(-1, dimension)
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(points, edges) if dimension == 2 else (points, faces, edges)],
+        codimensional_points=kind.startswith("point"),
+        vertex_world=np.repeat(np.arange(count), corners),
+        radius=radius,
+    )
+    return mesh, points, end.reshape(-1, dimension)
+
+
+def crowd_in_plane(rng, count=25, size=0.1, speed=0.3, **options):
+    """Chains of two segments, single segments, and points, a body each, that move at random, some points head-on."""
+    chains = np.repeat(rng.random((count, 1, 2)), 3, axis=1) + size * rng.standard_normal((count, 3, 2))
+    of_chain = np.arange(3 * count).reshape(-1, 3)
+    segments = np.repeat(rng.random((count, 1, 2)), 2, axis=1) + size * rng.standard_normal((count, 2, 2))
+    bodies = [
+        (chains.reshape(-1, 2), np.concatenate([of_chain[:, :2], of_chain[:, 1:]])),
+        (segments.reshape(-1, 2), np.arange(2 * count).reshape(-1, 2)),
+        (rng.random((count, 2)), np.zeros((0, 2), dtype=int)),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, names=["chains", "segments", "dust"], **options)
+    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
+    points = mesh.codimensional_points[: count // 4 * 4].reshape(-1, 4)
+    end[points[:, 0]], end[points[:, 1]] = mesh.vertices[points[:, 1]], mesh.vertices[points[:, 0]]
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 # --- laid out ---

@@ -17,18 +17,19 @@ def on_lattice(radius):
     return np.round(np.asarray(radius) / STEP) * STEP
 
 
-def crowd(seed, count=20, motion=0.08, largest=0.04, **options):
-    """Small faces, edges and points at random places with random radii, some 0: mesh, start and end."""
+def crowd(seed, count=20, motion=0.08, largest=0.04, spread=0.7, **options):
+    """Small faces, edges and points at random places with random radii, some 0, or none: mesh, start and end."""
     rng = np.random.default_rng(seed)
     parts = [
-        (0.7 * rng.random((n, 1, 3)) + 0.06 * rng.normal(size=(n, corners, 3))).reshape(-1, 3)
+        (spread * rng.random((n, 1, 3)) + 0.06 * rng.normal(size=(n, corners, 3))).reshape(-1, 3)
         for n, corners in ((count, 3), (count // 2, 2), (count // 2, 1))
     ]
     faces, edges = np.arange(3 * count).reshape(-1, 3), np.arange(2 * (count // 2)).reshape(-1, 2)
     bodies = [(parts[0], faces), (parts[1], NO_FACES, edges), (parts[2], NO_FACES)]
     start = np.concatenate(parts)
-    radius = on_lattice(largest * rng.random(len(start)) * rng.integers(0, 2, len(start)))
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=radius, **options)
+    if largest is not None:
+        options["radius"] = on_lattice(largest * rng.random(len(start)) * rng.integers(0, 2, len(start)))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, **options)
     return mesh, start, start + motion * rng.normal(size=start.shape)
 
 

@@ -285,6 +285,13 @@ PLANTED = [
     ),
     # --- threads, ranks ---
     Fault(
+        "a part of a launch that begins an item too late",
+        "ccd_warp/_runtime/packed.py",
+        "setattr(own, name, begin)",
+        "setattr(own, name, begin + 1)",
+        ("calls/test_invariance.py::test_threads_change_no_bit",),
+    ),
+    Fault(
         "the error of a task lost",
         "ccd_warp/_runtime/threads.py",
         "        if self._errors:\n            raise self._errors[0]\n",

@@ -33,6 +33,12 @@ def test_width_by_processor(features, width, monkeypatch):
         lanes.cpu_lanes.cache_clear()
 
 
+def test_a_width_that_does_not_exist_is_refused(monkeypatch):
+    monkeypatch.setenv("CCD_WARP_LANES", "3")
+    with pytest.raises(ValueError, match="CCD_WARP_LANES must be 1, 4 or 8; found '3'"):
+        lanes.cpu_lanes.__wrapped__()
+
+
 def without_numpy(monkeypatch):
     def refuse(name):
         raise ImportError(name)

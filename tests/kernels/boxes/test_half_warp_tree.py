@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
-from launches import check_same, on_device
-from scenes import sheet, sheet_over_floor, single, soup
+from scenes import sheet, single, soup
 
 import ccd_warp as ccd
 from ccd_warp._engine.boxes.rest_order import order_at, rest_order
@@ -83,19 +82,6 @@ def test_boxes_stay_where_the_flag_is_not_set():
     flag.fill_(1)
     tree.fill([tree], aabbs, AsOnCuda(DEVICE, 1), only_if=flag)
     assert not (tree.arrays.nodes.numpy() == 7.0).any()
-
-
-def test_static_bodies_that_move_between_launches(monkeypatch):
-    mesh, start, end = sheet_over_floor()
-    is_floor = mesh.vertex_body[:, None] == 1
-    away, away_end = (np.where(is_floor, x - [0, 0, 9.0], x) for x in (start, end))
-    expected = [ccd.mesh_ccd(mesh, *frames) for frames in ((start, end), (away, away_end))]
-    assert expected[0].hit and not expected[1].hit
-    monkeypatch.setattr(Execution, "is_cuda", True)
-    pipeline = ccd.CollisionPipeline(mesh, max_pairs=5000, max_contacts=5000)
-    check_same(pipeline.launch(on_device(start), on_device(end)), expected[0])
-    check_same(pipeline.launch(on_device(away), on_device(away_end)), expected[1])
-    check_same(pipeline.launch(on_device(start), on_device(end)), expected[0])
 
 
 def blocks_of(mesh, kind, execution):

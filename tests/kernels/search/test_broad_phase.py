@@ -5,7 +5,6 @@ The tree and the spatial hash find overlapping boxes in ways that have nothing i
 
 import numpy as np
 import pytest
-from launches import on_device
 from oracles import brute_force
 from scenes import (
     FACE,
@@ -14,6 +13,7 @@ from scenes import (
     cables_and_particles,
     cloth_and_ball_in_worlds,
     crowd,
+    crowd_in_plane,
     leaning_stack,
     sheet,
     sheet_over_ball,
@@ -152,19 +152,6 @@ def worlds():
     return mesh, start, end
 
 
-def in_the_plane():
-    rng = np.random.default_rng(13)
-    segments = rng.random((60, 1, 2)) + 0.1 * rng.standard_normal((60, 2, 2))
-    bodies = [
-        (segments.reshape(-1, 2), np.arange(120).reshape(-1, 2)),
-        (rng.random((30, 2)), np.zeros((0, 2), dtype=int)),
-        (segments.reshape(-1, 2) * 10, np.arange(120).reshape(-1, 2)),
-    ]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[2])
-    end = mesh.vertices + 0.2 * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
-
-
 def body_far_from_the_others():
     """A body that no other comes near has empty boxes."""
     mesh = ccd.CollisionMesh.from_arrays(
@@ -194,10 +181,10 @@ SCENES = {
             fast_flight,
             cables,
             worlds,
-            in_the_plane,
             body_far_from_the_others,
         )
     },
+    "in the plane": lambda: crowd_in_plane(np.random.default_rng(13), static=["segments"]),
     **{f"box that overflows, {small}": lambda s=small: box_that_overflows(s) for small in (5e-324, 1e-100, 1e200)},
 }
 
@@ -366,28 +353,3 @@ def test_a_loop_in_which_everything_changes():
 
 
 # --- on the device ---
-
-
-def test_a_launch_without_capacity_stops_what_finds_no_place(device):
-    mesh, start, end = crowd(np.random.default_rng(3), num_faces=100)
-    pipeline = ccd.CollisionPipeline(mesh, broad_phase="hash", max_pairs=10, device=device)
-    result = pipeline.launch(on_device(start, device), on_device(end, device))
-    assert result.flags.numpy()[0] & ccd.LaunchFlag.PAIRS_OVERFLOW
-    assert result.toi.numpy()[0] == 0.0
-    expected = ccd.mesh_ccd(mesh, start, end)
-    assert (result.vertex_toi.numpy() <= expected.vertex_toi).all()
-    assert result.num_pairs.numpy()[0] == expected.counts.num_after_cull[0]
-
-
-def test_a_coordinate_that_is_not_finite_stops_its_world_alone(device):
-    _, mesh, start, end = cloth_and_ball_in_worlds(4)
-    start, end = start.reshape(-1, 3), end.reshape(-1, 3)
-    options = {"broad_phase": "hash", "length_scale": 1.0, "device": device}
-    pipeline = ccd.CollisionPipeline(mesh, **options)
-    expected = pipeline.launch(on_device(start, device), on_device(end, device)).world_toi.numpy().copy()
-    for bad in (np.nan, np.inf, -np.inf):
-        broken = end.copy()
-        broken[len(end) // 4 + 3, 1] = bad
-        result = pipeline.launch(on_device(start, device), on_device(broken, device))
-        assert result.world_toi.numpy().tolist() == [expected[0], 0.0, expected[2], expected[3]]
-        assert (result.world_flags.numpy() != 0).tolist() == [False, True, False, False]

@@ -5,7 +5,7 @@ import pytest
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from cull_probe import KINDS, WIDTHS, culled
 from exact import exact_tois
-from scenes import crowd, sheet_over_floor
+from scenes import crowd, crowd_in_plane, sheet_over_floor
 
 import ccd_warp as ccd
 from ccd_warp._runtime import lanes
@@ -98,15 +98,6 @@ def test_pair_with_a_number_that_is_not_finite_stays_open(width, number, kind):
         assert not culled(kind, *spoiled.reshape(far.shape), width, test=test).any()
 
 
-def ropes_in_the_plane():
-    """Random segments in the plane that move at random: pairs of kinds without a volume."""
-    rng = np.random.default_rng(55)
-    start = np.repeat(rng.random((150, 1, 2)), 2, axis=1) + 0.03 * rng.standard_normal((150, 2, 2))
-    start = start.reshape(-1, 2)
-    mesh = ccd.CollisionMesh.from_arrays([(start, np.arange(300).reshape(-1, 2))])
-    return mesh, start, start + 0.05 * rng.standard_normal(start.shape)
-
-
 def crowd_with_exclusions():
     """Faces that move at random, of two bodies, some of whose pairs are excluded."""
     _, start, end = crowd(np.random.default_rng(56))
@@ -120,7 +111,7 @@ SCENES = {
     "sheet over a floor": sheet_over_floor,
     "crowd": lambda: crowd(np.random.default_rng(58)),
     "crowd with exclusions": crowd_with_exclusions,
-    "ropes in the plane": ropes_in_the_plane,
+    "ropes in the plane": lambda: crowd_in_plane(np.random.default_rng(55), 60, 0.03, 0.05),
 }
 
 

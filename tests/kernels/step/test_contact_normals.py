@@ -5,11 +5,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import warp as wp
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from distance_oracle import exact_gap
 from distance_queries import KINDS
-from scenes import NO_FACES
+from scenes import NO_FACES, pairs_in_worlds
 
 import ccd_warp as ccd
 
@@ -21,25 +20,6 @@ CORNERS = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3)
 CORNERS |= {"point-segment": ((0, 1), (0, 2)), "point-point": ((0, 1),)}
 every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
 each_precision = pytest.mark.parametrize("precision", ["float64", "float32"])
-
-
-def pairs_as_mesh(kind, points_t0, points_t1):
-    """A mesh of pairs, each in a world of its own, with both frames; row i of the points are its vertices."""
-    n, corners, dimension = points_t0.shape
-    bodies = []
-    for p in points_t0:
-        if kind == "edge-edge":
-            bodies += [(p[:2], NO_FACES, [[0, 1]]), (p[2:], NO_FACES, [[0, 1]])]
-        elif kind == "vertex-face":
-            bodies += [(p[:1], NO_FACES), (p[1:], FACE)]
-        else:
-            second = (p[1:], [[0, 1]]) if dimension == 2 else (p[1:], NO_FACES, [[0, 1]])
-            none = np.zeros((0, 2), dtype=int) if dimension == 2 else NO_FACES
-            bodies += [(p[:1], none), second if corners == 3 else (p[1:], none)]
-    worlds = np.repeat(np.arange(n), corners)
-    is_free = [kind != "edge-edge", kind == "point-point"] * n
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=is_free, vertex_world=worlds)
-    return mesh, points_t0.reshape(-1, dimension), points_t1.reshape(-1, dimension)
 
 
 def sine(direction, gap):
@@ -70,7 +50,7 @@ def at_parameters(kind, p0, p1, t, uv):
 def check_against_oracle(kind, points_t0, points_t1, **options):
     """Compare normals and parameters of all contacts with the exact gap; their number, and how many have a gap."""
     dimension = points_t0.shape[2]
-    contacts = ccd.mesh_ccd(*pairs_as_mesh(kind, points_t0, points_t1), device="cpu", **options).contacts
+    contacts = ccd.mesh_ccd(*pairs_in_worlds(kind, points_t0, points_t1), device="cpu", **options).contacts
     is_kind = contacts.kind == ccd.PairKind[kind.upper().replace("-", "_")]
     assert is_kind.all()
     num_gaps = 0
@@ -206,22 +186,11 @@ def test_segments_in_the_plane_are_pushed_apart_along_the_gap():
     assert of_point.normal.tolist() == [[0, 1]] * len(of_point) and len(of_point)
 
 
-def test_launched_contacts_have_the_same_normals():
-    rng = np.random.default_rng(11)
-    points_t0, points_t1 = FAMILIES["random_colliding"]("vertex-face", 24, rng)
-    mesh, start, end = pairs_as_mesh("vertex-face", points_t0, points_t1)
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.05, device="cpu")
-    expected = pipeline.mesh_ccd(start, end).contacts
-    found = pipeline.launch(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end))).to_host().contacts
-    assert len(expected) > 10
-    assert np.array_equal(found.normal, expected.normal) and np.array_equal(found.parameters, expected.parameters)
-
-
 @every_kind
 def test_weights_of_the_vertices_give_the_difference_of_the_closest_points(kind, dimension):
     rng = np.random.default_rng(12)
     points_t0, points_t1 = FAMILIES["random_colliding"](kind, 12, rng, dimension=dimension)
-    mesh, start, end = pairs_as_mesh(kind, points_t0, points_t1)
+    mesh, start, end = pairs_in_worlds(kind, points_t0, points_t1)
     contacts = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.05, device="cpu").contacts
     toi = contacts.toi[:, None, None]
     x = (1 - toi) * start[contacts.vertices] + toi * end[contacts.vertices]
