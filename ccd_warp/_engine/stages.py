@@ -65,6 +65,11 @@ class StepFields(StructFields):
     least_bits: Any = None
 
 
+def measure_pairs_in(norm: str) -> Any:
+    """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
+    return specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+
+
 @dataclass(frozen=True)
 class Stages:
     """The launches of a step. Everything from ``step`` on may be a slot of a recording, or have such fields.
@@ -425,7 +430,7 @@ class Stages:
         """
         from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
 
-        kernel = specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+        kernel = measure_pairs_in(norm)
         chunk = 1 if launcher.is_cuda else _CHUNK
         body_static = self.topology.body_static if sink == DISPLACEMENT else None
         outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]

@@ -249,8 +249,8 @@ def run_beside(tasks: Sequence[Callable[[], Any]]) -> None:
 def _begin_aside(tasks: Iterable[Callable[[], Any]], number: int) -> "SimpleQueue[BaseException | None]":
     """Let a thread call tasks; what it finds in the end is the first error, or None.
 
-    Warp's compiler makes its precompiled header once for each thread, which takes as long as two small modules. So
-    these threads stay, and the first of them takes whatever is compiled alone.
+    Warp's compiler has a precompiled header for each thread. So these threads stay (`shared_header` has them share the
+    first one), and the first of them takes whatever is compiled alone.
     """
     outcome: SimpleQueue[BaseException | None] = SimpleQueue()
 

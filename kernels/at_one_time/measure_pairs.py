@@ -78,7 +78,7 @@ def measure_pairs(
             p = points_of(kind, a, b, x)
             found = PairDistance()
             if wp.static(is_euclidean):
-                found = measured(kind, p)
+                found = measured(kind, p, sink != NEAR)
             else:
                 found.least = box_distance(kind, p)
             least = found.least

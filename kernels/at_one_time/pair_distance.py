@@ -251,8 +251,11 @@ def turned(d: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec
 
 
 @wp.func
-def measured(kind: int, given: Points) -> PairDistance:
-    """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15)."""
+def measured(kind: int, given: Points, only_least: bool) -> PairDistance:
+    """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15).
+
+    With ``only_least`` the distance and the direction are left out.
+    """
     p = given
     c = corners(kind, p)
     restored = _ONE
@@ -299,7 +302,7 @@ def measured(kind: int, given: Points) -> PairDistance:
     if along > _ZERO:
         least = along / length * _DOWN
         r.least = wp.max(wp.min(least / s * restored, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
-    if length > _ZERO:
+    if length > _ZERO and not only_least:
         r.direction = n / length
         of_unit_size = to_unit_size(closest.d)
         r.distance = wp.length(of_unit_size) / inverse_power_of_two(wp.max(wp.abs(closest.d))) / s * restored

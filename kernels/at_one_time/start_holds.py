@@ -26,7 +26,7 @@ _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 def least_distance(kind: int, p: Points) -> wp.float64:
     """A lower bound of the distance of a pair in the norm of the separation."""
     if wp.static(is_ball(norm)):
-        return measured(kind, p).least
+        return measured(kind, p, True).least
     else:
         return box_distance(kind, p)
 

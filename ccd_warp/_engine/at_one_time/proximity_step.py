@@ -17,14 +17,14 @@ from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.plan import Goal
-from ccd_warp._engine.stages import Stages
+from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts
-from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.launch import Execution, load_all
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
-from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, shape_of
 from ccd_warp.kernels.template import specialised
 
 # Pairs of vertices and planes for which a call begins with capacity.
@@ -113,6 +113,7 @@ class DisplacementStep(StepAtOneTime):
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
+            load_all([measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds], self.topology.device)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
             batches = plan.batches(self.capacity(plan.memory.pair_bytes))

@@ -1,0 +1,81 @@
+"""Threads that compile take one precompiled header, and wait for the thread that makes it."""
+
+import threading
+import types
+
+import pytest
+from warp._src import context
+
+from ccd_warp._runtime import shared_header
+from ccd_warp._runtime.shared_header import one_header
+
+
+@pytest.fixture
+def runtime(tmp_path, monkeypatch):
+    """A runtime of Warp that gives each thread a folder, in place of its own."""
+    monkeypatch.setattr(shared_header, "_BEGINS_WITHIN", 0.0)
+
+    def folder_of_thread():
+        folder = tmp_path / str(threading.get_ident())
+        folder.mkdir(exist_ok=True)
+        return str(folder)
+
+    fake = types.SimpleNamespace(get_clang_pch_dir=folder_of_thread)
+    monkeypatch.setattr(context, "runtime", fake)
+    return fake
+
+
+def folder_here(runtime):
+    with one_header():
+        return runtime.get_clang_pch_dir()
+
+
+def on_another_thread(call):
+    found = []
+    thread = threading.Thread(target=lambda: found.append(call()), daemon=True)
+    thread.start()
+    return thread, found
+
+
+def test_threads_that_compile_for_this_library_share_a_folder_and_others_have_their_own(runtime):
+    first = folder_here(runtime)
+    for call, is_shared in ((lambda: folder_here(runtime), True), (lambda: runtime.get_clang_pch_dir(), False)):
+        thread, found = on_another_thread(call)
+        thread.join()
+        assert (found == [first]) == is_shared
+
+
+def test_a_thread_waits_until_the_header_has_its_name(runtime, tmp_path):
+    folder = tmp_path / str(threading.get_ident())
+    assert folder_here(runtime) == str(folder)
+    begun = folder / "header.pch.tmp"
+    begun.touch()
+    thread, found = on_another_thread(lambda: folder_here(runtime))
+    thread.join(timeout=0.2)
+    assert not found
+    begun.rename(folder / "header.pch")
+    thread.join()
+    assert found == [str(folder)]
+
+
+def test_who_waits_in_vain_makes_a_header_of_its_own(runtime, tmp_path, monkeypatch):
+    first = folder_here(runtime)
+    (tmp_path / first / "header.pch.tmp").touch()
+    monkeypatch.setattr(shared_header, "_LONGEST_WAIT", 0.0)
+    thread, found = on_another_thread(lambda: folder_here(runtime))
+    thread.join()
+    assert found != [first]
+    assert folder_here(runtime) == first  # whose header the others take from now on
+
+
+def test_a_folder_that_is_gone_is_not_given(runtime, tmp_path):
+    thread, found = on_another_thread(lambda: folder_here(runtime))
+    thread.join()
+    (tmp_path / found[0]).rmdir()
+    assert folder_here(runtime) == str(tmp_path / str(threading.get_ident()))
+
+
+def test_where_warp_asks_for_no_folder_nothing_is_changed(monkeypatch):
+    monkeypatch.setattr(context, "runtime", types.SimpleNamespace())
+    with one_header():
+        assert vars(context.runtime) == {}
