@@ -160,6 +160,7 @@ STEPS = {
     "kinematic bodies": StepCase(_with_kinematic, STRICT),
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
+    "trees of four levels": StepCase(lambda: scenes.crowd(np.random.default_rng(29), 1500, 0.02, 0.02), {}),
 }
 # Meshes with radii, for which the Euclidean kernels are compiled: by the calls that need each of these, and no others.
 THICK = {

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scenes
 import warp as wp
 
 import ccd_warp as ccd
@@ -104,3 +105,13 @@ def test_a_launch_and_pairs_take_arrays_of_a_library_in_a_capture(gpu):
     points = [np.stack([x[[0, 3, 4, 5]]] * 2) for x in (start, end)]
     pairs = ccd.vertex_face_ccd(*(Array(x, gpu) for x in points), device="cpu")
     assert pairs.toi.numpy()[0] == ccd.vertex_face_ccd(*points, device="cpu").toi[0]
+
+
+@pytest.mark.parametrize("kind", scenes.CORNERS)
+def test_pairs_of_numpy_in_a_capture_are_refused(kind):
+    """A graph would hold the values that they have now; once the capture is over they are answered."""
+    call = getattr(ccd, f"{kind}_ccd")
+    start, end = scenes.random_pairs(kind, 100)
+    with pytest.raises(RuntimeError, match=r"(?i)captur.*(warp|device)"), wp.ScopedCapture(device="cpu"):
+        call(start, end, device="cpu")
+    assert np.isfinite(call(start, end, device="cpu").toi).any()

@@ -5,6 +5,8 @@ The tree and the spatial hash find overlapping boxes in ways that have nothing i
 
 import numpy as np
 import pytest
+from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
+from launches import CAPACITIES, on_device
 from oracles import brute_force
 from scenes import (
     FACE,
@@ -298,6 +300,18 @@ def random_scene(seed):
     return mesh, start, with_static_at_rest(mesh, start, end), mesh_options
 
 
+def check_launches(mesh, start, end, **options):
+    """Assert that launches and line searches on the device leave the same bits with both broad phases."""
+    for per in (None, "body"):
+        left = []
+        for name in BOTH:
+            pipeline = ccd.CollisionPipeline(mesh, broad_phase=name, **CAPACITIES, **options)
+            x, y = on_device(start), on_device(end)
+            result = pipeline.launch(x, y) if per is None else pipeline.launch_line_search(x, y, per=per)
+            left.append(outputs_of(result, "launch") | {"end": y.numpy()})
+        assert different(*left) == []
+
+
 @pytest.mark.parametrize("block", range(5))
 def test_a_hundred_random_scenes_have_the_same_pairs(block):
     found = 0
@@ -307,6 +321,8 @@ def test_a_hundred_random_scenes_have_the_same_pairs(block):
         if seed % 5 == 0:
             plain = mesh.body_pairs is None and mesh.exclusion_rings == 1
             check_candidates(mesh, start, end, with_brute_force=plain)
+        if seed % 50 == 0:
+            check_launches(mesh, start, end, **options | {"t_max": 1.0})
     assert found > 1000
 
 
