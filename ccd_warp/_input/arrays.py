@@ -2,11 +2,11 @@
 
 import math
 import numbers
+import sys
 from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_unmasked, on_one_line, shown
@@ -197,7 +197,13 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
 
 def is_device_array(value: Any) -> bool:
     """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
-    return isinstance(value, wp.array) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+    return _is_of_warp(value) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+
+
+def _is_of_warp(value: Any) -> bool:
+    """Whether a value is an array of Warp, which readers of data sets do not import."""
+    warp = sys.modules.get("warp")
+    return warp is not None and isinstance(value, warp.array)
 
 
 def speaks_dlpack(value: Any) -> bool:
@@ -235,7 +241,7 @@ def on_host(value: Any, name: str) -> Any:
             f"{name} is a {type(value).__name__} on a GPU; expected an array on the host, "
             f"or CollisionPipeline.launch, which takes arrays on its device"
         )
-    if isinstance(value, wp.array):
+    if _is_of_warp(value):
         return value.numpy()
     if not is_device_array(value):
         return value
