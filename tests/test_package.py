@@ -147,7 +147,10 @@ def test_links_of_the_readme_lead_to_the_repository_once_there_is_one():
     )
 
 
-@pytest.mark.parametrize("editable", [False, True], ids=["plain", "editable"])
+# CI installs a wheel under two Pythons besides (`nox -s users`)
+@pytest.mark.parametrize(
+    "editable", [pytest.param(False, id="plain", marks=pytest.mark.long), pytest.param(True, id="editable")]
+)
 def test_installation_imports_from_any_folder(tmp_path, source, python, editable):
     target = ["-e", source] if editable else [source]
     pip = [sys.executable, "-m", "pip", "--python", python, "--quiet", "--disable-pip-version-check"]

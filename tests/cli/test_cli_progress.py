@@ -104,7 +104,7 @@ def screen_of(shown):
 
 
 def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
-    status, shown = at_terminal(triangles_in_a_plane(1200), overlaps=10**9)
+    status, shown = at_terminal(triangles_in_a_plane(900), overlaps=10**9)
     assert status == 0
     assert "narrow phase  [" in shown
     assert screen_of(shown) == []
