@@ -269,6 +269,7 @@ def few_families(monkeypatch):
     monkeypatch.setattr(bench, "FAMILIES", chosen)
 
 
+@pytest.mark.long  # measures two whole runs
 def test_a_run_is_kept_when_it_is_interrupted_and_resumed(settings, few_families, tmp_path, monkeypatch):
     calls = []
     stop_after = 5

@@ -98,6 +98,7 @@ def test_rehearsal_on_the_cpu(tmp_path, capsys):
     assert "== bits: done in" in said and "## Goals" in said
 
 
+@pytest.mark.long  # the rehearsal on the CPU is in each run
 def test_emulated_from_beginning_to_end(tmp_path, capsys, monkeypatch):
     require_emulation_here()
     entered, checked = [], Target.checked

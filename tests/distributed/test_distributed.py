@@ -60,6 +60,7 @@ def test_every_cut_over_ranks_gives_the_bits_of_one_process(num_ranks):
 
 
 @needs_ranks
+@pytest.mark.long  # twelve frames on four processes
 def test_the_cloth_of_the_example_has_the_same_positions_on_every_number_of_ranks():
     arguments = (EXAMPLES / "mpi_cloth.py", "--frames", 12, "--resolution", 17)
     said = [run_ranks(num_ranks, *arguments).stdout.splitlines()[-3:] for num_ranks in (1, 3)]
