@@ -24,6 +24,9 @@ def tests_of(fault: Fault) -> list[str]:
 def main(names: list[str]) -> int:
     """Plant each fault, or those of which a name is a part, and print the test that finds it."""
     chosen = [fault for fault in PLANTED if not names or any(name in fault.name for name in names)]
+    if not chosen:
+        print(f"no fault has one of {names} in its name; expected a part of one of the {len(PLANTED)} names")
+        return 2
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
         begin = time.perf_counter()
