@@ -23,6 +23,7 @@ Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities"
 AT_ONE_TIME = ("proximities", "displacements", "holds")
 # What finds the boxes that overlap, by the name of the option.
 _BROAD_PHASES: dict[str, type[Tree] | type[Grid]] = {"tree": Tree, "hash": Grid}
+COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
 NUM_ALL_COUNTS = len(PairKind) * int(NUM_COUNTS)
 
 
@@ -75,7 +76,7 @@ class Plan:
         self._sink = int(BOUND if goal == "bound" else CONTACTS)  # of the narrow phase
         # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once
         self._counters: wp.array = wp.zeros(NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
-        self._counts = self._counters[:NUM_ALL_COUNTS].reshape((len(PairKind), int(NUM_COUNTS)))
+        self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
 
     @property
     def has_planes(self) -> bool:

@@ -209,7 +209,7 @@ class Stages:
 
     def find_pairs(
         self,
-        launcher: Launcher,
+        recording: Recording,
         tree_pairs: list[TreePair],
         *,
         is_needed: Callable[[int], bool] = lambda number: True,
@@ -218,7 +218,7 @@ class Stages:
         """Search tree pairs, and count all pairs that the cull leaves, whether or not there was capacity for them.
 
         Args:
-            launcher: Where to launch, or to record.
+            recording: Where to record.
             tree_pairs: The tree pairs.
             is_needed: Called on the CPU outside a capture: whether boxes of the trees of this number may overlap.
             is_any_unlisted: None where the host sees the counts, and repeats the search. Otherwise the flag on the
@@ -226,23 +226,23 @@ class Stages:
                 searched for again; and a pair for which there is no capacity gets toi 0.
         """
         marks_overflow = is_any_unlisted is not None
-        with launcher.at_once():
+        with recording.at_once():
             for number, tree_pair in enumerate(tree_pairs):
-                self.search(launcher, tree_pair, marks_overflow=marks_overflow, is_needed=partial(is_needed, number))
-        if not launcher.is_cuda:
+                self.search(recording, tree_pair, marks_overflow=marks_overflow, is_needed=partial(is_needed, number))
+        if not recording.is_cuda:
             return
         for kind in self.kinds:
-            self.cull(launcher, kind, marks_overflow=marks_overflow)
+            self.cull(recording, kind, marks_overflow=marks_overflow)
         if is_any_unlisted is not None:
-            with launcher.only_if(is_any_unlisted):
+            with recording.only_if(is_any_unlisted):
                 for tree_pair in tree_pairs:
-                    self.cull_the_rest(launcher, tree_pair)
+                    self.cull_the_rest(recording, tree_pair)
 
-    def find_some_pairs(self, launcher: Launcher, tree_pair: TreePair, items: range, level: int) -> None:
-        """Search for the pairs of some items of a tree pair alone; see :meth:`search`."""
-        self.search(launcher, tree_pair, items, level=level)
-        if launcher.is_cuda:
-            self.cull(launcher, tree_pair.kind)
+    def find_some_pairs(self, execution: Execution, tree_pair: TreePair, items: range, level: int) -> None:
+        """Search for the pairs of some items of a tree pair alone, now; see :meth:`search`."""
+        self.search(execution, tree_pair, items, level=level)
+        if execution.is_cuda:
+            self.cull(execution, tree_pair.kind)
 
     def search(
         self,

@@ -202,8 +202,8 @@ def is_device_array(value: Any) -> bool:
 
 def _is_of_warp(value: Any) -> bool:
     """Whether a value is an array of Warp, which readers of data sets do not import."""
-    warp = sys.modules.get("warp")
-    return warp is not None and isinstance(value, warp.array)
+    array = getattr(sys.modules.get("warp"), "array", None)
+    return array is not None and isinstance(value, array)
 
 
 def speaks_dlpack(value: Any) -> bool:

@@ -147,11 +147,6 @@ class Execution:
         """A group of launches that may run beside each other; those that run now do so one after another."""
         yield
 
-    @contextmanager
-    def only_if(self, condition: wp.array) -> Iterator[None]:
-        """Launches that have nothing to do where a flag on the device is 0, which they find out by themselves."""
-        yield
-
     @property
     def is_serial(self) -> bool:
         """Whether this thread launches all: on CUDA, and in a capture on the CPU, which records only this thread."""

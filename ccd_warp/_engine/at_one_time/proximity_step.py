@@ -1,6 +1,7 @@
 """What is near at one time: steps whose two ends are the same positions, with distances in place of times."""
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound, reach_of
-from ccd_warp._engine.host.plan import HostPlan
+from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import corners_by_kind
@@ -46,6 +47,18 @@ class StepAtOneTime(Step):
         plan = self.begin(self.goal, 1.0, half_up(distance))
         plan.set_search(1.0, half_up(distance), distance)
         return plan
+
+    def _least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
+        """Measure the pairs, end the call, and return the minima of the vertices."""
+        for batch in self.timed_batches(batches):
+            with self.timed("distances"):
+                self.survivors.update(batch.found)
+                plan.measure_pairs(sink)
+        with self.timed("gather"):
+            least: wp.array = self.workspace.contacts.minima.vertex.view(wp.float64)
+            result = least.numpy().copy()
+        self.finish(plan)
+        return result
 
     def finish(self, plan: HostPlan) -> None:
         """Release what the call has used, and count what it has done."""
@@ -120,15 +133,7 @@ class DisplacementStep(StepAtOneTime):
         if plan.has_planes:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = plan.meet_planes(Stages.bound_by_half_spaces)
-        for batch in self.timed_batches(batches):
-            with self.timed("distances"):
-                self.survivors.update(batch.found)
-                plan.measure_pairs(DISPLACEMENT)
-        with self.timed("gather"):
-            bounds: wp.array = minima.vertex.view(wp.float64)
-            result = bounds.numpy().copy()
-        self.finish(plan)
-        return result
+        return self._least_of_vertices(plan, batches, DISPLACEMENT)
 
 
 class HoldStep(StepAtOneTime):
@@ -146,15 +151,7 @@ class HoldStep(StepAtOneTime):
             self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
             batches = plan.batches(self.capacity(plan.memory.pair_bytes))
-        for batch in self.timed_batches(batches):
-            with self.timed("distances"):
-                self.survivors.update(batch.found)
-                plan.measure_pairs(HOLD)
-        with self.timed("gather"):
-            holds: wp.array = minima.vertex.view(wp.float64)
-            result = holds.numpy().copy()
-        self.finish(plan)
-        return result
+        return self._least_of_vertices(plan, batches, HOLD)
 
     def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, shape [W]."""

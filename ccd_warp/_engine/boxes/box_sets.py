@@ -1,5 +1,6 @@
 """Sets of primitives and their boxes: what a broad phase, a tree or a spatial hash, is to the drivers of a step."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -39,7 +40,7 @@ class Layout:
         return self.choose_cell()
 
 
-class BoxSet:
+class BoxSet(ABC):
     """A set of primitives and their boxes; the base of trees and spatial hashes.
 
     Attributes:
@@ -76,9 +77,9 @@ class BoxSet:
             raise ValueError(f"the mesh has {self.primitives.count} boxes of one kind; expected at most 150 million")
         return size
 
+    @abstractmethod
     def lay_out(self, layout: Layout) -> None:
         """Give the set its arrays."""
-        raise NotImplementedError
 
     def adapt(self, layout: Layout) -> bool:
         """Adapt what depends on the positions of a step; returns whether boxes that were kept are outdated."""
@@ -89,6 +90,7 @@ class BoxSet:
         return None
 
     @staticmethod
+    @abstractmethod
     def fill(
         sets: Iterable[Any],
         vertex_aabbs: Any,
@@ -105,7 +107,6 @@ class BoxSet:
             structs_of: The structs of a set, in place of which a recording may take slots.
             only_if: The flag on the device without which the boxes stay as they are, int32, shape [1]; None for always.
         """
-        raise NotImplementedError
 
     @staticmethod
     def searches(pairs: list[Any]) -> list[Any]:

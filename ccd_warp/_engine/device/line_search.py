@@ -62,7 +62,6 @@ class DeviceLineSearch(DeviceStep):
     def _begin(self) -> None:
         """Allocate what line searches need."""
         mesh, options, device = self._mesh, self._options, self.topology.device
-        self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)  # which bodies a pass searches
         self._is_any_touched: wp.array = wp.empty(1, dtype=wp.int32, device=device)
         if options.holds and (options.separation(length_scale_of(mesh, options)) > 0.0 or self._radius is not None):
             from ccd_warp._engine.device.hold import DeviceHold  # few programs need it
@@ -70,6 +69,8 @@ class DeviceLineSearch(DeviceStep):
             self._hold = DeviceHold(
                 self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
             )
+        # which bodies a pass searches; the last, as without it all of this is made again
+        self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
 
     def _held(self, stages: Stages) -> Stages:
         """These stages, in which what starts within its distance may part and slide."""

@@ -13,12 +13,12 @@ from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
-from ccd_warp._engine.plan import AT_ONE_TIME, NUM_ALL_COUNTS, Goal, Plan
+from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
-from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, NUM_COUNTS, OPEN, Minima
+from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 _NONE = dict.fromkeys(PairKind, 0)
-_COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
@@ -165,7 +164,7 @@ class HostPlan(Plan):
             self.bind(vertices_t0=none, vertices_t1=none)
 
     def bind(self, **values: Any) -> None:
-        """Use these values of the stages: ``options``, ``contacts``, ``plane_query``, ``reach``, ``proximities``."""
+        """Use these values of the stages, by the names of their fields."""
         for name, value in values.items():
             self._recording.bind(name, value)
 
@@ -403,7 +402,7 @@ class HostPlan(Plan):
         pairs = self._workspace.buffers.get("open keys", len(keys), wp.int64)
         pairs[: len(keys)].assign(keys)
         self.memory.take_over(kind, pairs, len(keys))
-        counts = np.zeros(self._counts.shape, dtype=np.int64)
+        counts = np.zeros(COUNTS_SHAPE, dtype=np.int64)
         counts[kind, FOUND], counts[kind, OPEN] = len(keys), num_open
         self._counts.assign(counts)
         self._read = None
@@ -432,7 +431,7 @@ class HostPlan(Plan):
 
 def _split(counters: NDArray[np.int64]) -> _OnHost:
     """The counts and the least toi of an array of both."""
-    return counters[:NUM_ALL_COUNTS].reshape(_COUNTS_SHAPE), counters[NUM_ALL_COUNTS:].view(np.float64)
+    return counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE), counters[NUM_ALL_COUNTS:].view(np.float64)
 
 
 def _pieces(count: int, largest: int) -> int:
