@@ -158,6 +158,7 @@ class Options:
         stop: wp.array | None = None,
         radius: wp.array | None = None,
         hold: wp.array | None = None,
+        turns: Any = None,
     ) -> Any:
         """The options as the struct that the kernels take.
 
@@ -167,14 +168,15 @@ class Options:
             stop: Flag that ends the kernel.
             radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
             hold: How near each vertex was to anything at the start, on the device, where pairs are held.
+            turns: How vertices turn in a slice of the step, as the struct of the kernels.
         """
         separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
-        if hold is not None and length_scale is not None:
+        if (hold is not None or turns is not None) and length_scale is not None:
             separation = self.separation(length_scale)  # each pair has a length of its own
         values = (
             self.tolerance,
             separation,
-            self.start_gap_share,
+            self.start_gap_share if turns is None else 0.0,
             0.0 if length_scale is None else length_scale,
             self.t_max,
             self.rounded_up(self.t_max),
@@ -190,6 +192,8 @@ class Options:
             packed.radius = radius
         if hold is not None:
             packed.hold = hold
+        if turns is not None:
+            packed.turns = turns
         return packed
 
     @property

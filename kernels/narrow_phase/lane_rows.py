@@ -8,9 +8,11 @@ from typing import Any
 
 import warp as wp
 
+from ..pair.norm import has_arcs
 from ..pair.points import Points
+from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
-from ..parameters import width
+from ..parameters import norm, width
 from ..template import specialised
 
 simd = specialised("pair.simd", width=width)
@@ -51,6 +53,34 @@ gathered_row_snippet = f"""
 @wp.func_native(gathered_row_snippet)
 def gathered_row(x: wp.array2d[wp.vec3d], i: Index, point: int, axis: int) -> simd.Lanes:
     """A coordinate of one point of a row for each lane; missing points repeat the last one."""
+    ...
+
+
+of_vertex_snippet = f"""
+    {out_index};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = x.data[{index_of}];
+    return {returned};
+"""
+
+
+@wp.func_native(of_vertex_snippet)
+def of_vertex(x: wp.array[wp.int32], i: Index) -> Index:
+    """A whole number of a vertex for each lane."""
+    ...
+
+
+gathered_number_snippet = f"""
+    {out64};
+    for (int k = 0; k < {width}; ++k)
+        r[k] = x.data[{index_of}];
+    return {returned};
+"""
+
+
+@wp.func_native(gathered_number_snippet)
+def gathered_number(x: wp.array[wp.float64], i: Index) -> simd.Lanes:
+    """A number for each lane."""
     ...
 
 
@@ -178,6 +208,37 @@ def points_of_vertices(x: wp.array[wp.vec3d], i0: Index, i1: Index, i2: Index, i
     return p
 
 
+@wp.struct
+class LaneVertices:
+    """The vertices of a pair of primitives for each lane."""
+
+    i0: Index
+    i1: Index
+    i2: Index
+    i3: Index
+
+
+@wp.func
+def vertices_of_pairs(
+    kind: int,
+    pairs: wp.array[wp.int64],
+    rows: Index,
+    first_corners: wp.array[wp.vec3i],
+    second_corners: wp.array[wp.vec3i],
+) -> LaneVertices:
+    """The vertices of a pair of primitives of a mesh for each lane, in the order of its points."""
+    r = LaneVertices()
+    r.i0 = corner_of(pairs, rows, 0, first_corners, 0)
+    r.i1 = corner_of(pairs, rows, 1, second_corners, 0)
+    r.i2 = corner_of(pairs, rows, 1, second_corners, 1)
+    r.i3 = corner_of(pairs, rows, 1, second_corners, 2)
+    if kind == EDGE_EDGE:
+        r.i3 = r.i2
+        r.i2 = r.i1
+        r.i1 = corner_of(pairs, rows, 0, first_corners, 1)
+    return r
+
+
 @wp.func
 def points_of_pairs(
     kind: int,
@@ -189,12 +250,33 @@ def points_of_pairs(
     vertices_t1: wp.array[wp.vec3d],
 ):
     """The points of a pair of primitives of a mesh for each lane, at both ends of the step."""
-    i0 = corner_of(pairs, rows, 0, first_corners, 0)
-    i1 = corner_of(pairs, rows, 1, second_corners, 0)
-    i2 = corner_of(pairs, rows, 1, second_corners, 1)
-    i3 = corner_of(pairs, rows, 1, second_corners, 2)
-    if kind == EDGE_EDGE:
-        i3 = i2
-        i2 = i1
-        i1 = corner_of(pairs, rows, 0, first_corners, 1)
-    return points_of_vertices(vertices_t0, i0, i1, i2, i3), points_of_vertices(vertices_t1, i0, i1, i2, i3)
+    i = vertices_of_pairs(kind, pairs, rows, first_corners, second_corners)
+    a = points_of_vertices(vertices_t0, i.i0, i.i1, i.i2, i.i3)
+    return a, points_of_vertices(vertices_t1, i.i0, i.i1, i.i2, i.i3)
+
+
+if has_arcs(norm):
+    Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
+
+    @simd.func
+    def arcs_of_pairs(
+        kind: int,
+        pairs: wp.array[wp.int64],
+        rows: Index,
+        first_corners: wp.array[wp.vec3i],
+        second_corners: wp.array[wp.vec3i],
+        turns: Turns,
+    ) -> Arcs:
+        """How the points of a pair of primitives of a mesh turn, for each lane."""
+        i = vertices_of_pairs(kind, pairs, rows, first_corners, second_corners)
+        r = Arcs()
+        r.v0 = gathered_point(turns.velocity, i.i0)
+        r.v1 = gathered_point(turns.velocity, i.i1)
+        r.v2 = gathered_point(turns.velocity, i.i2)
+        r.v3 = gathered_point(turns.velocity, i.i3)
+        of_a = of_vertex(turns.vertex_body, i.i0)
+        of_b = of_vertex(turns.vertex_body, i.i3)
+        r.spin_a = gathered_point(turns.spin, of_a)
+        r.spin_b = gathered_point(turns.spin, of_b)
+        r.slack = gathered_number(turns.slack, of_a) + gathered_number(turns.slack, of_b)
+        return r

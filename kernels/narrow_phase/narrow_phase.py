@@ -11,7 +11,7 @@ from ..atomics import atomic_min_int64, claim
 from ..boxes.lanes import lowest_bit
 from ..interrupts import is_stopped
 from ..pair.lane_solver import LaneAnswer, first_rounds, later_rounds
-from ..pair.norm import MAXIMUM_NORM, is_by_pair
+from ..pair.norm import MAXIMUM_NORM, has_arcs, is_by_pair
 from ..pair.pair_options import options_of_pair, options_of_rows
 from ..pair.points import Points
 from ..pair.query import Options
@@ -34,6 +34,7 @@ from .pair_outcome import (
     record_contact,
     rest_of,
     skips_first_rounds,
+    solve_on_arcs,
 )
 from .sinks import BOUND, TABLE, Table
 
@@ -46,6 +47,10 @@ vec3d = wp.vec3d
 
 
 has_own = is_by_pair(norm)
+on_arcs = has_arcs(norm)
+if on_arcs:
+    from ..pair.arc_windows import first_window, later_windows
+    from .lane_rows import arcs_of_pairs
 unbounded = wp.constant(wp.float64(float("inf")))
 Outcome = specialised("pair.solver", real=real, norm=norm).Outcome
 simd64 = specialised("pair.simd", width=width)
@@ -202,7 +207,16 @@ def solve_pairs(
                 used = numbers_of(pending.used, pending.count, block)
             open = first_lanes(block)
             own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-            answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
+            if wp.static(on_arcs):
+                own.arcs = arcs_of_pairs(kind, pairs, rows, first_corners, second_corners, options.turns)
+                answer = later_windows(kind, points_a, points_b, own, options, open, t, used, cap, least)
+            else:
+                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
+        elif wp.static(on_arcs):
+            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
+            own.arcs = arcs_of_pairs(kind, pairs, rows, first_corners, second_corners, options.turns)
+            t = simd64.spread(options.turns.t_begin)
+            answer = first_window(kind, points_a, points_b, own, options, t, cap, least)
         elif wp.static(not has_own):
             answer = first_rounds(kind, points_a, points_b, options, cap, least)
         settled = answer.free
@@ -248,7 +262,10 @@ def solve_pairs(
                 if not is_contact:
                     so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
                     own_options = options_of_pair(options, first, second)
-                    outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
+                    if wp.static(on_arcs):
+                        outcome = solve_on_arcs(kind, first, second, t_reached, so_far, a, b, own_options, cap)
+                    else:
+                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
             if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
                 pairs[k] = ~key
                 claim(counts, kind, OPEN, 1)

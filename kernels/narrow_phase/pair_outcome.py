@@ -5,7 +5,7 @@ import warp as wp
 from ..atomics import claim_int
 from ..pair.hold import held_at
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import MAXIMUM_NORM, is_ball, is_by_pair
+from ..pair.norm import MAXIMUM_NORM, has_arcs, is_ball, is_by_pair
 from ..pair.pair_options import options_of_pair
 from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points, corners, largest, points_of, relative_motion
@@ -27,6 +27,12 @@ _ONE = wp.constant(wp.uint32(1))
 
 solver = specialised("pair.solver", real=real, norm=norm, on_warp=on_warp)
 has_own = is_by_pair(norm)
+on_arcs = has_arcs(norm)
+if on_arcs:
+    arc_solver = specialised("pair.arc_solver", norm=norm, real=real, on_warp=on_warp)
+    solve_on_arcs, tangents_of_arcs = arc_solver.solve_on_arcs, arc_solver.tangents_of_arcs
+else:
+    solve_on_arcs = None
 is_euclidean = wp.constant(is_ball(norm))
 least_tolerance = wp.constant(wp.float64(LEAST_TOLERANCE[real]))
 infinite = wp.constant(wp.float64(float("inf")))
@@ -61,7 +67,7 @@ def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> solver.Outcom
 def skips_first_rounds(options: Options) -> bool:
     """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
     if wp.static(has_own):
-        return True
+        return not wp.static(on_arcs) or options.method != CLIPPING
     return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
 
 
@@ -205,9 +211,15 @@ def place_at(
     vertices_t1: wp.array[wp.vec3d],
     t: wp.float64,
     uv: wp.vec2d,
+    options: Options,
 ) -> ContactGap:
-    """`contact_at`."""
-    return contact_at(kind, first, second, vertices_t0, vertices_t1, t, uv)
+    """`contact_at`, for points on arcs from where they are and how they move at that time."""
+    a = points_of(kind, first, second, vertices_t0)
+    b = points_of(kind, first, second, vertices_t1)
+    if wp.static(on_arcs):
+        tangents = tangents_of_arcs(kind, first, second, a, b, t, options)
+        return contact_at(kind, tangents.a, tangents.b, wp.float64(0.5), uv)
+    return contact_at(kind, a, b, t, uv)
 
 
 @wp.func(inline=False)
@@ -280,7 +292,7 @@ def record_contact(
         contacts.status[n] = status
         contacts.gap[n] = outcome.gap
         contacts.width[n] = outcome.width
-        at_toi = place_at(kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters)
+        at_toi = place_at(kind, first, second, vertices_t0, vertices_t1, outcome.toi, outcome.parameters, options)
         contacts.parameters[n] = at_toi.parameters
         contacts.normal[n] = at_toi.direction
     else:

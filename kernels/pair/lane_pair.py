@@ -10,7 +10,7 @@ import warp as wp
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
-from .norm import is_ball, is_by_pair
+from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .patch import Corners
 from .points import Points, corners, largest, longest_side, total
@@ -185,7 +185,7 @@ def scaled_pair(
     c1: Corners64,
     m: simd64.Vec3,  # largest corners
     s: simd64.Vec3,  # factors
-    separation_length: simd64.Lanes,
+    separation_length: simd64.Vec3,
     delta_length: simd64.Lanes,
 ) -> LanePair:
     """The pair with its axes multiplied by powers of two."""
@@ -194,7 +194,7 @@ def scaled_pair(
     n.t0 = normalised(c0, s)
     n.t1 = normalised(c1, s)
     separation = simd64.vec(
-        capped(separation_length, s.x), capped(separation_length, s.y), capped(separation_length, s.z)
+        capped(separation_length.x, s.x), capped(separation_length.y, s.y), capped(separation_length.z, s.z)
     )
     # a separation that is cut is left to the solver for single pairs
     far = simd64.spread(_FAR)
@@ -225,14 +225,17 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         separation_length = without_margin(separation_length, most, options)
     else:
         separation_length = simd64.least(options.minimum_separation * scale, limit)
+    separation = simd64.vec(separation_length, separation_length, separation_length)
+    if wp.static(has_arcs(norm)):
+        separation = simd64.least(separation + options.sagitta, simd64.vec(limit, limit, limit))
     if wp.static(is_euclidean):
         # one scale for all axes, so that the ball stays a ball
         shared = inverse_power_of_two(simd64.greatest(most, delta_length))
-        return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation_length, delta_length)
+        return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation, delta_length)
     # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
     s = simd64.vec(
         inverse_power_of_two(simd64.greatest(m.x, delta_length)),
         inverse_power_of_two(simd64.greatest(m.y, delta_length)),
         inverse_power_of_two(simd64.greatest(m.z, delta_length)),
     )
-    return scaled_pair(n, c0, c1, m, s, separation_length, delta_length)
+    return scaled_pair(n, c0, c1, m, s, separation, delta_length)

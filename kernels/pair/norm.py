@@ -5,23 +5,32 @@ a direction d has the support of the shape for its offset: Σ|d_k|·separation_k
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
 the three components of its separation are equal. There each pair has a separation of its own (`pair_options`), as radii
 and holds ask for; in the maximum norm only what is held has, which is a norm of its own here. Kernels are made for one
-norm, so that a scene without Euclidean distances compiles nothing of them.
+norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a separation of
+its own for each part of the step, which holds how far its points are from their chords (`arcs`): two more norms.
 """
 
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
 # A box for each pair, where something starts within its distance (`hold`).
 OWN_BOX_NORM = "own_box"
+# Of pairs whose points move on arcs.
+ARC_BOX_NORM = "arc_box"
+ARC_BALL_NORM = "arc_ball"
 
 
 def is_ball(norm: str) -> bool:
     """Whether the separation is a ball."""
-    return norm == EUCLIDEAN_NORM
+    return norm in (EUCLIDEAN_NORM, ARC_BALL_NORM)
 
 
 def is_by_pair(norm: str) -> bool:
     """Whether each pair has a separation of its own, which may be above 0."""
     return norm != MAXIMUM_NORM
+
+
+def has_arcs(norm: str) -> bool:
+    """Whether points move on arcs."""
+    return norm in (ARC_BOX_NORM, ARC_BALL_NORM)
 
 
 def shape_of(norm: str) -> str:

@@ -11,15 +11,43 @@ from ..pair_key import pair_of
 from ..parameters import norm, real, width
 from ..template import specialised
 from .hold import MARGIN, held_at
-from .norm import is_ball, is_by_pair
+from .norm import has_arcs, is_ball, is_by_pair
 from .query import Options
 
+if has_arcs(norm):
+    Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
 Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
 lanes = wp.constant(width)
 infinite = wp.constant(wp.float64(float("inf")))
 margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
+
+if width > 1:
+
+    @wp.func
+    def row_in(rows: Index, lane: int) -> int:
+        """The row in a lane."""
+        return rows[lane]
+
+    @wp.func
+    def with_lane(a: Lanes, lane: int, value: wp.float64) -> Lanes:
+        """Lanes, of which one has another value."""
+        a[lane] = value
+        return a
+
+else:
+
+    @wp.func
+    def row_in(rows: Index, lane: int) -> int:
+        """The row in a lane."""
+        return rows
+
+    @wp.func
+    def with_lane(a: Lanes, lane: int, value: wp.float64) -> Lanes:
+        """Lanes, of which one has another value."""
+        return value
+
 
 if not is_by_pair(norm):
 
@@ -65,7 +93,7 @@ else:
         """Whether all pairs have the options of the query, as where they are not those of a mesh."""
         return options.radius.shape[0] == 0 and options.hold.shape[0] == 0
 
-    if width == 1:
+    if width == 1 and not has_arcs(norm):
         LaneOptions = Options
 
         @wp.func
@@ -101,6 +129,9 @@ else:
             length_scale: wp.float64
             t_end: real
             method: int
+            if has_arcs(norm):
+                sagitta: simd.Vec3  # how far the points of the pair may be from their chords
+                arcs: Arcs
 
         @simd.func
         def without_margin(separation: Lanes, size: Lanes, options: LaneOptions) -> Lanes:
@@ -125,8 +156,8 @@ else:
             held = wp.uint32(0)
             if not are_equal(options):
                 for k in range(lanes):
-                    of_pair = of_key(pairs[rows[k]], first_corners, second_corners, options)
-                    distances[k] = of_pair.minimum_separation
+                    of_pair = of_key(pairs[row_in(rows, k)], first_corners, second_corners, options)
+                    distances = with_lane(distances, k, of_pair.minimum_separation)
                     if of_pair.margin > wp.float64(0.0):
                         held = held | (wp.uint32(1) << wp.uint32(k))
             own.minimum_separation = distances

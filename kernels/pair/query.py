@@ -3,6 +3,7 @@
 import warp as wp
 
 from ..parameters import real
+from .turns import Turns
 
 # Codes of the option ``method``.
 CLIPPING = wp.constant(0)
@@ -27,6 +28,8 @@ class Options:
     radius: wp.array[wp.float64]  # of each vertex of a mesh; empty without (`thickness`)
     hold: wp.array[wp.float64]  # how near each vertex was to anything at the start; empty: nothing is held (`hold`)
     margin: wp.float64  # of a pair that is held: what its distance is reduced by, a share of its size
+    sagitta: wp.vec3d  # of a pair on arcs: how far its points may be from their chords, per axis
+    turns: Turns  # empty where nothing turns
 
 
 @wp.func

@@ -13,7 +13,7 @@ from .advance import CONTACT, LIMIT, SLOW, advance, point_of
 from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
-from .norm import EUCLIDEAN_NORM, is_ball, is_by_pair
+from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .patch import Corners, corners_at
 from .points import Points, corners, largest, longest_side, scaled, total
 from .query import BISECTION, Options
@@ -45,6 +45,7 @@ vec3d = wp.vec3d
 
 is_euclidean = is_ball(norm)
 has_own = is_by_pair(norm)
+on_arcs = has_arcs(norm)
 if is_euclidean:
     from .ball import start_gap_share
 else:
@@ -147,7 +148,10 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
             s[k] = inverse_power_of_two(wp.max(reach[k], delta_length * unit))
             n.unit[k] = one / s[k] / pre[k]
             # corners are below 4 in these units, so a separation or tolerance above FAR has the effect of FAR
-            length = wp.min(separation_length * unit * s[k], FAR)
+            length = separation_length * unit
+            if wp.static(on_arcs):
+                length = (separation_length + options.sagitta[k] * shrink) * unit
+            length = wp.min(length * s[k], FAR)
             is_cut = is_cut or length == FAR
             n.problem.separation[k] = real(length) * round_up
             length = wp.min(delta_length * unit * s[k], FAR)
@@ -156,6 +160,8 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
         n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
         n.problem.has_separation = separation_length > wp.float64(0.0)
+        if wp.static(on_arcs):
+            n.problem.has_separation = bool(True)
         n.patch.t0 = normalised(c0, s)
         n.patch.t1 = normalised(c1, s)
         n.patch.is_face = kind == VERTEX_FACE

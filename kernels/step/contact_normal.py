@@ -23,7 +23,7 @@ from ..pair.answer import parameters as parameters_of
 from ..pair.closest_point import closest_weights
 from ..pair.patch import corners_at
 from ..pair.rounding import UNIT_ROUNDOFF, inverse_power_of_two
-from ..pair.single_points import Points, corners, largest, points_of
+from ..pair.single_points import Points, corners, largest
 from ..pair_kind import EDGE_EDGE, VERTEX_FACE
 from .contacts import position
 
@@ -197,21 +197,11 @@ def normal_without_gap(kind: int, x0: Points, x1: Points, t: wp.float64, uv: wp.
 
 
 @wp.func
-def contact_at(
-    kind: int,
-    first: wp.vec3i,
-    second: wp.vec3i,
-    vertices_t0: wp.array[vec3d],
-    vertices_t1: wp.array[vec3d],
-    t: wp.float64,
-    uv: wp.vec2d,
-) -> ContactGap:
-    """Normal and closest points of a contact of two primitives, given by their vertices.
+def contact_at(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, uv: wp.vec2d) -> ContactGap:
+    """Normal and closest points of a contact of two primitives, given by their points at both ends of a motion.
 
     Where there is no gap beyond rounding, the parameters are those that the narrow phase has found.
     """
-    points_t0 = points_of(kind, first, second, vertices_t0)
-    points_t1 = points_of(kind, first, second, vertices_t1)
     found = contact_gap(kind, points_t0, points_t1, t, uv)
     if not found.is_gap:
         found.direction = normal_without_gap(kind, points_t0, points_t1, t, uv)

@@ -18,7 +18,13 @@ _LARGEST = np.finfo(np.float64).max
 _LONG_SEARCH = 1 << 24
 
 
-def bodies_near(topology: Topology, positions: Positions, inflation: float, execution: Execution) -> NDArray[np.bool_]:
+def bodies_near(
+    topology: Topology,
+    positions: Positions,
+    inflation: float,
+    execution: Execution,
+    vertex_radius: NDArray[np.float64] | None = None,
+) -> NDArray[np.bool_]:
     """Which bodies that move may collide: with themselves, or with another whose swept box meets theirs.
 
     Those that are kinematic always may.
@@ -28,6 +34,7 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
         positions: Start and end positions.
         inflation: Growth of every box on every side, a length.
         execution: Where to search.
+        vertex_radius: Radii of the vertices in place of those of the mesh.
 
     Returns:
         Flags, shape [B].
@@ -40,7 +47,8 @@ def bodies_near(topology: Topology, positions: Positions, inflation: float, exec
     if not (mesh._is_free & ~mesh.self_collision)[filled].any():
         return (mesh.self_collision | mesh.kinematic) & ~mesh.static
     first = mesh.body_vertex_range[filled]
-    radius = None if mesh.radius is None else np.maximum.reduceat(mesh.radius, first)
+    vertex_radius = mesh.radius if vertex_radius is None else vertex_radius
+    radius = None if vertex_radius is None else np.maximum.reduceat(vertex_radius, first)
     return bodies_near_boxes(topology, filled, swept_boxes(positions, first), radius, inflation, execution)
 
 

@@ -224,6 +224,24 @@ class ContactStore:
             count = self._read[-1:].view(np.int32)
         self.total += int(count[0]) - min(self.total, self._capacity)
 
+    def keep_earliest(self) -> None:
+        """Keep of each pair its earliest contact, where a step was searched slice by slice."""
+        columns = {name: getattr(self._list, name)[: self.total].numpy() for name in CONTACT_DTYPES}
+        pairs = columns["primitives"]
+        order = np.lexsort((columns["toi"], pairs[:, 1], pairs[:, 0], columns["kind"]))
+        alike = np.ones(len(order), dtype=bool)
+        for values in (columns["kind"], pairs[:, 0], pairs[:, 1]):
+            alike[1:] &= values[order[1:]] == values[order[:-1]]
+        alike[:1] = False
+        chosen = order[~alike]
+        if len(chosen) == self.total:
+            return
+        self.total = len(chosen)
+        for name, values in columns.items():
+            getattr(self._list, name)[: self.total].assign(values[chosen])
+        self._read = None
+        self.count.fill_(self.total)
+
     def gather(self) -> Gathered:
         """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
         count, is_cuda = self.total, self._execution.is_cuda

@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
+from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, has_arcs, is_ball
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
+    from ccd_warp._engine.host.arcs import Arcs
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._input.options import Options
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
+_DIAGONAL = np.nextafter(np.sqrt(3.0), 2.0)
 _NONE = dict.fromkeys(PairKind, 0)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
@@ -64,21 +67,40 @@ class HostPlan(Plan):
     """
 
     @staticmethod
-    def of(workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False) -> "HostPlan":
-        """The plan of a workspace for such calls; ``is_held`` is whether some pairs start within their distance."""
+    def of(
+        workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False, arcs: "Arcs | None" = None
+    ) -> "HostPlan":
+        """The plan of a workspace for such calls.
+
+        Args:
+            workspace: The workspace.
+            options: The options of the call.
+            goal: Its goal.
+            is_held: Whether some pairs start within their distance.
+            arcs: Those of the workspace where bodies turn.
+        """
         key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase, is_held)
+        key += (arcs is not None,)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal, is_held)
+            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, arcs)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool = False) -> None:
+    def __init__(
+        self,
+        workspace: "Workspace",
+        options: "Options",
+        goal: Goal,
+        is_held: bool = False,
+        arcs: "Arcs | None" = None,
+    ) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        norm = norm_of(topology.mesh, options, is_held=is_held)
+        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=arcs is not None)
         if goal in ("proximities", "displacements"):
             norm = EUCLIDEAN_NORM
+        self._radii = (topology.radius, topology.box_radius) if arcs is None else (arcs.radius, arcs.box_radius)
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         has_queue = execution.is_cuda and self._has_narrow_phase
@@ -112,8 +134,8 @@ class HostPlan(Plan):
             self._num_aabbs,
             self._narrow_phase,
             step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self._least_bits),
-            box_radius=topology.box_radius,
-            is_thick=topology.is_thick,
+            box_radius=self._radii[1],
+            is_thick=topology.is_thick or arcs is not None,
             boxes=boxes,
             **of_pairs,
             **slots,
@@ -222,8 +244,11 @@ class HostPlan(Plan):
         """Search for pairs that touch before ``t_end``."""
         values = (t_end, inflation, separation)
         if values != self._search_values:
-            radii = self.topology.radius, self.topology.box_radius
-            self.bind(search_options=search_options(*values, self.norm, self._workspace.flag, radii))
+            norm = self.norm
+            if has_arcs(norm):  # sagittas are Euclidean, and the ball of this radius holds the box
+                norm, separation = EUCLIDEAN_NORM, separation if is_ball(norm) else next_above(_DIAGONAL * separation)
+            packed = search_options(t_end, inflation, separation, norm, self._workspace.flag, self._radii)
+            self.bind(search_options=packed)
             self._search_values = values
 
     def stages_now(self) -> Stages:

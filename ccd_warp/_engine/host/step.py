@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 import warp as wp
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.host.candidates import Candidates, Collector
-from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT
+from ccd_warp._engine.host.arcs import Slice, slices_of
+from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore
 from ccd_warp._engine.host.oddities import (
     DistanceInEdges,
     Farthest,
@@ -35,6 +36,9 @@ from ccd_warp._input.options import Options
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp._body_paths import BodyPaths
 
 # Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
@@ -72,8 +76,18 @@ class Step:
         options: Options,
         checking_seconds: float = 0.0,
         show: Callable[[Progress], None] | None = None,
+        paths: "BodyPaths | None" = None,
     ) -> None:
-        """Begin a step; ``checking_seconds`` went into checking its positions, and ``show`` displays its progress."""
+        """Begin a step.
+
+        Args:
+            workspace: What stays from step to step.
+            positions: Positions at both ends; of bodies on paths in their own frames.
+            options: The options.
+            checking_seconds: What went into checking the positions.
+            show: Displays the progress.
+            paths: Paths of bodies that turn, where there are any.
+        """
         self.timings: dict[str, float] = {"input": checking_seconds}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.options = options
@@ -88,6 +102,12 @@ class Step:
         self.is_warned = False
         self.holds = self.is_held = False
         workspace.progress.show = show
+        self.arcs = None if paths is None else workspace.arcs
+        self.slices: list[Slice | None] = [None]
+        if paths is not None:
+            self.paths, self.given = paths, positions
+            self.slices = [*slices_of(paths, options.t_max)]
+            self.arcs.begin(paths, positions, options.t_max)
 
     def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide.
@@ -103,12 +123,15 @@ class Step:
             self.workspace.hold.assign(hold)
         return self
 
-    def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
-        """Compute the boxes over [0, t_end]; a body that none comes near costs only its own box."""
+    def begin(self, goal: Goal, t_end: float, inflation: float | None = None, part: "Slice | None" = None) -> HostPlan:
+        """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box."""
         with self.timed("input"):
-            self.plan = plan = HostPlan.of(self.workspace, self.options, goal, is_held=self.is_held)
+            self.plan = plan = HostPlan.of(self.workspace, self.options, goal, is_held=self.is_held, arcs=self.arcs)
             self.execution = plan.execution
-            plan.begin_counts()
+            if part is None or part.t_begin == 0.0:
+                plan.begin_counts()
+            if part is not None:
+                t_end, self.positions = 1.0, self.arcs.place(part, self.execution)
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
                 self.length_scale = length_scale_of(self.mesh, self.options)
@@ -119,6 +142,13 @@ class Step:
             active = self.workspace.active(self._bodies_near())
             plan.fill_boxes(self.positions, t_end, self.inflation, active)
         return plan
+
+    def packed_options(self, part: "Slice | None") -> Any:
+        """The options as the kernels take them, in a slice or in the whole step."""
+        if part is None:
+            return self.workspace.packed(self.options, self.length_scale, is_held=self.is_held)
+        turns = self.arcs.turns(part)
+        return self.workspace.packed_on_arcs(self.options, self.length_scale, turns, is_held=self.is_held)
 
     def _reaches_far(self) -> bool:
         """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
@@ -161,7 +191,8 @@ class Step:
         mesh = self.mesh
         if not self.topology.may_have_inactive_bodies:
             return None
-        near = bodies_near(self.topology, self.positions, self.inflation, self.execution)
+        radius = None if self.arcs is None else self.arcs.radius.numpy()
+        near = bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
         self._num_active_bodies = int((near | mesh.static).sum())
         return near
 
@@ -265,10 +296,24 @@ class Step:
         Args:
             any_suffices: Whether to end with the first contact found, whose toi need not be the earliest.
         """
-        best, t_end = np.inf, self.options.t_max
-        plan = self.begin("bound", t_end)
-        plan.bind(options=self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
-        searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries else (False,)
+        best = np.inf
+        for part in self.slices:
+            best = self._least_toi_of(part, best, any_suffices=any_suffices)
+            if part is not None and best <= part.t_end:
+                break
+        plan = self.plan
+        plan.release_positions()
+        if best <= 0.0:
+            self._warn_of_size()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
+        return best
+
+    def _least_toi_of(self, part: "Slice | None", best: float, *, any_suffices: bool) -> float:
+        """The least of a toi and those in a slice, or in the whole step."""
+        t_end = self.options.t_max
+        plan = self.begin("bound", t_end, part=part)
+        plan.bind(options=self.packed_options(part))
+        searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
         if plan.has_planes:
             with self.timed("planes"):
                 plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
@@ -278,11 +323,11 @@ class Step:
             if best <= 0.0 or (any_suffices and best < np.inf):
                 searches = ()
         for of_sample in searches:
-            if best <= _WORTH_SHORTENING * t_end:
+            if part is None and best <= _WORTH_SHORTENING * t_end:
                 t_end = best
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
-            plan.set_search(min(best, t_end), self.inflation, self.separation)
+            plan.set_search(min(best, t_end) if part is None else 1.0, self.inflation, self.separation)
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = {}
@@ -308,10 +353,6 @@ class Step:
                 break
             with self.timed("narrow phase"):
                 best = self.least_of_all(self.least_open_toi(plan, best, open_pairs))
-        plan.release_positions()
-        if best <= 0.0:
-            self._warn_of_size()
-        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
         return best
 
     def least_open_toi(
@@ -370,16 +411,49 @@ class Step:
 
     def contacts(self) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result."""
-        t_max = self.options.t_max
-        plan = self.begin("contacts", t_max)
-        with self.timed("pairs"):
-            store = self.workspace.contacts
-            store.begin(self.execution, self.largest_contacts())
-            plan.reset_minima(store.count)
-            plan.bind(options=self.workspace.packed(self.options, self.length_scale, is_held=self.is_held))
-            plan.set_search(t_max, self.inflation, self.separation)
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
+        store = self.workspace.contacts
         survivors: Counter[PairKind] = Counter()
+        for part in self.slices:
+            self._find_contacts(part, store, survivors)
+        plan = self.plan
+        if not store.is_complete:
+            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
+            raise ValueError(
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
+                f"contacts of this step, or collision_free_step, which keeps none"
+            )
+        with self.timed("gather"):
+            if len(self.slices) > 1:
+                store.keep_earliest()
+            gathered = store.gather()
+            contacts = located(gathered.contacts, self.mesh, *self.positions)
+        plan.release_positions()
+        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
+        self.finish_timings()
+        return MeshResult(
+            gathered.toi,
+            gathered.vertex_toi,
+            gathered.body_toi,
+            contacts,
+            self.counts,
+            self.timings,
+            gathered.vertex_contact,
+            gathered.body_contact,
+            gathered.world_toi,
+            gathered.world_contact,
+            hidden_gaps=self._hidden_gaps(contacts) if gathered.toi <= 0.0 else "",
+        )
+
+    def _find_contacts(self, part: "Slice | None", store: ContactStore, survivors: Counter[PairKind]) -> None:
+        """Add the contacts of a slice, or of the whole step."""
+        plan = self.begin("contacts", self.options.t_max, part=part)
+        with self.timed("pairs"):
+            if part is None or part.t_begin == 0.0:
+                store.begin(self.execution, self.largest_contacts())
+                plan.reset_minima(store.count)
+            plan.bind(options=self.packed_options(part))
+            plan.set_search(self.options.t_max if part is None else 1.0, self.inflation, self.separation)
+            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
         if plan.has_planes:
             with self.timed("planes"):
                 survivors[PairKind.VERTEX_PLANE] = self._meet_planes(plan)
@@ -407,31 +481,6 @@ class Step:
                 plan.bind(contacts=store.begin_batch(len(keys)))
                 plan.solve(is_second=True)
                 store.end_batch()
-        if not store.is_complete:
-            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
-            raise ValueError(
-                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
-                f"contacts of this step, or collision_free_step, which keeps none"
-            )
-        with self.timed("gather"):
-            gathered = store.gather()
-            contacts = located(gathered.contacts, self.mesh, *self.positions)
-        plan.release_positions()
-        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
-        self.finish_timings()
-        return MeshResult(
-            gathered.toi,
-            gathered.vertex_toi,
-            gathered.body_toi,
-            contacts,
-            self.counts,
-            self.timings,
-            gathered.vertex_contact,
-            gathered.body_contact,
-            gathered.world_toi,
-            gathered.world_contact,
-            hidden_gaps=self._hidden_gaps(contacts) if gathered.toi <= 0.0 else "",
-        )
 
     def _meet_planes(self, plan: HostPlan) -> int:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""

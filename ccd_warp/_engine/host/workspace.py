@@ -1,7 +1,7 @@
 """What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -18,6 +18,9 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.pair.norm import is_ball
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.host.arcs import Arcs
 
 _MOST_OPTIONS = 8
 
@@ -93,6 +96,24 @@ class Workspace:
     def hold(self) -> wp.array:
         """How near each vertex is to anything at the start of a step, float64, shape [V]."""
         return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+
+    @lazy_property
+    def arcs(self) -> "Arcs":
+        """What is known of bodies that turn."""
+        from ccd_warp._engine.host.arcs import Arcs  # not before a scene needs it
+
+        return Arcs(self.topology, self.buffers)
+
+    def packed_on_arcs(self, options: Options, length_scale: float, turns: Any, *, is_held: bool = False) -> Any:
+        """The options of a slice of a step in which bodies turn."""
+        packed = options.for_kernel(
+            length_scale,
+            stop=self.flag.array,
+            radius=self.topology.radius,
+            hold=self.hold if is_held else None,
+            turns=turns,
+        )
+        return packed
 
     def packed(self, options: Options, length_scale: float, *, is_held: bool = False) -> Any:
         """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""

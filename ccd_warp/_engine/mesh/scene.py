@@ -7,7 +7,7 @@ import warp as wp
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._input.arguments import shown
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
+from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._input.options import Options
@@ -40,7 +40,14 @@ def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind,
     return tuple(kind for kind in options.kinds if possible[kind])
 
 
-def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = False, is_held: bool = False) -> str:
+def norm_of(
+    mesh: "CollisionMesh",
+    options: "Options",
+    *,
+    may_change: bool = False,
+    is_held: bool = False,
+    on_arcs: bool = False,
+) -> str:
     """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
 
     Args:
@@ -48,18 +55,21 @@ def norm_of(mesh: "CollisionMesh", options: "Options", *, may_change: bool = Fal
         options: The options of the call.
         may_change: Whether radii of 0 may be replaced by others, as on the device.
         is_held: Whether what starts within its distance is held, so that each pair has a separation of its own.
+        on_arcs: Whether bodies turn, for which the norm of either shape has one of its own.
 
     Raises:
         ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
     """
     if mesh.radius is None or not (may_change or mesh.is_thick):
+        if on_arcs:
+            return ARC_BALL_NORM if is_ball(options.norm) else ARC_BOX_NORM
         return OWN_BOX_NORM if is_held and not is_ball(options.norm) else options.norm
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
             f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
         )
-    return EUCLIDEAN_NORM
+    return ARC_BALL_NORM if on_arcs else EUCLIDEAN_NORM
 
 
 def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:

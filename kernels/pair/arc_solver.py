@@ -1,0 +1,137 @@
+"""The solver of a single pair on arcs: windows, each solved by `solver`, until the pair is free or in contact."""
+
+import warp as wp
+
+from ..interrupts import is_stopped
+from ..pair_kind import EDGE_EDGE
+from ..parameters import norm, on_warp, real
+from ..template import specialised
+from .query import Options
+from .single_points import Points
+from .status import (
+    STATUS_COLLISION,
+    STATUS_INITIAL_CONTACT,
+    STATUS_INVALID,
+    STATUS_ITERATION_LIMIT,
+    STATUS_NO_COLLISION,
+)
+from .turns import Turns
+
+solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
+arcs = specialised("pair.arcs", norm=norm)
+windows = specialised("pair.arc_windows", norm=norm, real=real)
+Window = windows.Window
+points_at = arcs.points_at
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+half = wp.constant(wp.float64(0.5))
+eighth = wp.constant(wp.float64(0.125))
+
+
+@wp.func
+def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> arcs.Arcs:
+    """How the points of a pair of primitives turn, given by their vertices."""
+    r = arcs.Arcs()
+    r.v0 = turns.velocity[first[0]]
+    if kind == EDGE_EDGE:
+        r.v1 = turns.velocity[first[1]]
+        r.v2 = turns.velocity[second[0]]
+        r.v3 = turns.velocity[second[1]]
+    else:
+        r.v1 = turns.velocity[second[0]]
+        r.v2 = turns.velocity[second[1]]
+        r.v3 = turns.velocity[second[2]]
+    body_a = turns.vertex_body[first[0]]
+    body_b = turns.vertex_body[second[0]]
+    r.spin_a = turns.spin[body_a]
+    r.spin_b = turns.spin[body_b]
+    r.slack = turns.slack[body_a] + turns.slack[body_b]
+    return r
+
+
+@wp.struct
+class Tangents:
+    """Two times around one, at which points would be that went straight on as they move then."""
+
+    a: Points
+    b: Points
+
+
+@wp.func
+def tangents_of_arcs(
+    kind: int, first: wp.vec3i, second: wp.vec3i, a: Points, b: Points, t: wp.float64, options: Options
+) -> Tangents:
+    """Where a pair is and how it moves at a time of the step: in the middle of two straight ends."""
+    turning = arcs_of_pair(kind, first, second, options.turns)
+    at = windows.in_slice(t, options)
+    x = points_at(kind, a, b, turning, at)
+    v = arcs.velocities_at(kind, a, b, turning, at)
+    r = Tangents()
+    r.a.p0 = x.p0 - half * v.p0
+    r.a.p1 = x.p1 - half * v.p1
+    r.a.p2 = x.p2 - half * v.p2
+    r.a.p3 = x.p3 - half * v.p3
+    r.b.p0 = x.p0 + half * v.p0
+    r.b.p1 = x.p1 + half * v.p1
+    r.b.p2 = x.p2 + half * v.p2
+    r.b.p3 = x.p3 + half * v.p3
+    return r
+
+
+@wp.func(inline=False)
+def solve_on_arcs(
+    kind: int,
+    first: wp.vec3i,
+    second: wp.vec3i,
+    t: wp.float64,
+    used: int,
+    a: Points,
+    b: Points,
+    options: Options,
+    cap: int,
+) -> solver.Outcome:
+    """Earliest toi in the slice of a pair that is free up to a time of the step, after ``used`` iterations.
+
+    The points are those at both ends of the slice, the options those of the pair.
+    """
+    turning = arcs_of_pair(kind, first, second, options.turns)
+    amplitudes = arcs.amplitude(kind, turning)
+    error = arcs.error_of(a, b, turning)
+    own = options
+    own.t_end = real(1.0)
+    own.t_max = one
+    window = Window()
+    window.begin = windows.in_slice(t, options)
+    window.h = one - window.begin
+    if used > 0:
+        window.h = eighth * window.h
+    outcome = solver.Outcome()
+    outcome.toi = wp.float64(wp.inf)
+    outcome.status = STATUS_NO_COLLISION
+    is_open = bool(True)
+    while is_open and not is_stopped(options.stop):
+        end = wp.min(window.begin + window.h, one)
+        window.h = end - window.begin
+        at_begin = points_at(kind, a, b, turning, window.begin)
+        at_end = points_at(kind, a, b, turning, end)
+        chords = arcs.sagitta(amplitudes, window.h)
+        own.sagitta = windows.enlarged(chords, error)
+        outcome = solver.solve(kind, solver.normalise(kind, at_begin, at_end, own), own, real(0.0), 0, cap - used)
+        used += outcome.iterations
+        is_free = outcome.status == STATUS_NO_COLLISION
+        is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
+        is_sharp = windows.is_below(chords, windows.sharpness(error, kind, at_begin))
+        reached = windows.reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
+        is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
+        if not is_open and not is_free:
+            outcome.toi = windows.in_step(reached, options)
+            if outcome.status == STATUS_INVALID:
+                outcome.toi = zero
+            if outcome.status == STATUS_INITIAL_CONTACT and outcome.toi > zero:
+                outcome.status = STATUS_COLLISION
+            if outcome.status == STATUS_COLLISION and outcome.toi == zero:
+                outcome.status = STATUS_INITIAL_CONTACT
+            outcome.width = wp.where(is_limit, options.t_max - outcome.toi, outcome.width * window.h)
+        window = windows.next_window(window, reached, is_free)
+    outcome.iterations = used
+    return outcome

@@ -1,0 +1,198 @@
+"""Pairs on arcs: the solver of straight motion, on chords that shorten toward a contact.
+
+A **window** is a part [t, t + h] of a slice. The pair is solved on the chords over it, with their sagitta added to its
+separation (`arcs`). Where that is free, the pair is, and the next window is longer; otherwise the pair is free up to
+the time found, and the next window begins there and is shorter. The pair touches where a window ends in a contact whose
+sagitta is of the size of rounding errors.
+
+**How much shorter.** A window of length h that ends in a contact after a gain g leaves a gap of its sagitta, which a
+pair that goes on as it came crosses in the time g·(h / h')², h' the length of the window before that ended in a
+contact. A chord of four times that length has the contact in its middle, and leaves a gap that is smaller by the square
+of the ratio of both: Newton's iteration, from below.
+"""
+
+import warp as wp
+
+from ..parameters import norm, real, width
+from ..template import specialised
+from .arcs import amplitude, error_of, points_at, sagitta
+from .lane_solver import LaneAnswer, solve_full
+from .pair_options import LaneOptions
+from .points import Points, corners, largest
+from .query import Options
+from .rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+
+simd = specialised("pair.simd", width=width)
+Lanes = simd.Lanes
+Vec3 = simd.Vec3
+all_lanes = wp.constant(wp.uint32((1 << width) - 1))
+
+# Rounds of the solver in a window, and windows of the pairs that the first leaves open, before they go on one by one.
+FIRST_ROUNDS = wp.constant(3)
+_ROUNDS = wp.constant(4)
+_LATER_WINDOWS = wp.constant(6)
+_NONE = wp.constant(wp.uint32(0))
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+four = wp.constant(wp.float64(4.0))
+eighth = wp.constant(wp.float64(0.125))
+least_share = wp.constant(wp.float64(2.0**-10))
+unbounded = wp.constant(wp.float64(float("inf")))
+slice_down = wp.constant(wp.float64(1.0 - 8.0 * UNIT_ROUNDOFF[wp.float64]))
+step_down = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
+# What a corner is off by in the precision of the iteration.
+corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
+
+
+@simd.func
+def in_slice(t: Lanes, options: Options) -> Lanes:
+    """A time of the step as one of the slice, rounded down."""
+    since = (t - simd.spread(options.turns.t_begin)) / simd.spread(options.turns.t_length)
+    return simd.greatest(since * slice_down, zero)
+
+
+@simd.func
+def in_step(t: Lanes, options: Options) -> Lanes:
+    """A time of the slice as one of the step, rounded down."""
+    return (simd.spread(options.turns.t_begin) + options.turns.t_length * t) * step_down
+
+
+@wp.struct
+class Window:
+    """The window of each lane."""
+
+    begin: Lanes
+    h: Lanes
+    last: Lanes  # length of the last window that ended in a contact; 0 before there is one
+
+
+@simd.func
+def reached(window: Window, end: Lanes, is_free: simd.Mask, share: Lanes) -> Lanes:
+    """The time up to which a window shows that a pair is free: its end, or after a share of it, rounded down."""
+    t = (window.begin + window.h * share * slice_down) * step_down
+    return simd.select(is_free, end, simd.least(simd.greatest(window.begin, t), end))
+
+
+@simd.func
+def next_window(window: Window, t: Lanes, is_free: simd.Mask) -> Window:
+    """The window after one that is free up to a time."""
+    gain = t - window.begin
+    shorter = eighth * window.h
+    ratio = window.h / simd.greatest(window.last, window.h)
+    ahead = simd.greatest(four * gain * (ratio * ratio), least_share * window.h)
+    ahead = simd.select(simd.is_less(zero, window.last), simd.least(shorter, ahead), shorter)
+    r = Window()
+    r.begin = t
+    r.last = simd.select(is_free, window.last, window.h)
+    r.h = simd.select(is_free, four * window.h, ahead)
+    return r
+
+
+@simd.func
+def sharpness(error: Lanes, kind: int, p: Points) -> Lanes:
+    """The sagitta below which a contact of chords is one of arcs, but for rounding."""
+    m = largest(corners(kind, p))
+    return error + corner_error * simd.greatest(m.x, simd.greatest(m.y, m.z))
+
+
+@simd.func
+def is_below(a: Vec3, limit: Lanes) -> simd.Mask:
+    """Whether no component is above a limit."""
+    return simd.is_at_most(simd.greatest(a.x, simd.greatest(a.y, a.z)), limit)
+
+
+@simd.func
+def enlarged(a: Vec3, by: Lanes) -> Vec3:
+    """A vector with each component enlarged."""
+    return simd.vec(a.x + by, a.y + by, a.z + by)
+
+
+@(simd.rare if width > 1 else simd.func)
+def advance_windows(
+    kind: int,
+    a: Points,
+    b: Points,
+    own: LaneOptions,
+    options: Options,
+    lanes: wp.uint32,
+    t_start: Lanes,
+    used: Lanes,
+    num_windows: int,
+    num_rounds: int,
+    bound: wp.float64,
+) -> LaneAnswer:
+    """Advance the given lanes through some windows of the slice, or until they are free up to a bound.
+
+    Those that begin with a window over all that is left of the slice have used no iterations.
+    """
+    amplitudes = amplitude(kind, own.arcs)
+    error = error_of(a, b, own.arcs)
+    nothing = simd.spread(zero)
+    window = Window()
+    window.begin = in_slice(t_start, options)
+    window.h = one - window.begin
+    window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
+    window.last = nothing
+    own.t_end = real(1.0)
+    answer = LaneAnswer()
+    answer.iterations = used
+    open = lanes
+    windows = int(0)
+    while open != _NONE and windows < num_windows:
+        end = simd.least(window.begin + window.h, one)
+        window.h = end - window.begin
+        at_begin = points_at(kind, a, b, own.arcs, window.begin)
+        at_end = points_at(kind, a, b, own.arcs, end)
+        chords = sagitta(amplitudes, window.h)
+        own.sagitta = enlarged(chords, error)
+        found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
+        is_open = simd.mask_of(open)
+        is_free = simd.mask_of(found.free)
+        is_sharp = is_below(chords, sharpness(error, kind, at_begin))
+        touches = open & found.contact & simd.bits_of(is_sharp)
+        is_contact = simd.mask_of(touches)
+        answer.contact = answer.contact | touches
+        answer.free = answer.free | (open & found.free & simd.bits_of(simd.is_at_most(one, end)))
+        answer.u = simd.select(is_contact, found.u, answer.u)
+        answer.v = simd.select(is_contact, found.v, answer.v)
+        answer.gap = simd.select(is_contact, found.gap, answer.gap)
+        answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
+        following = next_window(window, reached(window, end, is_free, found.t), is_free)
+        window.begin = simd.select(is_open, following.begin, window.begin)
+        window.h = simd.select(is_open, following.h, window.h)
+        window.last = simd.select(is_open, following.last, window.last)
+        # a lane that is sharp and has neither a contact nor a free window needs other tools
+        settled = answer.free | answer.contact | (~found.free & simd.bits_of(is_sharp))
+        t = in_step(window.begin, options)
+        open = open & ~settled & simd.bits_of(simd.is_less(t, bound))
+        windows += 1
+    answer.t = in_step(simd.least(window.begin, one), options)
+    return answer
+
+
+@wp.func
+def first_window(
+    kind: int, a: Points, b: Points, own: LaneOptions, options: Options, t_start: Lanes, cap: int, bound: wp.float64
+) -> LaneAnswer:
+    """Advance the pairs of all lanes through one window, that of the whole slice."""
+    rounds = wp.min(cap, FIRST_ROUNDS)
+    return advance_windows(kind, a, b, own, options, all_lanes, t_start, simd.spread(zero), 1, rounds, bound)
+
+
+@wp.func
+def later_windows(
+    kind: int,
+    a: Points,
+    b: Points,
+    own: LaneOptions,
+    options: Options,
+    lanes: wp.uint32,
+    t_start: Lanes,
+    used: Lanes,
+    cap: int,
+    bound: wp.float64,
+) -> LaneAnswer:
+    """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
+    windows = wp.min(_LATER_WINDOWS, (cap - FIRST_ROUNDS) / _ROUNDS)
+    return advance_windows(kind, a, b, own, options, lanes, t_start, used, windows, _ROUNDS, bound)
+
