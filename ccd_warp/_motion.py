@@ -177,14 +177,15 @@ class RigidMotion:
             t: Fraction in [0, 1], for all bodies, or one a body, [B] or [W, B].
 
         Returns:
-            Positions and unit quaternions x y z w, float64, of the shape of ``poses_t0``; ``poses_t1`` itself where a
-            fraction is 1.
+            Positions and unit quaternions x y z w, float64, of the shape of ``poses_t0``; those poses and
+            ``poses_t1`` themselves where a fraction is 0 or 1.
 
         Raises:
             ValueError: If a fraction is not in [0, 1], or there are not as many as bodies.
         """
         times = checked_fractions(t, self._leading)
-        poses = np.where((times == 1.0)[:, None], self._poses_t1, self._at(times))
+        poses = np.where((times == 0.0)[:, None], self._poses_t0, self._at(times))
+        poses = np.where((times == 1.0)[:, None], self._poses_t1, poses)
         return poses.reshape(*self._leading, 7)
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
