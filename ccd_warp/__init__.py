@@ -14,6 +14,7 @@ both precisions, for every finite input.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_pairs import DeviceContacts
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.host.candidates import Candidates
@@ -32,6 +33,7 @@ from ccd_warp._input.option_types import (
 )
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._one_shot import (
     collision_free_step,
     displacement_bounds,
@@ -54,6 +56,7 @@ from ccd_warp._version import __version__
 keep_warp_quiet()
 
 __all__ = [
+    "AffineMotion",
     "BodyOptions",
     "CCDStatus",
     "CandidateOptions",
@@ -86,6 +89,7 @@ __all__ = [
     "Planes",
     "Proximities",
     "ProximityOptions",
+    "RigidMotion",
     "__version__",
     "collision_free_step",
     "datasets",

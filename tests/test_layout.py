@@ -98,10 +98,18 @@ def test_the_longest_chain_of_imports_has_ten_levels_and_of_all_fifteen():
 # From the bottom; what is not named here is above them all.
 LAYERS = [
     ["kernels"],
-    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts"],
+    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_rotations"],
     ["_input", "_half_space"],
     ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_pairs"]
-    + ["_intersections", "_proximities", "_device_results", "_device_pairs"],
+    + [
+        "_intersections",
+        "_proximities",
+        "_device_results",
+        "_device_pairs",
+        "_motion",
+        "_affine_motion",
+        "_body_paths",
+    ],
     ["_engine", "_files"],
 ]
 

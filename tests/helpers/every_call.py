@@ -55,6 +55,11 @@ BODIES = {
     "radius": np.full(6, 0.125),
     "names": ["face", "cable"],
 }
+POSES = {
+    "poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]]),
+    "poses_t1": np.array([[0.0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]),
+}
+AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
 PICTURE = viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8))
 LAUNCHED = {"vertices_t0": START, "vertices_t1": END}
 
@@ -141,6 +146,19 @@ def every_call(folder):
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
         ),
         "HalfSpace": (_half_space, {"point": np.zeros(3), "normal": np.array([0.0, 0.0, 1.0])}),
+        "RigidMotion": (ccd.RigidMotion, POSES | {"path": "linear", "pivot": np.array([[0.0, 5, 0], [1, 0, 2]])}),
+        "RigidMotion of a twist": (
+            ccd.RigidMotion,
+            {"poses_t0": POSES["poses_t0"], "twist": np.arange(12.0).reshape(2, 6)},
+        ),
+        "from_scalar_first": (
+            ccd.RigidMotion.from_scalar_first,
+            POSES | {"path": "linear", "pivot": None, "twist": None},
+        ),
+        "RigidMotion.at": (ccd.RigidMotion(**POSES).at, {"t": 0.5}),
+        "AffineMotion": (ccd.AffineMotion, {"affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE}),
+        "positions_t0": (ccd.AffineMotion(AFFINE, AFFINE).positions_t0, {"points": CABLE, "body": np.array([0, 1, 1])}),
+        "positions_t1": (ccd.AffineMotion(AFFINE, AFFINE).positions_t1, {"points": CABLE, "body": np.array([0, 1, 1])}),
         "replicate": (MESH.replicate, {"count": 2}),
         "excluding": (MESH.excluding, {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
         "frame": (MESH.frame, {"vertices": START}),

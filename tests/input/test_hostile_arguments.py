@@ -63,11 +63,11 @@ OPTIONAL = {
         "camera",
     ),
     *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs", "radius"),
-    *("displacement", "faces"),
+    *("displacement", "faces", "pivot", "twist"),
 }
 TEXTS = {"name", "displacement"}
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
-REQUIRED |= {("from_volume", "vertices"), ("edges_by_max", "faces")}
+REQUIRED |= {("from_volume", "vertices"), ("RigidMotion of a twist", "twist"), ("edges_by_max", "faces")}
 PATHS = {"path", "folder", "start_path", "end_path", "paths"}
 # What is no mistake: the value has the meaning that the documentation gives it.
 FLAGS = {"check_start", "self_collision", "codimensional_points", "progress", "surface"}
@@ -126,6 +126,8 @@ def _parts(result):
         return {}
     if isinstance(result, ccd.DeviceContacts):
         return vars(result.to_host())
+    if isinstance(result, (ccd.RigidMotion, ccd.AffineMotion)):
+        return vars(result)
     if is_dataclass(result):
         return {name: value for name, value in vars(result).items() if name not in ("timings", "_step")}
     if isinstance(result, dict):
@@ -181,7 +183,8 @@ def test_every_public_argument_is_among_those_tried(calls):
     functions = [getattr(ccd, name) for name in ccd.__all__] + [getattr(datasets, name) for name in datasets.__all__]
     functions += [getattr(viz, name) for name in viz.__all__ if name != "drawing_without_display"]
     functions += [viz.Picture.save, datasets.Queries.id, datasets.Queries.joined]
-    functions += [member for owner in (ccd.CollisionMesh, ccd.CollisionPipeline) for member in _methods(owner)]
+    owners = (ccd.CollisionMesh, ccd.CollisionPipeline, ccd.RigidMotion, ccd.AffineMotion)
+    functions += [member for owner in owners for member in _methods(owner)]
     outputs = {
         ccd.CandidateOptions,
         ccd.BodyOptions,
@@ -249,6 +252,9 @@ HOST_REALS = [
     *((call, argument) for call in FRAME_CALLS for argument in ("vertices_t0", "vertices_t1")),
     *((call, argument) for call in PAIR_CALLS for argument in ("points_t0", "points_t1")),
     *(("arrays of a body", "vertices of body 0"), ("frame", "vertices"), ("reserve", "vertices")),
+    *((call, argument) for call in ("RigidMotion", "from_scalar_first") for argument in ("poses_t0", "poses_t1")),
+    *(("RigidMotion", "pivot"), ("RigidMotion of a twist", "twist"), ("positions_t0", "points")),
+    *(("AffineMotion", "affine_t0"), ("AffineMotion", "affine_t1")),
 ]
 HOST_INTEGERS = [
     *(
@@ -256,7 +262,7 @@ HOST_INTEGERS = [
         ("arrays of a body", "edges of body 0"),
         ("from_arrays", "vertex_world"),
     ),
-    *(("edges_by_max", "faces"), ("write_boxes", "ids")),
+    *(("edges_by_max", "faces"), ("write_boxes", "ids"), ("positions_t0", "body")),
 ]
 DEVICE_REALS = [
     *(("launch", "vertices_t0"), ("launch", "vertices_t1"), ("launch of displacements", "displacements")),
