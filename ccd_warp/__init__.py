@@ -43,6 +43,7 @@ from ccd_warp._one_shot import (
     is_step_collision_free,
     line_search,
     mesh_ccd,
+    rigid_ccd,
 )
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
@@ -105,6 +106,7 @@ __all__ = [
     "point_segment_ccd",
     "read_frames",
     "read_sequence",
+    "rigid_ccd",
     "vertex_face_ccd",
     "viz",
 ]

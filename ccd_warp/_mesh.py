@@ -24,6 +24,7 @@ from ccd_warp._input.mesh_checks import (
     validated_body_pairs,
     validated_flags,
     validated_radius,
+    validated_rigid,
     validated_rings,
     validated_static,
     validated_worlds,
@@ -68,6 +69,9 @@ class CollisionMesh:
     not against itself, another kinematic body or a static one. A kinematic half-space has one vertex, the point of its
     plane, with a row in the positions as every vertex; its normal stays.
 
+    A **rigid** body keeps its shape, and does not collide with itself. Where a call takes a ``motion``
+    (:class:`ccd_warp.RigidMotion`), it turns as its poses say, and its vertices stand in its own frame.
+
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.
         faces: Vertex indices into the joined vertices, int32, shape [F, 3].
@@ -86,6 +90,7 @@ class CollisionMesh:
             shape [B + 1].
         static: Bodies that do not move, bool, shape [B].
         kinematic: Bodies that move as they are told, bool, shape [B]; none of them is static.
+        rigid: Bodies that keep their shape, bool, shape [B].
         self_collision: Bodies whose primitives may collide with each other, bool, shape [B].
         moving_vertices: Indices of the vertices of bodies that move, ascending, int32, shape [V_moving].
         body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; None if all may.
@@ -119,6 +124,7 @@ class CollisionMesh:
     body_vertex_range: NDArray[np.int32]
     static: NDArray[np.bool_]
     kinematic: NDArray[np.bool_]
+    rigid: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
     moving_vertices: NDArray[np.int32] = field(init=False)
     body_pairs: NDArray[np.bool_] | None
@@ -218,6 +224,7 @@ class CollisionMesh:
         codimensional_points: bool | Sequence[bool] = False,
         *,
         kinematic: Iterable[int | str] = (),
+        rigid: Iterable[int | str] = (),
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -241,6 +248,8 @@ class CollisionMesh:
             kinematic: Indices or names of the bodies that move as they are told: no line search shortens their motion,
                 and they are tested against bodies that are neither static nor kinematic, alone. A half-space among them
                 has one vertex, the point of its plane.
+            rigid: Indices or names of the bodies that keep their shape, and do not collide with themselves. Calls with
+                a ``motion`` take their vertices in their own frames.
             names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
                 own. By default "body 0", "body 1" and so on.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
@@ -281,6 +290,7 @@ class CollisionMesh:
         if is_half_space.all():
             raise ValueError("bodies holds half-spaces alone; expected at least one body with vertices")
         static_bodies, kinematic_bodies = validated_static(static, kinematic, names)
+        rigid_bodies = validated_rigid(rigid, names, is_half_space)
         joined = joined_bodies(
             bodies,
             names,
@@ -297,7 +307,8 @@ class CollisionMesh:
             body_vertex_range=np.array(offsets, dtype=np.int32),
             static=static_bodies | (is_half_space & ~kinematic_bodies),
             kinematic=kinematic_bodies,
-            self_collision=validated_flags(self_collision, len(bodies), "self_collision"),
+            rigid=rigid_bodies,
+            self_collision=validated_flags(self_collision, len(bodies), "self_collision") & ~rigid_bodies,
             given_edges=joined.edges,
             with_codimensional_points=(with_points | joined.consists_of_points) & ~is_half_space,
             with_inner_vertices=is_of_cells,
@@ -331,6 +342,7 @@ class CollisionMesh:
         codimensional_points: bool | Sequence[bool] = False,
         *,
         kinematic: Iterable[int | str] = (),
+        rigid: Iterable[int | str] = (),
         names: Sequence[str] | None = None,
         body_pairs: ArrayLike | None = None,
         exclusion_rings: int = 1,
@@ -365,6 +377,7 @@ class CollisionMesh:
             self_collision,
             with_points,
             kinematic=kinematic,
+            rigid=rigid,
             names=names,
             body_pairs=body_pairs,
             exclusion_rings=exclusion_rings,
@@ -459,6 +472,14 @@ class CollisionMesh:
         arguments = replicated(self, count)
         arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
         return type(self)(**arguments)
+
+    @lazy_property
+    def _all_rigid(self) -> CollisionMesh:
+        """This mesh with all bodies rigid that have vertices of their own."""
+        rigid = ~np.isin(np.arange(self.num_bodies), self.planes.bodies)
+        mesh = object.__new__(type(self))
+        mesh.__setstate__(self.__getstate__() | {"rigid": rigid, "self_collision": self.self_collision & ~rigid})
+        return mesh
 
     @lazy_property
     def _surface_vertices(self) -> NDArray[np.int32]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from typing import Unpack
+from typing import Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
+from ccd_warp._input.arguments import check_instance
 from ccd_warp._input.option_types import (
     CandidateOptions,
     DisplacementOptions,
@@ -20,6 +21,7 @@ from ccd_warp._input.option_types import (
 from ccd_warp._input.options import options_of
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
@@ -227,6 +229,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -238,6 +241,8 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
+        motion: How the rigid bodies of the mesh turn, a row for each. Their vertices then move on arcs, and stand in
+            the bodies' own frames in both of the other arguments; all others move straight.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -260,9 +265,54 @@ def mesh_ccd(
     the mesh has codimensional primitives or half-spaces, point-segment, point-point and vertex-plane): no toi that
     covers the pair is late, and ``inf`` is certain.
     """
-    chosen = options_of("mesh_ccd", MeshOptions, options, others=["check_start"])
+    chosen = options_of("mesh_ccd", MeshOptions, options, others=["motion", "check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.mesh_ccd(vertices_t0, vertices_t1, check_start=check_start)
+        return pipeline.mesh_ccd(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
+
+
+def rigid_ccd(
+    mesh: CollisionMesh,
+    poses_t0: ArrayLike,
+    poses_t1: ArrayLike | None = None,
+    *,
+    path: Literal["linear", "screw"] = "linear",
+    pivot: ArrayLike | None = None,
+    twist: ArrayLike | None = None,
+    **options: Unpack[MeshOptions],
+) -> MeshResult:
+    """Earliest times of impact of bodies that are all rigid, and turn: what :func:`mesh_ccd` finds with a ``motion``.
+
+    Every body moves from one pose to the other, by the path that :class:`ccd_warp.RigidMotion` describes, and the
+    vertices of the mesh stand in the frames of their bodies. None collides with itself.
+
+    Args:
+        mesh: The bodies, as built for any other call; ``rigid`` of the mesh plays no part here.
+        poses_t0: Poses at t = 0, position and quaternion **x y z w**, one for each body that has vertices, static ones
+            included, [B, 7], or matrices, [B, 4, 4]; of the worlds of :meth:`CollisionMesh.replicate` [W, B, 7].
+            :class:`ccd_warp.RigidMotion` says what else it takes, as of the following.
+        poses_t1: Poses at t = 1; those of static bodies are the same.
+        path: "linear" or "screw".
+        pivot: Points about which the bodies turn, in their own frames.
+        twist: In place of ``poses_t1``, motion in the whole step, linear part first.
+        **options: Options of :class:`ccd_warp.MeshOptions`.
+
+    Returns:
+        The result, as of :func:`mesh_ccd`.
+
+    Raises:
+        ValueError: If a pose, a shape or an option is not as described, a static body moves, or ``memory_limit`` is too
+            small.
+        TypeError: If there is no such option.
+
+    Guarantee: that of :mod:`ccd_warp`, for the trajectories of :class:`ccd_warp.RigidMotion`, on which vertices move on
+    arcs: no toi is late, and ``inf`` is certain.
+    """
+    chosen = options_of("rigid_ccd", MeshOptions, options, others=["path", "pivot", "twist"])
+    motion = RigidMotion(poses_t0, poses_t1, path=path, pivot=pivot, twist=twist)
+    check_instance("mesh", mesh, CollisionMesh)
+    bodies = mesh._all_rigid
+    with CollisionPipeline.borrowed(bodies, chosen) as pipeline:
+        return pipeline.mesh_ccd(bodies.vertices, bodies.vertices, motion=motion)
 
 
 @text_completed_by(mesh_ccd)
@@ -271,6 +321,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -290,9 +341,9 @@ def collision_free_step(
     touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
     that to something at the start, closer than it was (less 1.2e-13 of the size and motion of the pair).
     """
-    chosen = options_of("collision_free_step", MeshOptions, options, others=["check_start"])
+    chosen = options_of("collision_free_step", MeshOptions, options, others=["motion", "check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.collision_free_step(vertices_t0, vertices_t1, check_start=check_start)
+        return pipeline.collision_free_step(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
 @text_completed_by(mesh_ccd)
@@ -301,6 +352,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
@@ -319,9 +371,9 @@ def is_step_collision_free(
 
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
-    chosen = options_of("is_step_collision_free", MeshOptions, options, others=["check_start"])
+    chosen = options_of("is_step_collision_free", MeshOptions, options, others=["motion", "check_start"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.is_step_collision_free(vertices_t0, vertices_t1, check_start=check_start)
+        return pipeline.is_step_collision_free(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
 def line_search(

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import Any, NoReturn, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
 import warp as wp
@@ -42,6 +42,10 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
+
+if TYPE_CHECKING:
+    from ccd_warp._mesh_paths import MeshPaths
+    from ccd_warp._motion import RigidMotion
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -162,15 +166,40 @@ class CollisionPipeline:
             "and build another: CollisionPipeline(mesh, **options)"
         )
 
-    def _on_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, work: Callable[[Step], _T]) -> _T:
+    def _on_step(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        work: Callable[[Step], _T],
+        motion: RigidMotion | None = None,
+    ) -> _T:
         """Run ``work`` on a step and return its result."""
-        return self._run(Step, lambda: self.mesh.frames(vertices_t0, vertices_t1), work)
+        paths = None if motion is None else self._paths_of(motion)
+
+        def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            start, end = self.mesh.frames(vertices_t0, vertices_t1)
+            if paths is not None:
+                paths.check_own_frames(self.mesh, start, end)
+            return start, end
+
+        return self._run(Step, frames, work, paths=paths)
+
+    def _paths_of(self, motion: RigidMotion) -> MeshPaths:
+        """The paths of the rigid bodies."""
+        from ccd_warp._mesh_paths import MeshPaths  # few programs need it
+        from ccd_warp._motion import RigidMotion
+
+        check_instance("motion", motion, RigidMotion)
+        if not self._options.is_clipping:
+            raise ValueError(f"method is {shown(self._options.method)}; expected 'clipping' where motion is given")
+        return MeshPaths.of(self.mesh, motion._body_paths)
 
     def _run(
         self,
         kind: type[_StepT],
         frames: Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]],
         work: Callable[[_StepT], _T],
+        **further: Any,
     ) -> _T:
         """Run ``work`` on a step of a kind between validated positions."""
         if self._topology.device.is_capturing:
@@ -181,7 +210,8 @@ class CollisionPipeline:
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
-            step = kind(workspace, (start, end), self._options, time.perf_counter() - begin, self._show_progress)
+            seconds = time.perf_counter() - begin
+            step = kind(workspace, (start, end), self._options, seconds, self._show_progress, **further)
             result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
@@ -507,15 +537,30 @@ class CollisionPipeline:
         frame = self.mesh.frame(positions, "positions")
         return frame, frame
 
-    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False) -> MeshResult:
+    def mesh_ccd(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: RigidMotion | None = None,
+        check_start: bool = False,
+    ) -> MeshResult:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
-        result = self._on_step(vertices_t0, vertices_t1, Step.contacts)
-        return replace(result, start=self._checked_start(vertices_t0)) if check_start else result
+        result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
-    def _checked_start(self, vertices_t0: ArrayLike) -> Intersections:
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None) -> ArrayLike:
+        """The positions of all vertices in the world at the start of a step."""
+        if motion is None:
+            return vertices_t0
+        start = self.mesh.frame(vertices_t0)
+        return self._paths_of(motion).at(self.mesh, start, start, 0.0)
+
+    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:
         """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
+        vertices_t0 = self._at_start(vertices_t0, motion)
         counts, timings = self.counts, self.timings
         start = self.find_intersections(vertices_t0)
         timings["intersections at start"] = self.timings["total"]
@@ -526,26 +571,31 @@ class CollisionPipeline:
         return start
 
     def collision_free_step(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: RigidMotion | None = None,
+        check_start: bool = False,
     ) -> float:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
-        toi = min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
+        toi = min(self._least_toi(vertices_t0, vertices_t1, motion), self._options.t_max)
         if check_start:
-            self._checked_start(vertices_t0)
+            self._checked_start(vertices_t0, motion)
         return toi
 
-    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None = None) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
         if not self._options.holds:
-            return self._on_step(vertices_t0, vertices_t1, Step.least_toi)
-        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi())
+            return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
+        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
         if toi <= 0.0 and self._holds_pairs:
             # something may start within its distance: then it has toi 0, whichever way it moves
-            holds = self._holds(vertices_t0)
+            holds = self._holds(self._at_start(vertices_t0, motion))
             if np.isfinite(holds).any():
-                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi())
+                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi(), motion)
         return toi
 
     @property
@@ -573,13 +623,20 @@ class CollisionPipeline:
         return near
 
     def is_step_collision_free(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, check_start: bool = False
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: RigidMotion | None = None,
+        check_start: bool = False,
     ) -> bool:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
-        is_free = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True)) == np.inf
-        return is_free if not check_start else self._checked_start(vertices_t0).num_crossing == 0 and is_free
+        least = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+        if not check_start:
+            return least == np.inf
+        return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
 
     def line_search(
         self,

@@ -54,6 +54,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         body_vertex_range=np.append(0, np.cumsum(np.diff(mesh.body_vertex_range)[bodies])).astype(np.int32),
         static=mesh.static[bodies],
         kinematic=mesh.kinematic[bodies],
+        rigid=mesh.rigid[bodies],
         self_collision=mesh.self_collision[bodies],
         given_edges=(mesh.edges[mesh.codimensional_edges] + first).reshape(-1, 2).astype(np.int32),
         with_codimensional_points=with_points[bodies],

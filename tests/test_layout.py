@@ -109,6 +109,7 @@ LAYERS = [
         "_motion",
         "_affine_motion",
         "_body_paths",
+        "_mesh_paths",
     ],
     ["_engine", "_files"],
 ]

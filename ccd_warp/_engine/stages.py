@@ -18,6 +18,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.search.search_types import CULL, LIST
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
@@ -94,6 +95,7 @@ class Stages:
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
         plane_query: What vertices and planes are asked for; None where there are no half-spaces.
+        turns: How vertices turn in a slice of the step; None where no body turns.
         reach: At one time, how near is near.
         proximities: The list of pairs within that.
     """
@@ -117,6 +119,7 @@ class Stages:
     open_toi: dict[PairKind, Any] = field(default_factory=dict)
     queue: Any = None
     plane_query: Any = None
+    turns: Any = None
     reach: Any = None
     proximities: Any = None
 
@@ -378,7 +381,19 @@ class Stages:
 
         topology = self.topology
         vertices = topology.plane_vertices
-        inputs = [sink, vertices, planes_of(topology), self.plane_query, topology.vertex_body, self.box_radius, active]
+        box_radius, turns = self.box_radius, Turns()
+        if self.turns is not None:  # the radii of boxes have what is added for arcs
+            box_radius, turns = topology.box_radius, self.turns
+        inputs = [
+            sink,
+            vertices,
+            planes_of(topology),
+            self.plane_query,
+            topology.vertex_body,
+            box_radius,
+            turns,
+            active,
+        ]
         inputs += [int(only_moving), float(gaps_moved)]
         launcher.launch(meet_planes, len(vertices), inputs=inputs, outputs=[self.step])
 

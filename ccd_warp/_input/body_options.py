@@ -14,6 +14,7 @@ class BodyOptions(TypedDict, total=False):
         self_collision: Whether a body may collide with itself.
         codimensional_points: Whether vertices in no face and no edge are codimensional points.
         kinematic: Bodies that move as they are told.
+        rigid: Bodies that keep their shape.
         names: Names of the bodies.
         body_pairs: Which pairs of different bodies may collide.
         exclusion_rings: How many edges apart primitives must be to be tested.
@@ -26,6 +27,7 @@ class BodyOptions(TypedDict, total=False):
     self_collision: bool | Sequence[bool]
     codimensional_points: bool | Sequence[bool]
     kinematic: Iterable[int | str]
+    rigid: Iterable[int | str]
     names: Sequence[str] | None
     body_pairs: ArrayLike | None
     exclusion_rings: int

@@ -36,6 +36,16 @@ def validated_static(
     return is_static, is_kinematic
 
 
+def validated_rigid(
+    rigid: Iterable[int | str], names: Sequence[str], is_half_space: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which bodies are rigid, bool, shape [B], or a ValueError; half-spaces have no shape to keep."""
+    is_rigid = _chosen_bodies("rigid", rigid, names)
+    for body in np.flatnonzero(is_rigid & is_half_space)[:1].tolist():
+        raise ValueError(f"rigid holds {body_label(body, names)}, a half-space; expected bodies with vertices")
+    return is_rigid
+
+
 def _chosen_bodies(name: str, values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
     """Bodies given by their indices or names, bool, shape [B]."""
     num_bodies = len(names)

@@ -101,6 +101,11 @@ class Options:
             object.__setattr__(self, name, check_real(name, value, expected, is_valid))
 
     @property
+    def is_clipping(self) -> bool:
+        """Whether pairs are solved by clips of time."""
+        return self.method == "clipping"
+
+    @property
     def kinds(self) -> tuple[PairKind, ...]:
         """Kinds of pairs to check, in their order."""
         if self.pair_kinds is None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.body_boxes import bodies_near_boxes
+from ccd_warp._engine.host.arcs import Slice
 from ccd_warp._engine.host.line_search import OneProcess
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
@@ -56,11 +57,11 @@ class StepOnPart(Step):
 class StepTogether(StepOnPart):
     """What steps share with those of the other ranks: the quantization, and which bodies are near."""
 
-    def begin(self, goal: Goal, t_end: float, inflation: float | None = None) -> HostPlan:
+    def begin(self, goal: Goal, t_end: float, inflation: float | None = None, part: Slice | None = None) -> HostPlan:
         """Compute the boxes, in the quantized coordinates of the whole mesh."""
         with self.timed("reductions"):
             self.together.collect_samples(self.positions)
-        return super().begin(goal, t_end, inflation)
+        return super().begin(goal, t_end, inflation, part)
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         if not self.topology.may_have_inactive_bodies:

@@ -4,6 +4,7 @@ import warp as wp
 
 from ..atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
+from ..pair.turns import Turns
 from ..pair_key import pair_key
 from ..pair_kind import VERTEX_PLANE
 from ..step.minima import (
@@ -17,7 +18,8 @@ from ..step.minima import (
     world_of,
 )
 from ..step.step import ContactList, Step
-from .planes import PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
+from .arc_planes import meeting_on_arc
+from .planes import Meeting, PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
 from .sinks import BOUND
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -54,6 +56,7 @@ def meet_planes(
     query: PlaneQuery,
     vertex_body: wp.array[wp.int32],
     box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex; empty: there are none
+    turns: Turns,  # empty where nothing turns
     active: wp.array[wp.int32],  # by body: 0, its vertices are left out; empty, none is
     only_moving: int,  # 1: a vertex that does not move is left out, so it may touch; planes that move strike it
     gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the vertex moves by this many gaps
@@ -83,7 +86,11 @@ def meet_planes(
         p0 = point_of(planes, k, step.vertices_t0)
         p1 = point_of(planes, k, step.vertices_t1)
         if planes.meets[k, body] != wp.uint8(0) and not (is_struck and p0 == p1):
-            meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
+            meeting = Meeting()
+            if turns.velocity.shape[0] > 0:
+                meeting = meeting_on_arc(v, x0, x1, p0, p1, radius, planes, k, query, turns)
+            else:
+                meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
             if meeting.toi <= query.t_max:
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(step.counts, VERTEX_PLANE, FOUND, 1)

@@ -49,7 +49,7 @@ vec3d = wp.vec3d
 has_own = is_by_pair(norm)
 on_arcs = has_arcs(norm)
 if on_arcs:
-    from ..pair.arc_windows import first_window, later_windows
+    from ..pair.lane_windows import first_window, later_windows
     from .lane_rows import arcs_of_pairs
 unbounded = wp.constant(wp.float64(float("inf")))
 Outcome = specialised("pair.solver", real=real, norm=norm).Outcome

@@ -17,7 +17,7 @@ and no other pair at all.
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim
-from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs, is_by_pair
+from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, is_by_pair
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import is_stationary, row_points

@@ -16,11 +16,11 @@ from .status import (
     STATUS_NO_COLLISION,
 )
 from .turns import Turns
+from .windows import Window, in_slice, in_step, next_window, reached
 
 solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
 arcs = specialised("pair.arcs", norm=norm)
-windows = specialised("pair.arc_windows", norm=norm, real=real)
-Window = windows.Window
+lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
 points_at = arcs.points_at
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
@@ -63,7 +63,7 @@ def tangents_of_arcs(
 ) -> Tangents:
     """Where a pair is and how it moves at a time of the step: in the middle of two straight ends."""
     turning = arcs_of_pair(kind, first, second, options.turns)
-    at = windows.in_slice(t, options)
+    at = in_slice(t, options.turns)
     x = points_at(kind, a, b, turning, at)
     v = arcs.velocities_at(kind, a, b, turning, at)
     r = Tangents()
@@ -100,8 +100,10 @@ def solve_on_arcs(
     own = options
     own.t_end = real(1.0)
     own.t_max = one
+    if options.margin > zero:
+        own.minimum_separation = wp.max(options.minimum_separation - lane_windows.held_errors * error, zero)
     window = Window()
-    window.begin = windows.in_slice(t, options)
+    window.begin = in_slice(t, options.turns)
     window.h = one - window.begin
     if used > 0:
         window.h = eighth * window.h
@@ -115,16 +117,16 @@ def solve_on_arcs(
         at_begin = points_at(kind, a, b, turning, window.begin)
         at_end = points_at(kind, a, b, turning, end)
         chords = arcs.sagitta(amplitudes, window.h)
-        own.sagitta = windows.enlarged(chords, error)
+        own.sagitta = lane_windows.enlarged(chords, error)
         outcome = solver.solve(kind, solver.normalise(kind, at_begin, at_end, own), own, real(0.0), 0, cap - used)
         used += outcome.iterations
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
-        is_sharp = windows.is_below(chords, windows.sharpness(error, kind, at_begin))
-        reached = windows.reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
+        is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))
+        t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:
-            outcome.toi = windows.in_step(reached, options)
+            outcome.toi = in_step(t_reached, options.turns)
             if outcome.status == STATUS_INVALID:
                 outcome.toi = zero
             if outcome.status == STATUS_INITIAL_CONTACT and outcome.toi > zero:
@@ -132,6 +134,6 @@ def solve_on_arcs(
             if outcome.status == STATUS_COLLISION and outcome.toi == zero:
                 outcome.status = STATUS_INITIAL_CONTACT
             outcome.width = wp.where(is_limit, options.t_max - outcome.toi, outcome.width * window.h)
-        window = windows.next_window(window, reached, is_free)
+        window = next_window(window, t_reached, is_free)
     outcome.iterations = used
     return outcome

@@ -17,7 +17,7 @@ Any point of an arc is off its chord between two times by at most the **sagitta*
 and |x''| = |ω|·|V| at every time. So a pair whose points move on arcs is free as long as its points are on the chords,
 with the sagitta added to what separates them. Along an axis k the amplitude of x'' is |V| times the length of ω across
 that axis. What is proved for chords is proved for arcs, and as the sagitta falls with the square of h, shorter and
-shorter chords come to a contact as Newton's iteration does (`arc_windows`). The rounding is step 17 of `rounding`.
+shorter chords come to a contact as Newton's iteration does (`windows`). The rounding is step 17 of `rounding`.
 """
 
 import warp as wp

@@ -5,8 +5,8 @@ a direction d has the support of the shape for its offset: Σ|d_k|·separation_k
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
 the three components of its separation are equal. There each pair has a separation of its own (`pair_options`), as radii
 and holds ask for; in the maximum norm only what is held has, which is a norm of its own here. Kernels are made for one
-norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a separation of
-its own for each part of the step, which holds how far its points are from their chords (`arcs`): two more norms.
+norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a separation
+of its own for each part of the step, which holds how far its points are from their chords (`arcs`): two more norms.
 """
 
 MAXIMUM_NORM = "maximum"

@@ -1,7 +1,7 @@
 """Where bodies that turn are at both ends of a slice of the step, and how their vertices turn in it.
 
-A body turns by ω in the whole step, R at its start, about a point c of its own frame, which is at p then and moves on by
-v; u is what turns with the body of the velocity of that point (of a screw, whose axis is elsewhere):
+A body turns by ω in the whole step, R at its start, about a point c of its own frame, which is at p then and moves on
+by v; u is what turns with the body of the velocity of that point (of a screw, whose axis is elsewhere):
 
     x(t) = p + v·t + σ1(t)·u + σ2(t)·ω×u + Rot(tω)·R·(X − c),   σ1(t) = sin(θt)/θ,   σ2(t) = (1 − cos(θt))/θ².
 

@@ -46,6 +46,7 @@ BODIES = {
     "bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])],
     "static": [1],
     "kinematic": [],
+    "rigid": [],
     "self_collision": True,
     "codimensional_points": False,
     "body_pairs": None,
@@ -55,6 +56,8 @@ BODIES = {
     "radius": np.full(6, 0.125),
     "names": ["face", "cable"],
 }
+POSES_OF_MESH = {"poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1]] * MESH.num_bodies)}
+POSES_OF_MESH["poses_t1"] = POSES_OF_MESH["poses_t0"] + 0.25
 POSES = {
     "poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]]),
     "poses_t1": np.array([[0.0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]),
@@ -126,10 +129,14 @@ def every_call(folder):
             ccd.displacement_bounds,
             {"mesh": MESH, "positions": START, "search_radius": 0.1, "minimum_distance": 0.01} | AT_ONE_TIME,
         ),
-        "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"check_start": False}),
+        "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
-        "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS | {"check_start": False}),
-        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS | {"check_start": False}),
+        "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
+        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
+        "rigid_ccd": (
+            ccd.rigid_ccd,
+            {"mesh": MESH, "path": "linear", "pivot": None, "twist": None} | POSES_OF_MESH | MESH_OPTIONS,
+        ),
         "line_search": (ccd.line_search, FRAMES | SEARCH | {k: MESH_OPTIONS[k] for k in MESH_OPTIONS if k != "t_max"}),
         "from_arrays": (ccd.CollisionMesh.from_arrays, BODIES),
         "arrays of a body": (
@@ -186,14 +193,14 @@ def every_call(folder):
             {"positions": START, "search_radius": 0.1},
         ),
         "launch_proximity": (PIPELINE.launch_proximity, {"positions": START, "distance": 0.1}),
-        "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "check_start": False}),
+        "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False}),
         "pipeline.collision_free_step": (
             PIPELINE.collision_free_step,
-            {"vertices_t0": START, "vertices_t1": END, "check_start": False},
+            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
         ),
         "pipeline.is_step_collision_free": (
             PIPELINE.is_step_collision_free,
-            {"vertices_t0": START, "vertices_t1": END, "check_start": False},
+            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
         ),
         "pipeline.line_search": (PIPELINE.line_search, {"vertices_t0": START, "vertices_t1": END} | SEARCH),
         "render_step": (viz.render_step, picture | {"path": folder / "a.png", "size": (900, 300), "t_max": 1.0}),

@@ -63,7 +63,7 @@ OPTIONAL = {
         "camera",
     ),
     *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs", "radius"),
-    *("displacement", "faces", "pivot", "twist"),
+    *("displacement", "faces", "pivot", "twist", "motion"),
 }
 TEXTS = {"name", "displacement"}
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
@@ -77,9 +77,9 @@ TAKEN = {
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
-    "empty list": {"static", "kinematic", "faces of body 0", "edges of body 0"},
+    "empty list": {"static", "kinematic", "rigid", "faces of body 0", "edges of body 0"},
     "nested empty list": {"faces of body 0", "edges of body 0"},
-    "empty dict": {"static", "kinematic", "exclude_pairs"},
+    "empty dict": {"static", "kinematic", "rigid", "exclude_pairs"},
     "bool": FLAGS,
     "numpy bool": FLAGS,
     "0-d float array": {"radius"},

@@ -1,4 +1,4 @@
-"""Slices of a step in which bodies turn: where they are at both ends of each, and what the kernels know of their arcs."""
+"""Slices of a step in which bodies turn: where they are at both ends of each, and what kernels know of their arcs."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.step import place_bodies as kernels
 
 if TYPE_CHECKING:
-    from ccd_warp._body_paths import BodyPaths
+    from ccd_warp._mesh_paths import MeshPaths
 
 # Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
 TURN_OF_A_SLICE = 0.2
@@ -36,7 +36,7 @@ class Slice:
     is_last: bool
 
 
-def slices_of(paths: "BodyPaths", t_max: float) -> list[Slice]:
+def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
     """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
     turn = float(np.linalg.norm(paths.omega, axis=1).max(initial=0.0)) * t_max
     count = max(1, int(np.ceil(turn / TURN_OF_A_SLICE)))
@@ -63,14 +63,17 @@ class Arcs:
         self._paths = kernels.BodyPaths()
         self._spin = wp.zeros(num_bodies, dtype=wp.vec3d, device=device)
 
-    def begin(self, paths: "BodyPaths", positions: Positions, t_max: float) -> None:
+    def begin(self, paths: "MeshPaths", positions: Positions) -> None:
         """Begin a step along these paths, of bodies whose vertices have positions in their own frames."""
         self._step_paths = paths
         topology, mesh = self._topology, self._topology.mesh
         is_rigid = paths.is_rigid
         self._start = [self._on_device(x) for x in positions]
         fields = {name: topology.array(getattr(paths, name), wp.vec3d) for name in ("omega", "pivot", "velocity")}
-        fields |= {"start": topology.array(paths.pivot_t0, wp.vec3d), "turning": topology.array(paths.turning, wp.vec3d)}
+        fields |= {
+            "start": topology.array(paths.pivot_t0, wp.vec3d),
+            "turning": topology.array(paths.turning, wp.vec3d),
+        }
         fields |= {"is_rigid": topology.array(is_rigid.astype(np.int32))}
         fields |= {"rotation": topology.array(paths.rotation, wp.vec4d)}
         self._slack = topology.array(slack_of(mesh, paths, positions), wp.float64)
@@ -111,7 +114,7 @@ class Arcs:
         return turns
 
 
-def slack_of(mesh: Any, paths: "BodyPaths", positions: Positions) -> NDArray[np.float64]:
+def slack_of(mesh: Any, paths: "MeshPaths", positions: Positions) -> NDArray[np.float64]:
     """By how much rounding may move a vertex of each body (``kernels.pair.rounding``, steps 12 and 18)."""
     unit = UNIT_ROUNDOFF[wp.float64]
     first = np.flatnonzero(np.diff(mesh.body_vertex_range))

@@ -79,8 +79,8 @@ class HostPlan(Plan):
             is_held: Whether some pairs start within their distance.
             arcs: Those of the workspace where bodies turn.
         """
-        key = (goal, options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase, is_held)
-        key += (arcs is not None,)
+        of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
+        key = (goal, of_options, is_held, arcs is not None)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
@@ -121,7 +121,7 @@ class HostPlan(Plan):
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         of_pairs = self.memory.slots()
-        names = [*_POSITIONS, *_FIELDS]
+        names = [*_POSITIONS, *_FIELDS, "turns"]
         names += [slot.name for slots in boxes.values() for slot in slots]
         names += [slot.name for slots in of_pairs.values() for slot in slots.values()]
         self._recording = Recording(execution, dict.fromkeys(names) | {"contacts": ContactList()})
@@ -137,6 +137,7 @@ class HostPlan(Plan):
             box_radius=self._radii[1],
             is_thick=topology.is_thick or arcs is not None,
             boxes=boxes,
+            turns=None if arcs is None else Slot("turns"),
             **of_pairs,
             **slots,
         )

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import located
 from ccd_warp._engine.boxes.body_boxes import bodies_near
+from ccd_warp._engine.host.arcs import Arcs, Slice, slices_of
 from ccd_warp._engine.host.candidates import Candidates, Collector
-from ccd_warp._engine.host.arcs import Slice, slices_of
 from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore
 from ccd_warp._engine.host.oddities import (
     DistanceInEdges,
@@ -38,7 +38,7 @@ from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
 
 if TYPE_CHECKING:
-    from ccd_warp._body_paths import BodyPaths
+    from ccd_warp._mesh_paths import MeshPaths
 
 # Memory for pairs where the user sets no limit.
 DEFAULT_PAIR_BYTES = 1 << 30
@@ -76,7 +76,7 @@ class Step:
         options: Options,
         checking_seconds: float = 0.0,
         show: Callable[[Progress], None] | None = None,
-        paths: "BodyPaths | None" = None,
+        paths: "MeshPaths | None" = None,
     ) -> None:
         """Begin a step.
 
@@ -102,12 +102,13 @@ class Step:
         self.is_warned = False
         self.holds = self.is_held = False
         workspace.progress.show = show
-        self.arcs = None if paths is None else workspace.arcs
+        self.arcs: Arcs | None = None
         self.slices: list[Slice | None] = [None]
+        self.paths, self.given = paths, positions
         if paths is not None:
-            self.paths, self.given = paths, positions
             self.slices = [*slices_of(paths, options.t_max)]
-            self.arcs.begin(paths, positions, options.t_max)
+            self.arcs = workspace.arcs
+            self.arcs.begin(paths, positions)
 
     def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide.
@@ -130,7 +131,7 @@ class Step:
             self.execution = plan.execution
             if part is None or part.t_begin == 0.0:
                 plan.begin_counts()
-            if part is not None:
+            if part is not None and self.arcs is not None:
                 t_end, self.positions = 1.0, self.arcs.place(part, self.execution)
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
@@ -143,12 +144,14 @@ class Step:
             plan.fill_boxes(self.positions, t_end, self.inflation, active)
         return plan
 
-    def packed_options(self, part: "Slice | None") -> Any:
-        """The options as the kernels take them, in a slice or in the whole step."""
-        if part is None:
-            return self.workspace.packed(self.options, self.length_scale, is_held=self.is_held)
-        turns = self.arcs.turns(part)
-        return self.workspace.packed_on_arcs(self.options, self.length_scale, turns, is_held=self.is_held)
+    def bind_options(self, plan: HostPlan, part: "Slice | None") -> None:
+        """Let the kernels have the options, and how bodies turn in a slice."""
+        workspace, arguments = self.workspace, (self.options, self.length_scale)
+        if part is None or self.arcs is None:
+            plan.bind(options=workspace.packed(*arguments, is_held=self.is_held))
+        else:
+            turns = self.arcs.turns(part)
+            plan.bind(options=workspace.packed_on_arcs(*arguments, turns, is_held=self.is_held), turns=turns)
 
     def _reaches_far(self) -> bool:
         """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
@@ -312,7 +315,7 @@ class Step:
         """The least of a toi and those in a slice, or in the whole step."""
         t_end = self.options.t_max
         plan = self.begin("bound", t_end, part=part)
-        plan.bind(options=self.packed_options(part))
+        self.bind_options(plan, part)
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
         if plan.has_planes:
             with self.timed("planes"):
@@ -426,7 +429,7 @@ class Step:
             if len(self.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather()
-            contacts = located(gathered.contacts, self.mesh, *self.positions)
+            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths)
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
         self.finish_timings()
@@ -451,7 +454,7 @@ class Step:
             if part is None or part.t_begin == 0.0:
                 store.begin(self.execution, self.largest_contacts())
                 plan.reset_minima(store.count)
-            plan.bind(options=self.packed_options(part))
+            self.bind_options(plan, part)
             plan.set_search(self.options.t_max if part is None else 1.0, self.inflation, self.separation)
             batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
         if plan.has_planes:

@@ -1,19 +1,8 @@
-"""Pairs on arcs: the solver of straight motion, on chords that shorten toward a contact.
-
-A **window** is a part [t, t + h] of a slice. The pair is solved on the chords over it, with their sagitta added to its
-separation (`arcs`). Where that is free, the pair is, and the next window is longer; otherwise the pair is free up to
-the time found, and the next window begins there and is shorter. The pair touches where a window ends in a contact whose
-sagitta is of the size of rounding errors.
-
-**How much shorter.** A window of length h that ends in a contact after a gain g leaves a gap of its sagitta, which a
-pair that goes on as it came crosses in the time g·(h / h')², h' the length of the window before that ended in a
-contact. A chord of four times that length has the contact in its middle, and leaves a gap that is smaller by the square
-of the ratio of both: Newton's iteration, from below.
-"""
+"""Pairs on arcs, several at once: `windows` in which the lanes are solved by the rounds of straight motion."""
 
 import warp as wp
 
-from ..parameters import norm, real, width
+from ..parameters import real, width
 from ..template import specialised
 from .arcs import amplitude, error_of, points_at, sagitta
 from .lane_solver import LaneAnswer, solve_full
@@ -21,6 +10,7 @@ from .pair_options import LaneOptions
 from .points import Points, corners, largest
 from .query import Options
 from .rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
@@ -34,58 +24,11 @@ _LATER_WINDOWS = wp.constant(6)
 _NONE = wp.constant(wp.uint32(0))
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
-four = wp.constant(wp.float64(4.0))
 eighth = wp.constant(wp.float64(0.125))
-least_share = wp.constant(wp.float64(2.0**-10))
+held_errors = wp.constant(wp.float64(4.0))
 unbounded = wp.constant(wp.float64(float("inf")))
-slice_down = wp.constant(wp.float64(1.0 - 8.0 * UNIT_ROUNDOFF[wp.float64]))
-step_down = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
 # What a corner is off by in the precision of the iteration.
 corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
-
-
-@simd.func
-def in_slice(t: Lanes, options: Options) -> Lanes:
-    """A time of the step as one of the slice, rounded down."""
-    since = (t - simd.spread(options.turns.t_begin)) / simd.spread(options.turns.t_length)
-    return simd.greatest(since * slice_down, zero)
-
-
-@simd.func
-def in_step(t: Lanes, options: Options) -> Lanes:
-    """A time of the slice as one of the step, rounded down."""
-    return (simd.spread(options.turns.t_begin) + options.turns.t_length * t) * step_down
-
-
-@wp.struct
-class Window:
-    """The window of each lane."""
-
-    begin: Lanes
-    h: Lanes
-    last: Lanes  # length of the last window that ended in a contact; 0 before there is one
-
-
-@simd.func
-def reached(window: Window, end: Lanes, is_free: simd.Mask, share: Lanes) -> Lanes:
-    """The time up to which a window shows that a pair is free: its end, or after a share of it, rounded down."""
-    t = (window.begin + window.h * share * slice_down) * step_down
-    return simd.select(is_free, end, simd.least(simd.greatest(window.begin, t), end))
-
-
-@simd.func
-def next_window(window: Window, t: Lanes, is_free: simd.Mask) -> Window:
-    """The window after one that is free up to a time."""
-    gain = t - window.begin
-    shorter = eighth * window.h
-    ratio = window.h / simd.greatest(window.last, window.h)
-    ahead = simd.greatest(four * gain * (ratio * ratio), least_share * window.h)
-    ahead = simd.select(simd.is_less(zero, window.last), simd.least(shorter, ahead), shorter)
-    r = Window()
-    r.begin = t
-    r.last = simd.select(is_free, window.last, window.h)
-    r.h = simd.select(is_free, four * window.h, ahead)
-    return r
 
 
 @simd.func
@@ -128,8 +71,12 @@ def advance_windows(
     amplitudes = amplitude(kind, own.arcs)
     error = error_of(a, b, own.arcs)
     nothing = simd.spread(zero)
+    if own.held != _NONE:
+        # what starts at the distance that it keeps has the error of its arcs to begin with
+        kept = simd.greatest(own.minimum_separation - held_errors * error, nothing)
+        own.minimum_separation = simd.select(simd.mask_of(own.held), kept, own.minimum_separation)
     window = Window()
-    window.begin = in_slice(t_start, options)
+    window.begin = in_slice(t_start, options.turns)
     window.h = one - window.begin
     window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
     window.last = nothing
@@ -163,10 +110,10 @@ def advance_windows(
         window.last = simd.select(is_open, following.last, window.last)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
         settled = answer.free | answer.contact | (~found.free & simd.bits_of(is_sharp))
-        t = in_step(window.begin, options)
+        t = in_step(window.begin, options.turns)
         open = open & ~settled & simd.bits_of(simd.is_less(t, bound))
         windows += 1
-    answer.t = in_step(simd.least(window.begin, one), options)
+    answer.t = in_step(simd.least(window.begin, one), options.turns)
     return answer
 
 
@@ -195,4 +142,3 @@ def later_windows(
     """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
     windows = wp.min(_LATER_WINDOWS, (cap - FIRST_ROUNDS) / _ROUNDS)
     return advance_windows(kind, a, b, own, options, lanes, t_start, used, windows, _ROUNDS, bound)
-

@@ -1,0 +1,103 @@
+"""How all vertices of a mesh move in a step: those of bodies on paths on arcs, the others straight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._body_paths import BodyPaths, _arcs
+from ccd_warp._display import counted
+from ccd_warp._input.names import body_label
+from ccd_warp._rotations import rotated
+
+if TYPE_CHECKING:
+    from ccd_warp._mesh import CollisionMesh
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshPaths(BodyPaths):
+    """The paths of all bodies of a mesh.
+
+    Attributes:
+        is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
+    """
+
+    is_rigid: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
+        """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
+
+        Raises:
+            ValueError: If the numbers of bodies differ, the mesh is in the plane, or a static body moves.
+        """
+        if mesh.dimension == 2:
+            raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
+        bodies = np.flatnonzero(mesh.rigid)
+        if len(bodies) == 0:
+            raise ValueError(
+                "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
+                "rigid_ccd, for which all bodies are"
+            )
+        if len(given) != len(bodies):
+            raise ValueError(
+                f"motion has {counted(len(given), 'row', 'rows')} for "
+                f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
+            )
+        moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
+        for row in np.flatnonzero(moves & mesh.static[bodies])[:1].tolist():
+            raise ValueError(
+                f"motion moves {body_label(int(bodies[row]), mesh.names)}, which is static; expected equal poses at "
+                f"both ends, or kinematic in place of static for a body that moves as it is told"
+            )
+        rows: dict[str, NDArray[Any]] = {}
+        for field in fields(BodyPaths):
+            of_rigid = getattr(given, field.name)
+            rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
+            rows[field.name][bodies] = of_rigid
+        return cls(**rows, is_rigid=mesh.rigid.copy())
+
+    def check_own_frames(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+        """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.
+
+        Raises:
+            ValueError: If one differs.
+        """
+        if start is end:
+            return
+        differs = (start != end).any(axis=1) & self.is_rigid[mesh.vertex_body]
+        for vertex in np.flatnonzero(differs)[:1].tolist():
+            raise ValueError(
+                f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
+                f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
+            )
+
+    def at(
+        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
+    ) -> NDArray[np.float64]:
+        """Where vertices are at a time, one for all or one a vertex; all of them by default."""
+        vertices = np.arange(len(start)) if vertices is None else vertices
+        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))
+        body = mesh.vertex_body[vertices]
+        x: NDArray[np.float64] = (1.0 - times) * start[vertices] + times * end[vertices]
+        rigid = np.flatnonzero(self.is_rigid[body])
+        x[rigid] = self.positions(start[vertices[rigid]], body[rigid], times[rigid, 0])
+        return x
+
+    def velocity_at(
+        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any
+    ) -> NDArray[np.float64]:
+        """How vertices move at a time, as displacements in the whole step."""
+        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))[:, 0]
+        body = mesh.vertex_body[vertices]
+        v: NDArray[np.float64] = end[vertices] - start[vertices]
+        rigid = np.flatnonzero(self.is_rigid[body])
+        rows, t_rigid = body[rigid], times[rigid]
+        omega, turning = self.omega[rows], self.turning[rows]
+        arms = rotated(self.rotation[rows], start[vertices[rigid]] - self.pivot[rows])
+        arms = arms + _arcs(omega, arms, t_rigid)
+        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, t_rigid)
+        return v
