@@ -7,7 +7,7 @@ body that turns about the normal, as what spins on the ground does, has straight
 import warp as wp
 
 from ..pair.arcs import bend, point_at
-from ..pair.rounding import ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from ..pair.rounding import ARC_MOTION, ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 from ..pair.turns import Turns
 from ..pair.windows import Window, in_step, next_window, reached
 from .planes import Meeting, PlaneQuery, Planes, meeting_of
@@ -19,7 +19,9 @@ _MOST_WINDOWS = wp.constant(1000)
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _EIGHTH_UP = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
-_ERROR = wp.constant(wp.float64(ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
+# Of a coordinate, on all axes together.
+_ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
+_MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 # The unit normal is rounded, by less than this; so a product with it may be off by as much of the whole vector.
 _UNIT = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
 _SQUARE = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
@@ -44,8 +46,8 @@ def meeting_on_arc(
     velocity = turns.velocity[v]
     size = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
     size = wp.max(size, wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1))))
-    size = wp.max(size, wp.max(wp.abs(velocity)))
-    error = turns.slack[body] + _ERROR * size
+    motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
+    error = turns.slack[body] + (_ERROR * size + _MOTION_ERROR * motion)
     along = wp.length(wp.cross(spin, planes.unit[k])) + _UNIT * wp.length(spin)
     amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along
     if not along > _ZERO:

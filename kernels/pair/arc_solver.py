@@ -20,6 +20,7 @@ from .windows import Window, in_slice, in_step, next_window, reached
 
 solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
 arcs = specialised("pair.arcs", norm=norm)
+frames = specialised("pair.frames", norm=norm)
 lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
 points_at = arcs.points_at
 zero = wp.constant(wp.float64(0.0))
@@ -102,6 +103,7 @@ def solve_on_arcs(
     own.t_max = one
     if options.margin > zero:
         own.minimum_separation = wp.max(options.minimum_separation - lane_windows.held_errors * error, zero)
+    is_shared = frames.are_alike(turning) and frames.may_turn(own.minimum_separation)
     window = Window()
     window.begin = in_slice(t, options.turns)
     window.h = one - window.begin
@@ -117,9 +119,18 @@ def solve_on_arcs(
         at_begin = points_at(kind, a, b, turning, window.begin)
         at_end = points_at(kind, a, b, turning, end)
         chords = arcs.sagitta(amplitudes, window.h)
+        is_framed = bool(False)
+        if is_shared:
+            framed = frames.framed_window(kind, a, b, turning, at_begin, at_end, window.begin, window.h)
+            is_framed = framed.sagitta < wp.max(chords)
+            if is_framed:
+                at_end = framed.at_end
+                chords = wp.vec3d(framed.sagitta, framed.sagitta, framed.sagitta)
         own.sagitta = lane_windows.enlarged(chords, error)
         outcome = solver.solve(kind, solver.normalise(kind, at_begin, at_end, own), own, real(0.0), 0, cap - used)
         used += outcome.iterations
+        if is_framed:
+            outcome.gap = frames.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
         is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))

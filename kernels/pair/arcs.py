@@ -27,7 +27,7 @@ from ..parameters import norm, width
 from ..template import specialised
 from .norm import is_ball
 from .points import Points
-from .rounding import ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from .rounding import ARC_MOTION, ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 
 simd = specialised("pair.simd", width=width)
 is_euclidean = is_ball(norm)
@@ -51,6 +51,7 @@ cosine_6 = wp.constant(wp.float64(1.0 / 87178291200.0))
 eighth_up = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
 square_underflow = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
 point_error = wp.constant(wp.float64(ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
+motion_error = wp.constant(wp.float64(ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 
 
 @wp.struct
@@ -197,10 +198,18 @@ def largest_coordinate(p: Points) -> simd.Lanes:
 
 
 @simd.func
+def largest_difference(a: Points, b: Points) -> simd.Lanes:
+    """Largest magnitude of a coordinate of a difference of points."""
+    m = simd.greatest(simd.magnitude(b.p0 - a.p0), simd.magnitude(b.p1 - a.p1))
+    m = simd.greatest(m, simd.greatest(simd.magnitude(b.p2 - a.p2), simd.magnitude(b.p3 - a.p3)))
+    return simd.greatest(m.x, simd.greatest(m.y, m.z))
+
+
+@simd.func
 def error_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
     """By how much the rounding of all points may bring a pair closer, along any axis (rounding, step 17)."""
     v = simd.greatest(simd.magnitude(arcs.v0), simd.magnitude(arcs.v1))
     v = simd.greatest(v, simd.greatest(simd.magnitude(arcs.v2), simd.magnitude(arcs.v3)))
+    motion = simd.greatest(largest_difference(a, b), simd.greatest(v.x, simd.greatest(v.y, v.z)))
     size = simd.greatest(largest_coordinate(a), largest_coordinate(b))
-    size = simd.greatest(size, simd.greatest(v.x, simd.greatest(v.y, v.z)))
-    return arcs.slack + point_error * size
+    return arcs.slack + (point_error * size + motion_error * motion)

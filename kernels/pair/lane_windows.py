@@ -5,6 +5,7 @@ import warp as wp
 from ..parameters import real, width
 from ..template import specialised
 from .arcs import amplitude, error_of, points_at, sagitta
+from .frames import are_alike, chosen, framed_window, longest_turned, may_turn
 from .lane_solver import LaneAnswer, solve_full
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
@@ -75,6 +76,8 @@ def advance_windows(
         # what starts at the distance that it keeps has the error of its arcs to begin with
         kept = simd.greatest(own.minimum_separation - held_errors * error, nothing)
         own.minimum_separation = simd.select(simd.mask_of(own.held), kept, own.minimum_separation)
+    none = simd.mask_of(_NONE)
+    shared = simd.bits_of(are_alike(own.arcs) & may_turn(own.minimum_separation))
     window = Window()
     window.begin = in_slice(t_start, options.turns)
     window.h = one - window.begin
@@ -91,6 +94,14 @@ def advance_windows(
         at_begin = points_at(kind, a, b, own.arcs, window.begin)
         at_end = points_at(kind, a, b, own.arcs, end)
         chords = sagitta(amplitudes, window.h)
+        is_framed = none
+        if open & shared != _NONE:
+            framed = framed_window(kind, a, b, own.arcs, at_begin, at_end, window.begin, window.h)
+            most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
+            is_framed = simd.mask_of(shared) & simd.is_less(framed.sagitta, most)
+            at_end = chosen(is_framed, framed.at_end, at_end)
+            of_frame = simd.vec(framed.sagitta, framed.sagitta, framed.sagitta)
+            chords = simd.select(is_framed, of_frame, chords)
         own.sagitta = enlarged(chords, error)
         found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
         is_open = simd.mask_of(open)
@@ -102,7 +113,8 @@ def advance_windows(
         answer.free = answer.free | (open & found.free & simd.bits_of(simd.is_at_most(one, end)))
         answer.u = simd.select(is_contact, found.u, answer.u)
         answer.v = simd.select(is_contact, found.v, answer.v)
-        answer.gap = simd.select(is_contact, found.gap, answer.gap)
+        gap = simd.select(is_framed, longest_turned * found.gap, found.gap)
+        answer.gap = simd.select(is_contact, gap, answer.gap)
         answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
         following = next_window(window, reached(window, end, is_free, found.t), is_free)
         window.begin = simd.select(is_open, following.begin, window.begin)

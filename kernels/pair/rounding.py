@@ -92,23 +92,27 @@ below are in the normalised units of step 2.
    (L-m)/2 each, or one with b ≤ L-m beside a static one, leave more than m. m is rounded up and L down; L - m rounds
    once, and the factor 1 - 8u covers it and itself. The half is exact but for a result that is subnormal, from which
    2^-1070 is subtracted.
-17. **Points on arcs** (`arcs`). With M the largest coordinate of the points at both ends of the slice and of the
-   velocities V, and turns of at most 1/4: the series of f1 lies below 1/90 and is summed within 1/15 u, f2 below 1/8
-   and within 3u; ω×V is below M/2 and off by 3u of that. So their part of a coordinate is off by less than u·M. The
-   straight part rounds a difference, a product and two sums, 7u·M. The two points of a corner are off by less than
-   16u·M, at either end of a chord and so between them; ARC_POINTS = 24 covers the sums of the bound and the products of
-   errors, and the separation grows by it. What V and ω are off by themselves is part of the slack (step 18), since both
-   factors are below 1. The amplitude is made of two roots of sums, a product and a sum, the sagitta of three products
-   more, 10u; V grows by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that
-   underflows is below SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta
-   is less than u² of the velocity. A time in a slice is that of the step less the begin of the slice, over its length,
-   and is rounded down by 8u, and a time of the step, a product and a sum, by 4u.
+17. **Points on arcs** (`arcs`). Let M be the largest coordinate of the points at both ends of the slice, D that of
+   their motions b - a and of the velocities V, and turns at most 1/4: the series of f1 lies below 1/90 and is summed
+   within 1/15 u, f2 below 1/8 and within 3u; ω×V is below D/2 and off by 3u of that. So their part of a coordinate is
+   off by less than u·D. The straight part rounds a difference, a product and a sum, 3u·D with the bend, and the last
+   sum u·M. The two points of a corner are off by less than 2u·M + 8u·D, at either end of a chord and so between them;
+   the separation grows by ARC_POINTS = 4 and ARC_MOTION = 12 of them, which covers the sums of the bound and the
+   products of errors. What V and ω are off by themselves is part of the slack (step 18), since both factors are below
+   1. The amplitude is made of two roots of sums, a product and a sum, the sagitta of three products more, 10u; V grows
+   by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that underflows is below
+   SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta is less than u² of
+   the velocity. A time in a slice is that of the step less the begin of the slice, over its length, and is rounded down
+   by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`frames`) the difference of two
+   points is turned: products with factors below 1, cross products and sums, 12u of the difference, and a sum of u·M:
+   FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS.
 18. **Bodies on arcs** (`kernels.step.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
-   begin or the end of a slice. The product with R and with Rot(tω), each of a unit quaternion within 4u of one, rounds
-   by 24u·|X - c| at most, the differences and sums by 3u of the largest of their terms, and the angle tθ, and what it
-   was computed from, by 8u·tθ, which moves the vertex by that times its distance from the axis. With ρ the largest
-   |X - c| of a body, P the largest coordinate of p and p + v, and T that of V: PLACE·u·(P + (1 + |ω|)(ρ + T)) with
-   PLACE = 64 bounds it with what a motion has lost by being made from two poses, which `RigidMotion` states.
+   begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
+   `BodyPaths` states for p and v is 2u·P and 2u·(2P); on all axes 12·√3 u·P, PLACE_POSITION = 24. The product with R
+   and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X - c| at most; the angle tθ, and what it
+   was computed from, is off by 12u·tθ, which moves a vertex by that times its distance from the axis. With ρ the
+   largest |X - c| of a body, T the length of V and PLACE = 40 that is PLACE·u·(1 + |ω|/2)(ρ + T), which covers what
+   `BodyPaths` states for the pivot and for V, and the products of errors.
 
 Constants are in units of u.
 """
@@ -125,9 +129,12 @@ SIDES = 16.0
 INTERPOLATION = 8.0
 SLACK = 16.0
 NORMAL = 16.0
-ARC_POINTS = 24.0
+ARC_POINTS = 4.0
+ARC_MOTION = 12.0
 SAGITTA = 32.0
-PLACE = 64.0
+FRAME = 24.0
+PLACE_POSITION = 24.0
+PLACE = 40.0
 
 # Splits of one parameter, so that u, v, 1-u, 1-v and the midpoints are exact floating-point numbers.
 MAX_SPLITS = {wp.float64: 50, wp.float32: 21}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels.pair.rounding import INTERPOLATION, PLACE, UNIT_ROUNDOFF
+from ccd_warp.kernels.pair.rounding import INTERPOLATION, PLACE, PLACE_POSITION, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.step import place_bodies as kernels
 
@@ -117,16 +117,14 @@ class Arcs:
 def slack_of(mesh: Any, paths: "MeshPaths", positions: Positions) -> NDArray[np.float64]:
     """By how much rounding may move a vertex of each body (``kernels.pair.rounding``, steps 12 and 18)."""
     unit = UNIT_ROUNDOFF[wp.float64]
-    first = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    lengths = np.sqrt(np.maximum(*(np.einsum("ij,ij->i", x, x) for x in positions)))
     largest = np.zeros(mesh.num_bodies)
-    coordinates = np.maximum(*(np.abs(x).max(axis=1, initial=0.0) for x in positions))
-    if len(coordinates):
-        largest[first] = np.maximum.reduceat(coordinates, mesh.body_vertex_range[first])
-
-    def size(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.abs(x).sum(axis=1)
-
-    arm = np.sqrt(3.0) * largest + size(paths.pivot)
-    far = np.maximum(size(paths.pivot_t0), size(paths.pivot_t0 + paths.velocity))
-    of_turns = PLACE * unit * (far + (1.0 + size(paths.omega)) * (arm + size(paths.turning)))
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    if len(filled):
+        largest[filled] = np.maximum.reduceat(lengths, mesh.body_vertex_range[filled])
+    largest *= 1.0 + 8.0 * unit
+    arm = largest + np.linalg.norm(paths.pivot, axis=1)
+    far = np.maximum(np.abs(paths.pivot_t0), np.abs(paths.pivot_t0 + paths.velocity)).max(axis=1)
+    turned = (1.0 + 0.5 * np.linalg.norm(paths.omega, axis=1)) * (arm + np.linalg.norm(paths.turning, axis=1))
+    of_turns = unit * (PLACE_POSITION * far + PLACE * turned)
     return np.where(paths.is_rigid, of_turns, INTERPOLATION * unit * largest)
