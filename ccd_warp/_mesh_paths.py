@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,6 +74,11 @@ class MeshPaths(BodyPaths):
                 f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
                 f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
             )
+
+    def shortened(self, fraction: NDArray[np.float64]) -> MeshPaths:
+        """The paths up to a fraction of the step for each body, shape [B]."""
+        changed = {name: getattr(self, name) * fraction[:, None] for name in ("omega", "velocity", "turning")}
+        return replace(self, **changed)
 
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
+from copy import copy
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -187,6 +189,26 @@ class RigidMotion:
         poses = np.where((times == 0.0)[:, None], self._poses_t0, self._at(times))
         poses = np.where((times == 1.0)[:, None], self._poses_t1, poses)
         return poses.reshape(*self._leading, 7)
+
+    def shortened(self, t: ArrayLike) -> RigidMotion:
+        """The motion up to a fraction of the step, on the same paths.
+
+        Args:
+            t: Fraction in [0, 1], for all bodies, or one a body, [B] or [W, B].
+
+        Returns:
+            The motion that ends there, in as much time as this one.
+
+        Raises:
+            ValueError: If a fraction is not in [0, 1], or there are not as many as bodies.
+        """
+        times = checked_fractions(t, self._leading)
+        motion = copy(self)
+        scaled = {name: getattr(self._body_paths, name) * times[:, None] for name in ("omega", "velocity", "turning")}
+        motion._body_paths = replace(self._body_paths, **scaled)
+        ends = np.where((times == 1.0)[:, None], self._poses_t1, motion._at(np.ones(len(times))))
+        motion._poses_t1 = read_only(np.where((times == 0.0)[:, None], self._poses_t0, ends))
+        return motion
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses at a fraction for each body, shape [N, 7]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from typing import Literal, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -384,6 +384,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:
@@ -443,12 +444,11 @@ def line_search(
     positions, and every pair with a free vertex that moves had toi ``inf`` there, which is certain. (After that round
     at most whole worlds were moved back to their start, and with kinematic bodies one more finds what these strike.)
     """
-    others = ["per", "safety", "max_rounds", "check_start"]
+    others = ["per", "safety", "max_rounds", "motion", "check_start"]
     chosen = options_of("line_search", LineSearchOptions, options, others=others)
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.line_search(
-            vertices_t0, vertices_t1, per=per, safety=safety, max_rounds=max_rounds, check_start=check_start
-        )
+        further: dict[str, Any] = {"max_rounds": max_rounds, "motion": motion, "check_start": check_start}
+        return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, **further)
 
 
 for _function in (

@@ -171,7 +171,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         work: Callable[[Step], _T],
-        motion: RigidMotion | None = None,
+        motion: RigidMotion | MeshPaths | None = None,
     ) -> _T:
         """Run ``work`` on a step and return its result."""
         paths = None if motion is None else self._paths_of(motion)
@@ -184,11 +184,13 @@ class CollisionPipeline:
 
         return self._run(Step, frames, work, paths=paths)
 
-    def _paths_of(self, motion: RigidMotion) -> MeshPaths:
+    def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
         from ccd_warp._mesh_paths import MeshPaths  # few programs need it
         from ccd_warp._motion import RigidMotion
 
+        if isinstance(motion, MeshPaths):
+            return motion
         check_instance("motion", motion, RigidMotion)
         if not self._options.is_clipping:
             raise ValueError(f"method is {shown(self._options.method)}; expected 'clipping' where motion is given")
@@ -646,6 +648,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
+        motion: RigidMotion | None = None,
         check_start: bool = False,
     ) -> LineSearchResult:
         """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
@@ -654,17 +657,42 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
-        found = search_step(
-            self.mesh,
-            vertices_t0,
-            vertices_t1,
-            self._solver,
-            per=per,
-            safety=safety,
-            max_rounds=max_rounds,
-            begins_at_rest=self._reaches_neighbours(vertices_t0),
+        arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
+        if motion is None:
+            arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
+            found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver, **arguments)
+        else:
+            found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
+        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+
+    def _search_on_arcs(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion, arguments: dict[str, Any]
+    ) -> LineSearchResult:
+        """A line search in which bodies turn."""
+        from ccd_warp._engine.host.arc_course import ArcCourse, ArcEnd  # few programs need it
+
+        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        paths = self._paths_of(motion)
+        paths.check_own_frames(self.mesh, start, end)
+        course = ArcCourse(self.mesh, start, end, paths)
+
+        def step_to(end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
+            return self._on_step(start, end.vertices, work, end.paths)
+
+        solver = Solver(
+            lambda _, end: step_to(end, Step.contacts),
+            lambda _, end, holds: (
+                step_to(end, lambda step: step.holding(holds).contacts())
+                if self._options.holds
+                else step_to(end, Step.contacts)
+            ),
+            self._worlds_near if self._options.holds and self._holds_pairs else None,
+            self._holds,
         )
-        return replace(found, start=self._checked_start(vertices_t0)) if check_start else found
+        arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
+        found = search_step(self.mesh, start, end, solver, course=course, **arguments)
+        of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
+        return replace(found, motion=motion.shortened(of_bodies.reshape(motion.turns.shape)))
 
     @property
     def _solver(self) -> Solver:

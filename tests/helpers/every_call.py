@@ -41,7 +41,7 @@ OPTIONS = {
 MESH_OPTIONS = OPTIONS | {"max_work": 1000, "broad_phase": "tree", "pair_kinds": None, "memory_limit": None}
 AT_ONE_TIME = {"broad_phase": "hash", "pair_kinds": None, "memory_limit": None, "device": "cpu", "num_threads": 1}
 FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
-SEARCH = {"check_start": False, "per": "scene", "safety": 0.5, "max_rounds": 16}
+SEARCH = {"motion": None, "check_start": False, "per": "scene", "safety": 0.5, "max_rounds": 16}
 BODIES = {
     "bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])],
     "static": [1],

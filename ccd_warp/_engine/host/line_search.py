@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp._motion import RigidMotion
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -59,6 +62,8 @@ class LineSearchResult:
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
+        motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
+            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -69,6 +74,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
+    motion: "RigidMotion | None" = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
@@ -110,10 +116,38 @@ class Solver:
         find_holds: The hold of each vertex at the start (`HoldStep`).
     """
 
-    strict: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult]
-    holding: Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None], MeshResult]
+    strict: Callable[[NDArray[np.float64], Any], MeshResult]
+    holding: Callable[[NDArray[np.float64], Any, NDArray[np.float64] | None], MeshResult]
     worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None
     find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+class Course:
+    """Where vertices are at fractions of their displacements, on straight lines; what a solver takes for it.
+
+    Attributes:
+        start: Positions at the start, in the world.
+        end: Positions at the end.
+    """
+
+    def __init__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+        self.start, self.end = start, end
+
+    def at(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The positions of all vertices at a fraction of each."""
+        return moved(self.start, self.end, fraction)
+
+    def corners_at(self, corners: NDArray[np.int32], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The positions of the vertices of contacts, shape [m, 4], at a fraction of each."""
+        return moved(self.start[corners], self.end[corners], fraction)
+
+    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Any:
+        """What a solver takes as the end of the step to positions that are those at a fraction of each."""
+        return vertices
+
+    def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A value of each vertex, which vertices share that have one fraction whatever is asked for."""
+        return least
 
 
 class OneProcess:
@@ -143,25 +177,30 @@ def search_step(
     max_rounds: int,
     everywhere: OneProcess | None = None,
     begins_at_rest: bool = False,
+    course: Course | None = None,
 ) -> LineSearchResult:
     """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``.
+
+    Vertices move straight, or on a ``course``; the positions are then those of the course.
 
     With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
     everything may be in contact already, and one that holds looks for the holds before its first round.
     """
     everywhere = everywhere or OneProcess()
-    start, end = mesh.frames(vertices_t0, vertices_t1)
+    if course is None:
+        course = Course(*mesh.frames(vertices_t0, vertices_t1))
+    start, end = course.start, course.end
     moves = mesh._is_free[mesh.vertex_body]
     holds: NDArray[np.float64] | None = None
     if begins_at_rest and solver.worlds_near is not None:
         found = solver.find_holds(start)
         holds = found if np.isfinite(found).any() else None
     elif begins_at_rest and not mesh.kinematic.any():
-        contacts = solver.strict(start, start).contacts
-        stopped = _least(contacts.toi, pair_vertices(mesh, contacts), mesh, per, everywhere) == 0
+        contacts = solver.strict(start, course.step_to(start, np.zeros(len(start)))).contacts
+        stopped = course.shared(_least(contacts.toi, pair_vertices(mesh, contacts), mesh, per, everywhere)) == 0
         if everywhere.all(bool(stopped[moves].all())):
             return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False, contacts[:0])
-    driven = _Driven(mesh, start, end, lambda x, y: solver.holding(x, y, holds), everywhere)
+    driven = _Driven(mesh, course, lambda x, y: solver.holding(x, y, holds), everywhere)
     fraction = np.ones(mesh.num_vertices)
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
@@ -171,7 +210,7 @@ def search_step(
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
-        result = solver.holding(start, vertices, holds)
+        result = solver.holding(start, course.step_to(vertices, fraction), holds)
         worlds_near = solver.worlds_near if num_rounds == 0 and holds is None else None
         if worlds_near is not None and not everywhere.all(not len(result.contacts)):
             # what starts within its distance has a contact, whichever way it moves
@@ -179,7 +218,7 @@ def search_step(
             if is_near.any():
                 holds = everywhere.least_of_vertices(solver.find_holds(start))
                 holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
-                result = solver.holding(start, vertices, holds)
+                result = solver.holding(start, course.step_to(vertices, fraction), holds)
         contacts = result.contacts
         num_rounds += 1
         corners = _vertices_of(mesh, contacts)
@@ -194,7 +233,7 @@ def search_step(
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
-                at_start = np.sort(_keys(solver.strict(start, start).contacts))
+                at_start = np.sort(_keys(solver.strict(start, course.step_to(start, 0.0 * fraction)).contacts))
                 num_rounds += 1
             is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
@@ -202,7 +241,8 @@ def search_step(
             if at_start is not None:
                 can_be_shorter &= ~_is_among(_keys(contacts), at_start)
             can_be_shorter &= ~is_driven
-            can_be_shorter &= (_least(toi, corners, mesh, per, everywhere)[corners] == 0).any(axis=1)
+            least = course.shared(_least(toi, corners, mesh, per, everywhere))
+            can_be_shorter &= (least[corners] == 0).any(axis=1)
             is_one = corners[:, 0] == corners[:, 3]
             share = _resolved_share(contacts, start[corners], vertices[corners], is_one)
             toi = np.where(can_be_shorter, np.maximum(toi, share), toi)
@@ -214,7 +254,7 @@ def search_step(
             common = np.minimum(safety * of_world, 1.0)
         own = safety * toi[:, None] * fraction[corners]
         if max_rounds - num_rounds > _ROUNDS_BY_WORLD:
-            bound = _least(toi, corners, mesh, per, everywhere)
+            bound = course.shared(_least(toi, corners, mesh, per, everywhere))
             touched = np.isfinite(bound)
             fraction[touched] *= safety * bound[touched]
         else:
@@ -226,12 +266,12 @@ def search_step(
             fraction[touched] = np.where(is_common[touched], shorter, common[touched])
             is_common |= touched
         fraction[~moves] = 1.0
-        vertices = moved(start, end, fraction)
-        stops = (moved(start[corners], end[corners], own) == start[corners]).all(axis=(1, 2))
+        vertices = course.at(fraction)
+        stops = (course.corners_at(corners, own) == start[corners]).all(axis=(1, 2))
         stopping.append(_chosen(contacts, stops))
     else:
         if driven.is_any:  # what the last round has stopped may be struck
-            contacts = solver.holding(start, vertices, holds).contacts
+            contacts = solver.holding(start, course.step_to(vertices, fraction), holds).contacts
             num_rounds += 1
     is_at_start = (vertices == start).all(axis=1)
     return LineSearchResult(
@@ -251,13 +291,12 @@ class _Driven:
     def __init__(
         self,
         mesh: CollisionMesh,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
-        solve: Callable[[NDArray[np.float64], NDArray[np.float64]], MeshResult],
+        course: Course,
+        solve: Callable[[NDArray[np.float64], Any], MeshResult],
         everywhere: OneProcess,
     ) -> None:
         self.is_any = bool(mesh.kinematic.any())
-        self._mesh, self._start, self._end, self._solve, self._everywhere = mesh, start, end, solve, everywhere
+        self._mesh, self._course, self._solve, self._everywhere = mesh, course, solve, everywhere
         self._keys: NDArray[np.uint64] | None = None
 
     def look(self, contacts: Contacts, *, has_time: bool) -> int:
@@ -267,15 +306,17 @@ class _Driven:
         mesh = self._mesh
         if self._everywhere.all(not mesh.kinematic[pair_bodies(mesh, contacts)].any()):
             return 0
-        stays = mesh._is_free[mesh.vertex_body]
-        self._keys = np.sort(_keys(self._solve(self._start, np.where(stays[:, None], self._start, self._end)).contacts))
+        stays, course = mesh._is_free[mesh.vertex_body], self._course
+        end = np.where(stays[:, None], course.start, course.end)
+        found = self._solve(course.start, course.step_to(end, np.where(stays, 0.0, 1.0)))
+        self._keys = np.sort(_keys(found.contacts))
         return 1
 
     def is_at_rest(self, contacts: Contacts, corners: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which of the contacts are of a kinematic body and vertices that have no motion to shorten."""
         if not self.is_any:
             return np.zeros(len(contacts), dtype=bool)
-        is_still = (self._start[corners] == self._end[corners]).all(axis=2) | self._mesh.kinematic[
+        is_still = (self._course.start[corners] == self._course.end[corners]).all(axis=2) | self._mesh.kinematic[
             self._mesh.vertex_body[corners]
         ]
         found: NDArray[np.bool_] = is_still.all(axis=1)
