@@ -132,7 +132,8 @@ class RigidMotion:
             check_rows_finite(rows, f"the {field} of the motion", leading, "a motion that float64 can hold")
         self._poses_t0 = read_only(np.hstack([start[:, :3], self._body_paths.rotation]))
         if twist is not None:
-            ends = self._at(np.ones(len(start)))
+            with np.errstate(over="ignore", invalid="ignore"):
+                ends = self._at(np.ones(len(start)))
             check_rows_finite(ends, "the end of twist", leading, "a motion that float64 can hold")
             if end is not None:
                 _check_agreement(self, ends, end)
