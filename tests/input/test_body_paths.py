@@ -1,10 +1,13 @@
 """The fields of paths of bodies, and places on them, are within their stated bounds of those of 60 digits (arb)."""
 
+import math
+
 import numpy as np
 import pytest
 from flint import arb, ctx
 
 import ccd_warp as ccd
+from ccd_warp._rotations import arc_factors
 
 EPS = 2.0**-52
 COUNT = 50  # of each family
@@ -18,13 +21,23 @@ def many_digits():
     ctx.prec = before
 
 
+def _neighbours(rng):
+    """Quaternions of 53 bits, of which the product's vector part is 2 where its terms are of about 2**105."""
+    while True:
+        a, b = (int(x) for x in rng.integers(2**52, 2**53, 2))
+        if math.gcd(a, b) == 1:
+            c = pow(a, -1, b)
+            d = (a * c - 1) // b
+            return [a, b, a, b], [d, c, d, c]
+
+
 def _families():
     """Quaternions at both ends, by what is special about them."""
     rng = np.random.default_rng(3)
     q = rng.normal(size=(COUNT, 4))
     other = rng.normal(size=(COUNT, 4))
     small = 10.0 ** rng.uniform(-17, 0, (COUNT, 1))
-    length = 10.0 ** rng.uniform(-150, 150, (COUNT, 1))
+    length = 10.0 ** rng.uniform(-250, 250, (COUNT, 1))
     axis = np.hstack([rng.normal(size=(COUNT, 3)), np.zeros((COUNT, 1))])
     identity = np.tile([0.0, 0, 0, 1], (COUNT, 1))
     yield "any two", q, other
@@ -35,6 +48,7 @@ def _families():
     yield "near half a turn", identity, axis + small * identity
     yield "a tiny turn", identity, identity + 10.0 ** rng.uniform(-300, -1, (COUNT, 1)) * axis
     yield "of components far apart", *(x * 10.0 ** rng.uniform(-120, 0, (COUNT, 4)) for x in (q, other))
+    yield "of neighbouring fractions", *np.array([_neighbours(rng) for _ in range(COUNT)]).transpose(1, 0, 2)
     yield "the same", q, np.where(rng.integers(0, 2, (COUNT, 1)), -2.0 * q, q)
 
 
@@ -141,6 +155,12 @@ def test_fields_are_within_their_bounds(family):
             check([0.0, 0.0, 0.0], apart, 8 * length(d))
         else:
             assert not screw.turning[k].any()
+
+
+def test_factors_of_arcs_where_nothing_turns_are_their_limits():
+    for omega in (0.0, 1e-300, 1e-170, 1e-12):
+        first, second = arc_factors(np.full((1, 3), omega), np.array([0.3]))
+        np.testing.assert_allclose([first[0, 0], second[0, 0]], [0.3, 0.045], rtol=4 * EPS)
 
 
 @pytest.mark.parametrize("path", ["linear", "screw"])
