@@ -226,6 +226,18 @@ def test_arrays_of_other_libraries_are_the_same_poses():
     assert ccd.RigidMotion(by_world, by_world).num_worlds == 4
 
 
+def test_poses_on_a_device_that_warp_does_not_have_are_refused_by_their_name():
+    class OnGpu:
+        def __dlpack__(self, **_):
+            raise AssertionError("never read")
+
+        def __dlpack_device__(self):
+            return 2, 99
+
+    with pytest.raises(ValueError, match="poses_t0 is a OnGpu on cuda:99; expected it on one of cpu"):
+        ccd.RigidMotion(OnGpu(), OnGpu())
+
+
 def test_a_motion_can_be_copied_and_does_not_change():
     start, end = _worlds()
     affine = np.ones((2, 3, 4))
