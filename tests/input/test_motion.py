@@ -159,12 +159,15 @@ def test_the_linear_part_of_a_screw_s_twist_is_the_velocity_of_the_origin_at_the
     np.testing.assert_allclose(motion.poses_t1, [[0, 2, 0, 0, 0, HALF, HALF]], **CLOSE)
 
 
-def test_a_twist_and_the_end_pose_may_be_given_both():
-    twist = [[1.0, 2, 3, 0, 0, np.pi / 2 + 2 * np.pi]]
-    end = [[1.0 + 2e-6, 2, 3, 0, 0, HALF, HALF]]
-    motion = ccd.RigidMotion([IDENTITY], end, twist=twist)
+@pytest.mark.parametrize("path", ["linear", "screw"])
+def test_a_twist_and_the_end_pose_may_be_given_both(path):
+    twist = [[0.0, 0, 3, 0, 0, np.pi / 2 + 2 * np.pi]]
+    end = [[0.0, 0, 3 + 2e-6, 0, 0, HALF, HALF]]
+    motion = ccd.RigidMotion([IDENTITY], end, twist=twist, path=path)
     np.testing.assert_allclose(motion.turns, [2.5 * np.pi], **CLOSE)
-    np.testing.assert_allclose(np.abs(motion.poses_t1), [[1, 2, 3, 0, 0, HALF, HALF]], **CLOSE)  # that of the twist
+    np.testing.assert_allclose(np.abs(motion.poses_t1), [[0, 0, 3, 0, 0, HALF, HALF]], **CLOSE)  # that of the twist
+    with pytest.raises(ValueError, match="twist ends 4e-06 and .* rad away from poses_t1 for body 0"):
+        ccd.RigidMotion([IDENTITY], [[0.0, 0, 3 + 4e-6, 0, 0, HALF, HALF]], twist=twist, path=path)
 
 
 @pytest.mark.parametrize("path", ["linear", "screw"])
@@ -268,7 +271,7 @@ def test_a_motion_shows_itself_in_a_line():
     motion = ccd.RigidMotion(start, start, path="screw")
     assert repr(motion) == "RigidMotion(3 bodies in each of 4 worlds, path='screw', turns up to 0 rad)"
     assert repr(motion._body_paths) == "BodyPaths(12)" and len(motion._body_paths) == 12
-    assert repr(ccd.RigidMotion(np.zeros((0, 7)), np.zeros((0, 7)))) == "RigidMotion(0 bodies, path='linear')"
+    assert repr(ccd.RigidMotion(np.zeros((0, 7)), np.zeros((0, 4, 4)))) == "RigidMotion(0 bodies, path='linear')"
     assert repr(ccd.AffineMotion(np.zeros((1, 2, 3, 4)), np.zeros((1, 2, 3, 4)))) == (
         "AffineMotion(2 bodies in each of 1 world)"
     )
