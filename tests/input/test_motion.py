@@ -229,6 +229,13 @@ def test_arrays_of_other_libraries_are_the_same_poses():
     assert ccd.RigidMotion(by_world, by_world).num_worlds == 4
 
 
+def test_poses_on_a_gpu_are_read_to_the_host(monkeypatch):
+    start, end = (wp.array(poses[0], dtype=wp.transformd, device="cpu") for poses in _worlds())
+    expected = ccd.RigidMotion(start, end).at(0.5)
+    monkeypatch.setattr("ccd_warp._input.arrays.place_of", lambda *_: (2, 0))  # memory of a GPU, as DLPack numbers it
+    np.testing.assert_array_equal(ccd.RigidMotion(start, end, pivot=wp.zeros((3, 3), device="cpu")).at(0.5), expected)
+
+
 def test_poses_on_a_device_that_warp_does_not_have_are_refused_by_their_name():
     class OnGpu:
         def __dlpack__(self, **_):
