@@ -26,15 +26,16 @@ class BodyPaths:
     Each field is rounded to float64. With eps = 2**-52, d the displacement of the body's origin in the step, p its
     place at t = 0 and θ no more than π its error is, in Euclidean length, at most
 
-    ========  =================================================================================
-    rotation  2 eps; the quaternions are normalised ones of those given, in exact arithmetic
-    omega     4 eps θ, however small θ is; none where a twist gives it
+    ========  ======================================================================================
+    rotation  2 eps; the quaternions are those given, normalised in exact arithmetic
+    omega     4 eps θ, however small θ is; 0 where a twist gives it
     pivot     0
-    pivot_t0  eps |p| + 8 eps |pivot|
-    velocity  linear: eps |d| + 16 eps min(θ, 2) |pivot|; screw: 8 eps |d|; none where a twist gives it and the path is
-              linear
-    turning   16 eps |d|, or 8 eps of the linear part of a twist
-    ========  =================================================================================
+    pivot_t0  eps |p| + 8 eps |pivot|; 0 with "screw"
+    velocity  "linear": 2 eps |d| + 16 eps min(θ, 2) |pivot|, or 0 where a twist gives it;
+              "screw": 8 eps |d|, or 8 eps of the linear part of a twist
+    turning   16 eps |d|, or 8 eps of the linear part of a twist; what it and omega lead to at t = 1,
+              σ1(1) turning + σ2(1) omega × turning, is across omega to 8 eps |d|
+    ========  ======================================================================================
 
     Attributes:
         rotation: Unit quaternion x y z w of the body at t = 0, float64, shape [N, 4].

@@ -138,7 +138,7 @@ def test_fields_are_within_their_bounds(family):
         check(linear.pivot_t0[k], plus(p0, arm), length(p0) + 8 * length(c))
         d = plus(p1, times(arb(-1), p0))
         way = plus(d, turned_by(q1, c), times(arb(-1), arm))
-        check(linear.velocity[k], way, length(d) + 16 * arb.min(angle, arb(2)) * length(c))
+        check(linear.velocity[k], way, 2 * length(d) + 16 * arb.min(angle, arb(2)) * length(c))
         assert not linear.turning[k].any() and (linear.pivot[k] == pivot[k]).all() and not screw.pivot[k].any()
         np.testing.assert_array_equal(screw.pivot_t0[k], start[k, :3])
         along = d

@@ -166,7 +166,7 @@ def test_a_twist_and_the_end_pose_may_be_given_both(path):
     motion = ccd.RigidMotion([IDENTITY], end, twist=twist, path=path)
     np.testing.assert_allclose(motion.turns, [2.5 * np.pi], **CLOSE)
     np.testing.assert_allclose(np.abs(motion.poses_t1), [[0, 0, 3, 0, 0, HALF, HALF]], **CLOSE)  # that of the twist
-    with pytest.raises(ValueError, match="twist ends 4e-06 and .* rad away from poses_t1 for body 0"):
+    with pytest.raises(ValueError, match=r"twist ends 4e-06 and .* rad away from poses_t1 for body 0"):
         ccd.RigidMotion([IDENTITY], [[0.0, 0, 3 + 4e-6, 0, 0, HALF, HALF]], twist=twist, path=path)
 
 
