@@ -34,7 +34,7 @@ class BodyPaths:
     velocity  "linear": 2 eps |d| + 16 eps min(θ, 2) |pivot|, or 0 where a twist gives it;
               "screw": 8 eps |d|, or 8 eps of the linear part of a twist
     turning   16 eps |d|, or 8 eps of the linear part of a twist; what it and omega lead to at t = 1,
-              σ1(1) turning + σ2(1) omega × turning, is across omega to 8 eps |d|
+              σ1(1) turning + σ2(1) omega × turning, is the part of d across omega to 8 eps |d|
     ========  ======================================================================================
 
     Attributes:
