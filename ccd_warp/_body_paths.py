@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rotations import arc_factors, normalized, norms, rotated, rotation_vectors
+from ccd_warp._rotations import arc_factors, cross, normalized, norms, rotated, rotation_vectors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,15 +26,16 @@ class BodyPaths:
     Each field is rounded to float64. With eps = 2**-52, d the displacement of the body's origin in the step, p its
     place at t = 0 and θ no more than π its error is, in Euclidean length, at most
 
-    ========  =================================================================================
-    rotation  2 eps; the quaternions are normalised ones of those given, in exact arithmetic
-    omega     4 eps θ, however small θ is; none where a twist gives it
+    ========  ======================================================================================
+    rotation  2 eps; the quaternions are those given, normalised in exact arithmetic
+    omega     4 eps θ, however small θ is; 0 where a twist gives it
     pivot     0
-    pivot_t0  eps |p| + 8 eps |pivot|
-    velocity  linear: eps |d| + 16 eps min(θ, 2) |pivot|; screw: 8 eps |d|; none where a twist gives it and the path is
-              linear
-    turning   16 eps |d|, or 8 eps of the linear part of a twist
-    ========  =================================================================================
+    pivot_t0  eps |p| + 8 eps |pivot|; 0 with "screw"
+    velocity  "linear": 2 eps |d| + 16 eps min(θ, 2) |pivot|, or 0 where a twist gives it;
+              "screw": 8 eps |d|, or 8 eps of the linear part of a twist
+    turning   16 eps |d|, or 8 eps of the linear part of a twist; what it and omega lead to at t = 1,
+              σ1(1) turning + σ2(1) omega × turning, is the part of d across omega to 8 eps |d|
+    ========  ======================================================================================
 
     Attributes:
         rotation: Unit quaternion x y z w of the body at t = 0, float64, shape [N, 4].
@@ -86,7 +87,7 @@ class BodyPaths:
             ratio = np.where(half > 0.0, half / np.tan(np.where(half > 0.0, half, 1.0)), 1.0)
             along, across = _parts(displacement, omega)
             # the inverse of across = σ1(1) turning + σ2(1) omega × turning
-            return cls._from(poses_t0, omega, None, along, ratio * across - 0.5 * np.cross(omega, across))
+            return cls._from(poses_t0, omega, None, along, ratio * across - 0.5 * cross(omega, across))
         arm = rotated(normalized(poses_t0[:, 3:]), pivot)
         return cls._from(poses_t0, omega, pivot, displacement + _arcs(omega, arm, np.ones(len(arm))), None)
 
@@ -142,15 +143,15 @@ class BodyPaths:
         times = np.broadcast_to(np.asarray(t, dtype=np.float64), len(arms))
         omega, turning = self.omega[rows], self.turning[rows]
         first, second = arc_factors(omega, times)
-        turned = first * turning + second * np.cross(omega, turning)
+        turned = first * turning + second * cross(omega, turning)
         return self.velocity[rows] * times[:, None] + turned + _arcs(omega, arms, times)
 
 
 def _arcs(omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
     """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small."""
     first, second = arc_factors(omega, t)
-    across = np.cross(omega, arms)
-    return first * across + second * np.cross(omega, across)
+    across = cross(omega, arms)
+    return first * across + second * cross(omega, across)
 
 
 def _parts(vectors: NDArray[np.float64], omega: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

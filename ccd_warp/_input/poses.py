@@ -146,10 +146,9 @@ def check_ends(
         leading: The shape of the bodies.
     """
     apart = np.abs(ends[:, :3] - given[:, :3]).max(axis=1, initial=0.0)
-    cosines = np.abs((ends[:, 3:] * given[:, 3:]).sum(axis=1))
     signs = np.where((ends[:, 3:] * given[:, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
-    sines = np.sqrt(((ends[:, 3:] - signs[:, None] * given[:, 3:]) ** 2).sum(axis=1))
-    turned = 2.0 * np.arctan2(sines, cosines)
+    chords = np.sqrt(((ends[:, 3:] - signs[:, None] * given[:, 3:]) ** 2).sum(axis=1))
+    turned = 4.0 * np.arcsin(0.5 * chords)  # of half the angle, and no digits lost where it is small
     wrong = (apart > TOLERANCE * scale[:, 0]) | (turned > TOLERANCE * scale[:, 1])
     if wrong.any():
         row = int(wrong.argmax())

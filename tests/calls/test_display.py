@@ -47,6 +47,8 @@ def public():
         "pairs": ccd.edge_edge_ccd(points, points_t1, device="cpu"),
         "queries": datasets.Queries("spikes", "edge-edge", points, points, None, sources),
         "step": datasets.SimulationStep(start, end, mesh.faces),
+        "motion": ccd.RigidMotion(np.ones((50, 40, 7)), np.ones((50, 40, 7)), path="screw"),
+        "affine motion": ccd.AffineMotion(np.ones((50, 40, 3, 4)), np.ones((50, 40, 3, 4))),
     }
 
 

@@ -36,6 +36,10 @@ for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0
 contacts = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).contacts
 result = ccd.CollisionPipeline(mesh).launch(x[0], x[0])
 places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.contacts.order_by_toi()]
+motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
+turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
+angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
+moved = ccd.AffineMotion(x, x).positions_t1(x[0], [0, 0, 0, 0]) * motion.num_bodies
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
 WRONG = """
@@ -58,6 +62,8 @@ ccd.find_intersections(mesh, x[0], tolerance=0.1)
 ccd.find_intersections(mesh, x[0], x[0])
 ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
 ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
+ccd.RigidMotion(x, x, path="spline")
+ccd.RigidMotion(x, x, "screw")
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)

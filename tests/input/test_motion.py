@@ -89,7 +89,10 @@ def test_a_matrix_is_read_by_columns_wherever_its_diagonal_is_largest():
     again = ccd.RigidMotion(matrices, motion.poses_t0)
     assert again.turns.max() < 1e-15 * 8
     rough = matrices + 2e-7 * rng.uniform(-1, 1, matrices.shape) * [[1], [1], [1], [0]]  # as float32 rounds them
-    assert ccd.RigidMotion(rough, motion.poses_t0).turns.max() < 1e-6
+    nearest = rough.copy()
+    left, _, right = np.linalg.svd(rough[:, :3, :3])
+    nearest[:, :3, :3] = left @ right
+    assert ccd.RigidMotion(rough, nearest).turns.max() < 1e-15 * 8
     np.testing.assert_allclose(np.linalg.norm(ccd.RigidMotion(rough, rough).poses_t0[:, 3:], axis=1), 1.0, **CLOSE)
     assert not ccd.RigidMotion(rough, rough).turns.any()
 
@@ -156,12 +159,15 @@ def test_the_linear_part_of_a_screw_s_twist_is_the_velocity_of_the_origin_at_the
     np.testing.assert_allclose(motion.poses_t1, [[0, 2, 0, 0, 0, HALF, HALF]], **CLOSE)
 
 
-def test_a_twist_and_the_end_pose_may_be_given_both():
-    twist = [[1.0, 2, 3, 0, 0, np.pi / 2 + 2 * np.pi]]
-    end = [[1.0 + 2e-6, 2, 3, 0, 0, HALF, HALF]]
-    motion = ccd.RigidMotion([IDENTITY], end, twist=twist)
+@pytest.mark.parametrize("path", ["linear", "screw"])
+def test_a_twist_and_the_end_pose_may_be_given_both(path):
+    twist = [[0.0, 0, 3, 0, 0, np.pi / 2 + 2 * np.pi]]
+    end = [[0.0, 0, 3 + 2e-6, 0, 0, HALF, HALF]]
+    motion = ccd.RigidMotion([IDENTITY], end, twist=twist, path=path)
     np.testing.assert_allclose(motion.turns, [2.5 * np.pi], **CLOSE)
-    np.testing.assert_allclose(np.abs(motion.poses_t1), [[1, 2, 3, 0, 0, HALF, HALF]], **CLOSE)  # that of the twist
+    np.testing.assert_allclose(np.abs(motion.poses_t1), [[0, 0, 3, 0, 0, HALF, HALF]], **CLOSE)  # that of the twist
+    with pytest.raises(ValueError, match=r"twist ends 4e-06 and .* rad away from poses_t1 for body 0"):
+        ccd.RigidMotion([IDENTITY], [[0.0, 0, 3 + 4e-6, 0, 0, HALF, HALF]], twist=twist, path=path)
 
 
 @pytest.mark.parametrize("path", ["linear", "screw"])
@@ -223,6 +229,25 @@ def test_arrays_of_other_libraries_are_the_same_poses():
     assert ccd.RigidMotion(by_world, by_world).num_worlds == 4
 
 
+def test_poses_on_a_gpu_are_read_to_the_host(monkeypatch):
+    start, end = (wp.array(poses[0], dtype=wp.transformd, device="cpu") for poses in _worlds())
+    expected = ccd.RigidMotion(start, end).at(0.5)
+    monkeypatch.setattr("ccd_warp._input.arrays.place_of", lambda *_: (2, 0))  # memory of a GPU, as DLPack numbers it
+    np.testing.assert_array_equal(ccd.RigidMotion(start, end, pivot=wp.zeros((3, 3), device="cpu")).at(0.5), expected)
+
+
+def test_poses_on_a_device_that_warp_does_not_have_are_refused_by_their_name():
+    class OnGpu:
+        def __dlpack__(self, **_):
+            raise AssertionError("never read")
+
+        def __dlpack_device__(self):
+            return 2, 99
+
+    with pytest.raises(ValueError, match="poses_t0 is a OnGpu on cuda:99; expected it on one of cpu"):
+        ccd.RigidMotion(OnGpu(), OnGpu())
+
+
 def test_a_motion_can_be_copied_and_does_not_change():
     start, end = _worlds()
     affine = np.ones((2, 3, 4))
@@ -253,7 +278,7 @@ def test_a_motion_shows_itself_in_a_line():
     motion = ccd.RigidMotion(start, start, path="screw")
     assert repr(motion) == "RigidMotion(3 bodies in each of 4 worlds, path='screw', turns up to 0 rad)"
     assert repr(motion._body_paths) == "BodyPaths(12)" and len(motion._body_paths) == 12
-    assert repr(ccd.RigidMotion(np.zeros((0, 7)), np.zeros((0, 7)))) == "RigidMotion(0 bodies, path='linear')"
+    assert repr(ccd.RigidMotion(np.zeros((0, 7)), np.zeros((0, 4, 4)))) == "RigidMotion(0 bodies, path='linear')"
     assert repr(ccd.AffineMotion(np.zeros((1, 2, 3, 4)), np.zeros((1, 2, 3, 4)))) == (
         "AffineMotion(2 bodies in each of 1 world)"
     )
@@ -348,7 +373,7 @@ BAD = [
         {"twist": _with(np.zeros((3, 2, 6)), (2, 0, 4), 3e-6)},
         "ends 0 and 3e-06 rad .* body 0 of world 2",
     ),
-    ((TWO, TWO), {"twist": _with(np.zeros((2, 6)), (0, 5), np.pi)}, "twist ends 0 and 3.14 rad away"),
+    ((TWO, TWO), {"twist": _with(np.zeros((2, 6)), (0, 5), 2.0)}, "twist ends 0 and 2 rad away"),
     (
         (_with(TWO, (1, 0), -1.7e308), _with(TWO, (1, 0), 1.7e308)),
         {},

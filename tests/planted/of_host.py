@@ -261,6 +261,35 @@ PLANTED = [
         "is_outer = count[number[: len(sides)]] >= 1",
         ("input/test_cells.py::test_the_surface_of_cells_of_one_type_is_closed_and_outward",),
     ),
+    # --- motions ---
+    Fault(
+        "the longer way round",
+        "ccd_warp/_rotations.py",
+        "np.where(w < 0.0, -angles, angles)",
+        "angles",
+        ("input/test_motion.py::test_a_quarter_turn_about_z_takes_x_to_y_on_an_arc",),
+    ),
+    Fault(
+        "a rotation vector of rounded products",
+        "ccd_warp/_rotations.py",
+        "_sums(np.concatenate(_exact_products(left, right)))",
+        "(left * right).sum(axis=0)",
+        ("input/test_body_paths.py::test_fields_are_within_their_bounds",),
+    ),
+    Fault(
+        "a pivot that swings with its body",
+        "ccd_warp/_body_paths.py",
+        "displacement + _arcs(omega, arm, np.ones(len(arm)))",
+        "displacement",
+        ("input/test_motion.py::test_a_body_turns_about_its_pivot_which_moves_straight",),
+    ),
+    Fault(
+        "a screw of another pitch",
+        "ccd_warp/_body_paths.py",
+        "ratio * across - 0.5 * cross(omega, across)",
+        "ratio * across",
+        ("input/test_motion.py::test_a_nut_on_a_bolt_moves_on_a_screw",),
+    ),
     # --- files ---
     Fault(
         "a vertex too far back",
