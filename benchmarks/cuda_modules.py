@@ -22,8 +22,8 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     """The modules of the files, and those of templates for a precision, a dimension or an end of the search.
 
     With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii or bodies that
-    turn, or line searches in which something starts within its distance; of the latter the narrow phase in one precision, as there is
-    no other.
+    turn, or line searches in which something starts within its distance; of the latter the narrow phase in one
+    precision, as there is no other.
     """
     from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
     from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM

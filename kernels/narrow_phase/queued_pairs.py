@@ -317,7 +317,9 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     return solve_pairs
 
 
-points_toi = [] if norm == OWN_BOX_NORM or on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+points_toi = (
+    [] if norm == OWN_BOX_NORM or on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+)
 solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}
