@@ -1,0 +1,317 @@
+"""The truth of when primitives on rigid trajectories first touch, in interval arithmetic; no code is shared.
+
+Each function of a feature (`arc_contacts`) is enclosed on an interval of time by c0 + c1·s + [−E, E], which says where
+in the interval it can be zero, or not negative, and where it certainly is. What is left of the interval after all
+functions is looked at again, in two halves if it has hardly shrunk: near a contact the width falls quadratically.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import arc_contacts
+import arc_paths
+import numpy as np
+from arc_contacts import FEATURES, Feature, PairOnInterval, is_separated
+from arc_pairs import ArcPairs
+from arc_paths import UNIT, RigidPath, StraightPath
+from flint import arb, arb_poly, ctx
+from kept import kept
+
+_BITS = 256  # 77 digits
+_ONE = arb(1)
+_WIDTH = arb(2) ** -72  # of an answer: 2e-22
+_LEAST_WIDTH = arb(2) ** -104  # of an interval that is looked at: 5e-32
+_LARGEST_TURN = 1.5  # rad, of half an interval
+_MOST_LOOKS = 4000
+_LOOKS_AFTER_DOUBT = 300  # at what comes after an interval without an answer
+
+
+@dataclass(frozen=True)
+class Answers:
+    """When each pair first touches; t in float64, rounded down.
+
+    Attributes:
+        lo: Before this time the pair certainly does not touch; inf where it never does, shape [n].
+        hi: At this time the pair has certainly touched, and a toi is late iff it is larger; inf where no contact is
+            certain, shape [n].
+        width: hi − lo before rounding; inf where hi is, shape [n].
+
+    A pair with a finite lo and an infinite hi is undecided: it comes so close to a contact that the arithmetic cannot
+    tell, or touches in a single time, as where the contact is at the very end of the step.
+    """
+
+    lo: np.ndarray
+    hi: np.ndarray
+    width: np.ndarray
+
+    @property
+    def touches(self) -> np.ndarray:
+        return np.isfinite(self.hi)
+
+    @property
+    def free(self) -> np.ndarray:
+        return np.isinf(self.lo)
+
+    @property
+    def undecided(self) -> np.ndarray:
+        return np.isfinite(self.lo) & np.isinf(self.hi)
+
+
+class _Parts:
+    """Where in s ∈ [−1, 1] a function may hold, and where it certainly does."""
+
+    def __init__(self):
+        self.may = [-_ONE, _ONE]
+        self.does = [-_ONE, _ONE]
+        self.root: list[arb] | None = None
+        self.roots = 0  # functions that must vanish and are not zero throughout
+
+    def is_empty(self) -> bool:
+        return self.may[0] > self.may[1]
+
+    def _cut(self, which: list[arb], low: arb, high: arb) -> None:
+        which[0] = low if low > which[0] else which[0]
+        which[1] = high if high < which[1] else which[1]
+
+    def _never(self, which: list[arb]) -> None:
+        which[:] = [_ONE * 2, -_ONE * 2]
+
+    def zero(self, p: arb_poly) -> None:
+        if p.length() == 0:
+            return
+        self.roots += 1
+        c0, c1, rest = _linear(p)
+        if c1 > 0 or c1 < 0:
+            root = (-c0 + rest * UNIT) / c1
+            low, high = root.lower(), root.upper()
+            self._cut(self.may, low, high)
+            if low >= -1 and high <= 1:
+                self.root = [low, high]
+        elif abs(c0).lower() > rest + c1.abs_upper():
+            self._never(self.may)
+
+    def not_negative(self, p: arb_poly) -> None:
+        c0, c1, rest = _linear(p)
+        most, least = (c0 + rest).upper(), (c0 - rest).lower()
+        if c1 > 0:
+            self._cut(self.may, (-most / c1).lower(), _ONE)
+            self._cut(self.does, (-least / c1).upper(), _ONE)
+        elif c1 < 0:
+            self._cut(self.may, -_ONE, (-most / c1).upper())
+            self._cut(self.does, -_ONE, (-least / c1).lower())
+        else:
+            slope = c1.abs_upper()
+            if most + slope < 0:
+                self._never(self.may)
+            if not least - slope >= 0:
+                self._never(self.does)
+
+    def contact(self) -> arb | None:
+        """An s by which all conditions have certainly held at once, if there is one."""
+        low, high = self.does
+        if self.roots == 0:
+            return low if low <= high else None
+        if self.roots == 1 and self.root is not None and low <= self.root[0] and self.root[1] <= high:
+            return self.root[1]
+        return None
+
+
+def _linear(p: arb_poly) -> tuple[arb, arb, arb]:
+    """c0, c1 and E of an enclosure c0 + c1·s + [−E, E]."""
+    if p.length() <= 2:
+        return p[0], p[1], arb(0)
+    return p[0], p[1], p.right_shift(2)(UNIT).abs_upper()
+
+
+class _Search:
+    """The first time at which a feature touches.
+
+    Attributes:
+        lo: No contact before; None if there is none at all.
+        hi: A contact by then; None if none is certain.
+        looks: How many intervals were looked at.
+    """
+
+    def __init__(self, feature: Feature, paths, kind: str, distance: arb, end: arb):
+        self._feature, self._paths, self._kind, self._distance = feature, paths, kind, distance
+        self._turn = max(float(path.theta) for path in paths)
+        self.lo: arb | None = None
+        self.hi: arb | None = None
+        self.looks = 0
+        self._run(end)
+
+    def _run(self, end: arb) -> None:
+        stack, most = [(arb(0), end)], _MOST_LOOKS
+        while stack:
+            a, b = stack.pop()
+            if self._turn * float(b - a) > 2 * _LARGEST_TURN:
+                stack += _halves(a, b)
+                continue
+            self.looks += 1
+            left = self._look(a, b) if self.looks <= most else (a, b, None)
+            if left is None:
+                continue
+            low, high, contact = left
+            if contact is not None:
+                self.hi, high = contact, contact
+                stack.clear()
+            if self.looks > most or high - low < (_WIDTH if self.hi is not None else _LEAST_WIDTH):
+                if self.hi is None and self._touches_at(low):
+                    self.hi = low
+                self.lo = low if self.lo is None else self.lo
+                if self.hi is not None or self.looks > most:
+                    return
+                most = min(most, self.looks + _LOOKS_AFTER_DOUBT)
+            else:
+                stack += [(low, high)] if high - low < 0.6 * (b - a) else _halves(low, high)
+
+    def _look(self, a: arb, b: arb) -> tuple[arb, arb, arb | None] | None:
+        """What is left of an interval, and a time by which there is a contact; None if there is none in it."""
+        middle = ((a + b) / 2).mid()
+        right, left = (b - middle).upper(), (middle - a).upper()
+        half = right if right > left else left
+        at, parts = PairOnInterval(self._paths, middle, half), _Parts()
+        for function in self._feature.zero:
+            parts.zero(function(at))
+            if parts.is_empty():
+                return None
+        for function in self._feature.not_negative:
+            parts.not_negative(function(at))
+            if parts.is_empty():
+                return None
+        low, high = ((middle + half * s) for s in parts.may)
+        low, high = low.lower(), high.upper()
+        low, high = low if low > a else a, high if high < b else b
+        if low > high:
+            return None
+        found = parts.contact()
+        if found is not None:
+            found = (middle + half * found).upper()
+            if found < a:
+                found = a
+            if not found <= b:
+                found = None
+        if found is None and self._is_degenerate(at) and is_separated(at, self._paths, self._kind, self._distance):
+            return None
+        return low, high, found
+
+    def _is_degenerate(self, at: PairOnInterval) -> bool:
+        n = self._feature.may_vanish
+        if n is None:
+            return False
+        squared = at.product(n, n)
+        return not squared[0] - squared.right_shift(1)(UNIT).abs_upper() > 0.5 * squared[0].abs_upper()
+
+    def _touches_at(self, t: arb) -> bool:
+        at = PairOnInterval(self._paths, t, arb(0))
+        return all(f(at).length() == 0 for f in self._feature.zero) and all(
+            f(at)[0] >= 0 for f in self._feature.not_negative
+        )
+
+
+def _halves(a: arb, b: arb) -> list[tuple[arb, arb]]:
+    """The later half, and the earlier one, which is popped first."""
+    middle = ((a + b) / 2).mid()
+    return [(middle, b), (a, middle)]
+
+
+def first_contact(kind: str, paths, distance: float = 0.0) -> tuple[arb | None, arb | None, int]:
+    """When two primitives first come within a distance of each other, in [0, 1].
+
+    Args:
+        kind: "vertex-face", "edge-edge", "point-segment" or "point-point".
+        paths: Of the vertex, first edge or point, and of the other primitive.
+        distance: Euclidean; its float64 value is exact.
+
+    Returns:
+        lo, hi and the number of intervals looked at: no contact before lo, or at all if None; a contact by hi, or none
+        that is certain if None.
+    """
+    with ctx.workprec(_BITS):
+        exact = arb(float(distance))
+        lo, hi, looks, end = None, None, 0, _ONE
+        for feature in FEATURES[kind](exact * exact if distance > 0 else None):
+            found = _Search(feature, paths, kind, exact, end)
+            looks += found.looks
+            if found.lo is not None and (lo is None or found.lo < lo):
+                lo = found.lo
+            if found.hi is not None and (hi is None or found.hi < hi):
+                hi = end = found.hi
+        return lo, hi, looks
+
+
+def paths_of(pairs: ArcPairs, k: int) -> list[RigidPath | StraightPath]:
+    """The exact trajectories of a pair."""
+    paths: list[RigidPath | StraightPath] = []
+    for side, local in enumerate((pairs.points_a, pairs.points_b)):
+        if side == 1 and pairs.points_b_t1 is not None:
+            paths.append(StraightPath(local[k], pairs.points_b_t1[k]))
+            continue
+        end = None if pairs.poses_t1 is None else pairs.poses_t1[k, side]
+        twist = None if pairs.twist is None else pairs.twist[k, side]
+        paths.append(RigidPath(local[k], pairs.poses_t0[k, side], end, pairs.path, pairs.pivot[k, side], twist))
+    return paths
+
+
+def solve(pairs: ArcPairs) -> Answers:
+    """The answers of a set of pairs."""
+    lo, hi, width = (np.full(len(pairs), np.inf) for _ in range(3))
+    for k in range(len(pairs)):
+        with ctx.workprec(_BITS):
+            first, by, _ = first_contact(pairs.kind, paths_of(pairs, k), pairs.distance)
+            if first is not None:
+                lo[k] = _rounded_down(first)
+            if by is not None:
+                hi[k], width[k] = _rounded_down(by), float((by - first).upper())
+    return Answers(lo, hi, width)
+
+
+# The answers of an earlier run are looked up.
+answers = kept(solve, arc_paths, arc_contacts, sys.modules[__name__], question_of=lambda pairs: vars(pairs).items())
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What tois are against the truth.
+
+    Attributes:
+        missed: Pairs that certainly touch, although their toi is inf.
+        late: Pairs whose toi is later than a time at which they have certainly touched, without those missed.
+        errors: How much too early the tois are of all pairs that certainly touch and were not missed.
+        false: Pairs that certainly do not touch in the step, although their toi is finite.
+    """
+
+    missed: np.ndarray
+    late: np.ndarray
+    errors: np.ndarray
+    false: np.ndarray
+
+
+def check(tois: np.ndarray, truth: Answers) -> Verdict:
+    """Compare times of impact in [0, 1], or inf, with the truth.
+
+    Args:
+        tois: float32 or float64, whose value counts as exact, shape [n].
+        truth: The answers of the same pairs.
+    """
+    tois = np.asarray(tois, dtype=np.float64)
+    if tois.shape != truth.lo.shape or np.isnan(tois).any():
+        raise ValueError(f"tois has shape {tois.shape}, or holds nan; expected {truth.lo.shape}")
+    found = np.isfinite(tois)
+    hit = truth.touches & found
+    return Verdict(
+        missed=np.flatnonzero(truth.touches & ~found),
+        late=np.flatnonzero(hit & (tois > truth.hi)),
+        errors=np.maximum(0.0, truth.lo[hit] - tois[hit]),
+        false=np.flatnonzero(truth.free & found),
+    )
+
+
+def _rounded_down(t: arb) -> float:
+    """The largest float64 that is no larger than an exact number of [0, 1]."""
+    value = float(t)
+    while not arb(value) <= t:
+        value = float(np.nextafter(value, -1.0))
+    return value
