@@ -23,6 +23,7 @@ class PairOnInterval:
     def __init__(self, paths, middle: arb, half: arb):
         self._bases = [Basis(path.theta, middle, half) for path in paths]
         self._paths = paths
+        self.time = self._bases[0].t
         self._known: dict = {}
         self.half = half
 
@@ -52,7 +53,8 @@ class PairOnInterval:
 class Feature:
     """Touches at the times where the first functions are zero and the second ones not negative.
 
-    `may_vanish` names a vector without which the conditions say nothing: a normal, which vanishes for parallel edges.
+    `may_vanish` names a vector without which the conditions say nothing: an edge of two equal points, or a normal,
+    which vanishes for parallel edges. Then they hold, but prove no contact.
     """
 
     zero: tuple[Function, ...]
@@ -73,18 +75,18 @@ def _along(p, a, b) -> tuple[Function, ...]:
 def _cylinder(p, a, b, squared: arb) -> Feature:
     area = ("cross", (p, a), (b, a))
     near = lambda at: short(squared * at.product((b, a), (b, a))) - at.product(area, area)  # noqa: E731
-    return Feature((), (near, *_along(p, a, b)))
+    return Feature((), (near, *_along(p, a, b)), (b, a))
 
 
-def _slab(height: Function, n, inside: tuple[Function, ...], squared: arb | None, may_vanish) -> Feature:
+def _slab(height: Function, n, inside: tuple[Function, ...], squared: arb | None) -> Feature:
     if squared is None:
-        return Feature((height,), inside, may_vanish)
+        return Feature((height,), inside, n)
 
     def near(at):
         f = height(at)
         return squared * at.product(n, n) - short(f * f)
 
-    return Feature((), (near, *inside), may_vanish)
+    return Feature((), (near, *inside), n)
 
 
 def _vertex_face(squared: arb | None) -> list[Feature]:
@@ -94,7 +96,7 @@ def _vertex_face(squared: arb | None) -> list[Feature]:
     first = lambda at: at.product(("cross", w, e2), n)  # noqa: E731
     second = lambda at: at.product(("cross", e1, w), n)  # noqa: E731
     inside = first, second, lambda at: at.product(n, n) - first(at) - second(at)
-    features = [_slab(lambda at: at.product(n, w), n, inside, squared, n)]
+    features = [_slab(lambda at: at.product(n, w), n, inside, squared)]
     if squared is not None:
         features += [_cylinder(p, a, b, squared) for a, b in ((f0, f1), (f1, f2), (f2, f0))]
         features += [_ball(p, f, squared) for f in (f0, f1, f2)]
@@ -108,7 +110,7 @@ def _edge_edge(squared: arb | None) -> list[Feature]:
     u = lambda at: at.product(("cross", w, eb), n)  # noqa: E731
     v = lambda at: at.product(("cross", w, ea), n)  # noqa: E731
     inside = u, v, lambda at: at.product(n, n) - u(at), lambda at: at.product(n, n) - v(at)
-    features = [_slab(lambda at: at.product(n, w), n, inside, squared, n)]
+    features = [_slab(lambda at: at.product(n, w), n, inside, squared)]
     if squared is not None:
         features += [_cylinder(p, *b, squared) for p in a] + [_cylinder(q, *a, squared) for q in b]
         features += [_ball(p, q, squared) for p, q in product(a, b)]
@@ -120,7 +122,7 @@ def _point_segment(squared: arb | None) -> list[Feature]:
     if squared is not None:
         return [_cylinder(p, a, b, squared), _ball(p, a, squared), _ball(p, b, squared)]
     area = ("cross", (p, a), (b, a))
-    return [Feature(tuple((lambda at, k=k: at.named(area)[k]) for k in range(3)), _along(p, a, b))]
+    return [Feature(tuple((lambda at, k=k: at.named(area)[k]) for k in range(3)), _along(p, a, b), (b, a))]
 
 
 def _point_point(squared: arb | None) -> list[Feature]:

@@ -59,7 +59,7 @@ class Answers:
         return np.isfinite(self.lo) & np.isinf(self.hi)
 
 
-class _Parts:
+class Parts:
     """Where in s ∈ [−1, 1] a function may hold, and where it certainly does."""
 
     def __init__(self):
@@ -125,7 +125,7 @@ def _linear(p: arb_poly) -> tuple[arb, arb, arb]:
     return p[0], p[1], p.right_shift(2)(UNIT).abs_upper()
 
 
-class _Search:
+class Search:
     """The first time at which a feature touches.
 
     Attributes:
@@ -172,7 +172,7 @@ class _Search:
         middle = ((a + b) / 2).mid()
         right, left = (b - middle).upper(), (middle - a).upper()
         half = right if right > left else left
-        at, parts = PairOnInterval(self._paths, middle, half), _Parts()
+        at, parts = PairOnInterval(self._paths, middle, half), Parts()
         for function in self._feature.zero:
             parts.zero(function(at))
             if parts.is_empty():
@@ -187,27 +187,29 @@ class _Search:
         if low > high:
             return None
         found = parts.contact()
+        if not self._says_something(at):
+            if is_separated(at, self._paths, self._kind, self._distance):
+                return None
+            found = None
         if found is not None:
             found = (middle + half * found).upper()
-            if found < a:
-                found = a
-            if not found <= b:
-                found = None
-        if found is None and self._is_degenerate(at) and is_separated(at, self._paths, self._kind, self._distance):
-            return None
+            found = a if found < a else found if found <= b else None
         return low, high, found
 
-    def _is_degenerate(self, at: PairOnInterval) -> bool:
-        n = self._feature.may_vanish
-        if n is None:
-            return False
-        squared = at.product(n, n)
-        return not squared[0] - squared.right_shift(1)(UNIT).abs_upper() > 0.5 * squared[0].abs_upper()
+    def _says_something(self, at: PairOnInterval) -> bool:
+        """Whether the normal or edge, without which all conditions of the feature hold, certainly never vanishes."""
+        key = self._feature.may_vanish
+        if key is None:
+            return True
+        squared = at.product(key, key)
+        return bool(squared[0] - squared.right_shift(1)(UNIT).abs_upper() > 0)
 
     def _touches_at(self, t: arb) -> bool:
         at = PairOnInterval(self._paths, t, arb(0))
-        return all(f(at).length() == 0 for f in self._feature.zero) and all(
-            f(at)[0] >= 0 for f in self._feature.not_negative
+        return (
+            self._says_something(at)
+            and all(f(at).length() == 0 for f in self._feature.zero)
+            and all(f(at)[0] >= 0 for f in self._feature.not_negative)
         )
 
 
@@ -233,7 +235,7 @@ def first_contact(kind: str, paths, distance: float = 0.0) -> tuple[arb | None, 
         exact = arb(float(distance))
         lo, hi, looks, end = None, None, 0, _ONE
         for feature in FEATURES[kind](exact * exact if distance > 0 else None):
-            found = _Search(feature, paths, kind, exact, end)
+            found = Search(feature, paths, kind, exact, end)
             looks += found.looks
             if found.lo is not None and (lo is None or found.lo < lo):
                 lo = found.lo

@@ -1,13 +1,17 @@
 """The oracle of trajectories that turn, against times known by analysis and against dense samples."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
+from arc_contacts import Feature
 from arc_hostile import FAMILIES, hostile_pairs
-from arc_pairs import KINDS, ArcPairs, quaternion, random_pairs
+from arc_pairs import KINDS, PATHS, ArcPairs, quaternion, random_pairs
+from arc_paths import Basis, StraightPath, short
 from arc_samples import first_contact_seen, gaps, least_gap
-from arcs import Answers, check, solve
+from arcs import Answers, Parts, Search, check, first_contact, paths_of, solve
+from flint import arb, arb_poly, ctx
 
 AT_REST = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 WALL = [[0.0, -9.0, -9.0], [0.0, 9.0, -9.0], [0.0, 0.0, 9.0]]  # in the plane x = 0
@@ -123,10 +127,38 @@ def test_what_touches_in_one_time_is_undecided():
     assert answer.undecided.all() and 0.5 - 1e-12 < answer.lo[0] <= 0.5
 
 
+def test_what_comes_after_a_doubt_is_found():
+    """A function that touches zero at 1/3, which no interval tells from missing it, and is positive after 3/4."""
+    with ctx.workprec(256):
+        feature = Feature((), (lambda at: (at.time - arb(1) / 3) * (at.time - arb(1) / 3) * (at.time - arb(0.75)),))
+        at_rest = StraightPath(WALL, WALL)
+        found = Search(feature, (at_rest, at_rest), "vertex-face", arb(0), arb(1))
+        assert 0.333 < found.lo < arb(1) / 3 and 0.75 <= found.hi and found.hi - 0.75 < 1e-20
+
+
 def test_a_contact_at_the_start_is_at_zero():
     for twist in ([0, 0, 0, 0, 0, 3.0], [1.0, 0, 0, 0, 2.0, 0]):
         answer = solve(one("vertex-face", [0, 0, 1], WALL, twist=twist))
         assert answer.lo[0] == answer.hi[0] == 0.0
+
+
+def test_edges_on_one_line_prove_no_contact():
+    """All conditions of a crossing hold where the normal vanishes; they meet at t = 1/2, or never."""
+    edge = np.array([[-1.0, 0, 0], [1, 0, 0]])
+    assert solve(one("edge-edge", edge, edge + [5, 0, 0], twist=[0] * 6, end_b=edge + [3, 0, 0])).free.all()
+    answer = solve(one("edge-edge", edge, edge + [3, 0, 0], twist=[0] * 6, end_b=edge + [1, 0, 0]))
+    assert answer.undecided.all() and 0.5 - 1e-12 < answer.lo[0] <= 0.5
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-9])
+def test_parallel_edges_spin_together(gap):
+    """Nothing but a direction that turns with them tells in few intervals that they do not meet."""
+    edge, twist = np.array([[-1.0, 1, 0], [1, 1, 0]]), [0, 0, 0, 1.0, 2.0, 5.0]
+    pair = one("edge-edge", edge, edge + [0.25, 0, gap], twist=twist)
+    pair.twist[:, 1] = twist
+    with ctx.workprec(256):
+        lo, hi, looks = first_contact("edge-edge", paths_of(pair, 0))
+    assert lo is None and hi is None and looks < 40
 
 
 def test_a_turn_in_the_plane_of_the_face():
@@ -144,17 +176,46 @@ def test_a_tiny_turn_is_nearly_none(turn):
 
 
 def test_samples_of_random_pairs_say_the_same():
-    """Where samples see a contact first, and how near they come where the oracle says that there is none."""
-    for seed, (kind, path, other) in enumerate(
-        (kind, path, other) for kind in KINDS for path in ("linear", "screw") for other in ("turning", "deformable")
-    ):
-        pairs = random_pairs(kind, seed, 13, path=path, other=other, by_twist=seed % 2 == 0)
+    """Where samples see a contact first, and that they see none where the oracle says that there is none."""
+    kinds = [*product(KINDS, (None,)), ("vertex-face", 0.3), ("edge-edge", 0.3)]
+    for seed, ((kind, distance), path, other) in enumerate(product(kinds, PATHS, ("turning", "deformable"))):
+        options = {"path": path, "other": other, "by_twist": seed % 2 == 0, "distance": distance}
+        pairs = random_pairs(kind, seed, 8, **options)
         answer, seen = solve(pairs), first_contact_seen(pairs, 200)
-        assert not answer.undecided.any() and answer.touches.sum() >= 3
+        assert not answer.undecided.any() and answer.touches.sum() >= 2
         np.testing.assert_array_equal(answer.touches, np.isfinite(seen))
         hit = answer.touches
         np.testing.assert_allclose(answer.lo[hit], seen[hit].astype(float), rtol=0, atol=1e-9)
         assert (answer.width[hit] < 1e-20).all()
+
+
+def test_each_feature_is_met():
+    """A point or an edge that comes straight to a face or an edge from beyond each of their sides and ends."""
+    face, far = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]), 5.0
+    for place, way in (
+        ([0, 0], [-1, -1]),
+        ([4, 0], [1, -0.2]),
+        ([0, 3], [-0.2, 1]),
+        ([2, 0], [0, -1]),
+        ([0, 1], [-1, 0]),
+    ):
+        way = np.array([*way, 0]) / np.linalg.norm(way)
+        start = np.array([*place, 0]) + (far + 0.5) * way
+        pair = one(
+            "vertex-face", [0, 0, 0], face, start=[*start, *AT_REST[3:]], twist=[*(-10 * way), 0, 0, 0], distance=0.5
+        )
+        assert abs(solve(pair).lo[0] - 0.5) < 1e-15
+    edge, across, askew = [[-1, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 2, 0]], [[0, 0, 0], [2, 0.5, 0.3]]
+    for a, b, way in (
+        (edge, across, [0, 1, 0]),  # an end of B comes to the inside of A
+        (across, edge, [0, -1, 0]),
+        (edge, np.array(askew) + [1, 0, 0], [1, 0, 0]),  # two ends
+        (np.array(edge) + [1, 0, 0], np.array(edge) - [1, 0, 0], [-1, 0, 0]),
+    ):
+        end = np.array(b) + 0.5 * np.array(way)
+        start = end + 5 * np.array(way)
+        pair = one("edge-edge", a, start, twist=[0] * 6, end_b=end - 5 * np.array(way), distance=0.5)
+        assert abs(solve(pair).lo[0] - 0.5) < 1e-15
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -172,6 +233,50 @@ def test_samples_of_hostile_pairs_do_not_contradict(name):
         at = gaps(pairs[hit], answer.lo[hit][:, None])[:, 0]
         assert (np.abs(at) <= 50 * error[hit]).all()
         assert (least_gap(pairs[hit], answer.lo[hit], count=100) >= -50 * error[hit]).all()
+
+
+@pytest.mark.parametrize("theta", [0.0, 1e-300, 3e-8, 1e-7, 0.3, 3.0, 300.0])
+def test_a_basis_encloses_sine_and_cosine(theta):
+    """At all times of the interval, of which half a turn by 1.5 rad is the longest."""
+    exact, middle = arb(theta), arb(0.5)
+    half = arb(min(0.5, 1.5 / max(theta, 1.0)))
+    with ctx.workprec(256):
+        basis = Basis(exact, middle, half)
+    with ctx.workprec(2600):  # 1 − cos θ has 600 digits less for θ = 1e-300
+        for s in np.linspace(-1, 1, 9):
+            t = middle + half * float(s)
+            sine, cosine = (exact * t).sin_cos()
+            first, second = (t, t * t / 2) if theta == 0.0 else (sine / exact, (1 - cosine) / (exact * exact))
+            for polynomial, value in ((basis.t, t), (basis.sigma1, first), (basis.sigma2, second)):
+                found = polynomial(arb(float(s)))
+                assert found.contains(value.mid()) and found.rad() < 1e-8
+
+
+def test_parts_of_an_interval_are_where_a_function_holds():
+    """Random polynomials, at whose samples the conditions are known."""
+    rng = np.random.default_rng(0)
+    samples = np.linspace(-1, 1, 41).tolist()
+    kept = [0, 0]
+    for _ in range(300):
+        values = rng.standard_normal(6) * 0.4 ** np.arange(6)
+        p = arb_poly([arb(float(value)) for value in values])
+        parts, zero = Parts(), Parts()
+        parts.not_negative(p)
+        zero.zero(p)
+        signs = [(s, p(arb(s))) for s in samples]
+        assert all(short(p * p * p)(arb(s)).overlaps(value**3) for s, value in signs)
+        assert all(parts.may[0] <= s <= parts.may[1] for s, value in signs if value >= 0)
+        assert all(value >= 0 for s, value in signs if parts.does[0] <= s <= parts.does[1])
+        outside = (
+            [value > 0 for s, value in signs if s < zero.may[0]],
+            [value > 0 for s, value in signs if s > zero.may[1]],
+        )
+        assert all(len({*side}) <= 1 for side in outside)
+        if zero.root is not None:
+            assert (p(zero.root[0]) > 0) != (p(zero.root[1]) > 0)
+            kept[0] += 1
+        kept[1] += parts.contact() is not None
+    assert min(kept) > 20
 
 
 def test_a_check_counts_what_is_missed_and_late():
