@@ -122,6 +122,17 @@ def meeting(pairs: ArcPairs, time: np.ndarray, at_a: np.ndarray, at_b: np.ndarra
     return pairs.moved(shift.astype(np.float64))
 
 
+def meeting_at(pairs: ArcPairs, time: np.ndarray, gap: np.ndarray, rng: np.random.Generator) -> ArcPairs:
+    """Places in the inside of both are, at a time, a gap from counting as contact; up to rounding."""
+    at = [weights(pairs.kind, side, rng, len(pairs)) for side in (0, 1)]
+    way = directions(rng, len(pairs))
+    if pairs.kind == "point-segment":
+        ends = positions(pairs, 1, time[:, None])[:, 0]
+        along = unit((ends[:, 1] - ends[:, 0]).astype(np.float64))
+        way = unit(way - along * (along * way).sum(axis=1, keepdims=True))
+    return meeting(pairs, time, *at, way * (gap + pairs.distance)[:, None])
+
+
 def random_pairs(
     kind: str,
     seed: int,

@@ -120,7 +120,7 @@ def _minima(pairs, before: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarr
     rows, k = np.nonzero((values <= padded[:, :-2]) & (values <= padded[:, 2:]))
     low, high = t[rows, np.maximum(k - 1, 0)], t[rows, np.minimum(k + 1, count)]
     few, when, least = pairs[rows], t[rows, k], values[rows, k]
-    for _ in range(40):
+    for _ in range(32):
         near = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 7, dtype=Long)
         found = gaps(few, near)
         at, each = found.argmin(axis=1), np.arange(len(rows))

@@ -3,6 +3,7 @@
 import math
 from itertools import product
 
+import arc_samples
 import numpy as np
 import pytest
 from arc_contacts import Feature
@@ -10,9 +11,18 @@ from arc_hostile import FAMILIES, hostile_pairs
 from arc_pairs import KINDS, PATHS, ArcPairs, quaternion, random_pairs
 from arc_paths import Basis, StraightPath, short
 from arc_samples import first_contact_seen, gaps, least_gap
-from arcs import Answers, Parts, Search, check, first_contact, paths_of, solve
+from arc_search import Parts, Search, first_contact
+from arcs import Answers, answers, check, paths_of, solve
 from flint import arb, arb_poly, ctx
+from kept import kept
 
+
+def _question(pairs, *arguments):
+    return vars(pairs), arguments
+
+
+seen_first = kept(first_contact_seen, arc_samples, question_of=_question)
+least_gap_of = kept(least_gap, arc_samples, question_of=_question)
 AT_REST = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 WALL = [[0.0, -9.0, -9.0], [0.0, 9.0, -9.0], [0.0, 0.0, 9.0]]  # in the plane x = 0
 
@@ -181,7 +191,7 @@ def test_samples_of_random_pairs_say_the_same():
     for seed, ((kind, distance), path, other) in enumerate(product(kinds, PATHS, ("turning", "deformable"))):
         options = {"path": path, "other": other, "by_twist": seed % 2 == 0, "distance": distance}
         pairs = random_pairs(kind, seed, 8, **options)
-        answer, seen = solve(pairs), first_contact_seen(pairs, 200)
+        answer, seen = answers(pairs), seen_first(pairs, 150)
         assert not answer.undecided.any() and answer.touches.sum() >= 2
         np.testing.assert_array_equal(answer.touches, np.isfinite(seen))
         hit = answer.touches
@@ -222,17 +232,17 @@ def test_each_feature_is_met():
 def test_samples_of_hostile_pairs_do_not_contradict(name):
     """No contact is claimed where there is a gap, and no gap is seen to vanish before."""
     for kind in KINDS:
-        pairs = hostile_pairs(name, kind, 3)
-        answer = solve(pairs)
+        pairs = hostile_pairs(name, kind, 2)
+        answer = answers(pairs)
         # of the roundings of positions in extended precision, and of the time in float64
         points = [np.abs(x).max(axis=(1, 2)) for x in (pairs.points_a, pairs.points_b, pairs.poses_t0)]
         speed = 1 if pairs.twist is None else 1 + np.abs(pairs.twist).max(axis=(1, 2))
         error = 1e-17 * np.max(points, axis=0) + 1e-15 * speed
-        assert (least_gap(pairs[answer.free], count=100) > -error[answer.free]).all()
+        assert (least_gap_of(pairs[answer.free], None, 100) > -error[answer.free]).all()
         hit = answer.touches & (answer.lo > 0)
         at = gaps(pairs[hit], answer.lo[hit][:, None])[:, 0]
         assert (np.abs(at) <= 50 * error[hit]).all()
-        assert (least_gap(pairs[hit], answer.lo[hit], count=100) >= -50 * error[hit]).all()
+        assert (least_gap_of(pairs[hit], answer.lo[hit], 100) >= -50 * error[hit]).all()
 
 
 @pytest.mark.parametrize("theta", [0.0, 1e-300, 3e-8, 1e-7, 0.3, 3.0, 300.0])
@@ -256,7 +266,7 @@ def test_parts_of_an_interval_are_where_a_function_holds():
     """Random polynomials, at whose samples the conditions are known."""
     rng = np.random.default_rng(0)
     samples = np.linspace(-1, 1, 41).tolist()
-    kept = [0, 0]
+    counts = [0, 0]
     for _ in range(300):
         values = rng.standard_normal(6) * 0.4 ** np.arange(6)
         p = arb_poly([arb(float(value)) for value in values])
@@ -274,9 +284,9 @@ def test_parts_of_an_interval_are_where_a_function_holds():
         assert all(len({*side}) <= 1 for side in outside)
         if zero.root is not None:
             assert (p(zero.root[0]) > 0) != (p(zero.root[1]) > 0)
-            kept[0] += 1
-        kept[1] += parts.contact() is not None
-    assert min(kept) > 20
+            counts[0] += 1
+        counts[1] += parts.contact() is not None
+    assert min(counts) > 20
 
 
 def test_a_check_counts_what_is_missed_and_late():
