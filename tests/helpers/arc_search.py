@@ -16,6 +16,7 @@ _ONE = arb(1)
 _WIDTH = arb(2) ** -72  # of an answer: 2e-22
 _LEAST_WIDTH = arb(2) ** -104  # of an interval that is looked at: 5e-32
 _LARGEST_TURN = 1.5  # rad, of half an interval
+_MOST_TURN = 1e4  # rad, in the step
 _MOST_LOOKS = 4000
 _LOOKS_AFTER_DOUBT = 300  # at what comes after an interval without an answer
 
@@ -98,6 +99,8 @@ class Search:
     def __init__(self, feature: Feature, paths, kind: str, distance: arb, end: arb):
         self._feature, self._paths, self._kind, self._distance = feature, paths, kind, distance
         self._turn = max(float(path.theta) for path in paths)
+        if self._turn > _MOST_TURN:
+            raise ValueError(f"a turn by {self._turn} rad takes hours; expected at most {_MOST_TURN}")
         self.lo: arb | None = None
         self.hi: arb | None = None
         self.looks = 0
