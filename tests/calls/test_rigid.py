@@ -177,6 +177,40 @@ def test_line_search_keeps_bodies_rigid_and_ends_free_of_collisions(per, distanc
     assert ccd.is_step_collision_free(*arguments, motion=found.motion, device="cpu", minimum_distance=0.99 * distance)
 
 
+def test_candidates_hold_all_contacts_and_those_of_boxes_over_the_whole_arc_more():
+    mesh, end, motion = tumbling_boxes()
+    found = {}
+    for broad_phase in ("tree", "hash"):
+        options = {"motion": motion, "device": "cpu", "broad_phase": broad_phase}
+        found[broad_phase] = ccd.find_candidates(mesh, mesh.vertices, end, **options)
+    contacts = result_of(mesh, end, motion).contacts
+    for name, pairs in vars(found["tree"]).items():
+        keys = set(map(tuple, pairs.tolist()))
+        of_kind = contacts.primitives[contacts.kind == int(ccd.PairKind[name.upper()])]
+        assert keys.issuperset(map(tuple, of_kind.tolist()))
+        assert len(keys) == len(pairs)
+        assert (pairs == vars(found["hash"])[name]).all()
+    assert len(contacts) < sum(map(len, vars(found["tree"]).values()))
+
+
+@pytest.mark.parametrize("options", [{}, {"minimum_distance": 0.01, "broad_phase": "hash"}])
+def test_launches_find_what_the_host_does(options):
+    mesh, end, motion = tumbling_boxes()
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", **options)
+    for shown in (motion, motion.shortened(0.5), motion):
+        expected = result_of(mesh, end, shown, **options)
+        result = pipeline.launch(mesh.vertices, end[mesh.moving_vertices], motion=shown)
+        ours = result.to_host()
+        for name in ("toi", "vertex_toi", "body_toi"):
+            assert (np.atleast_1d(getattr(expected, name)) == np.atleast_1d(getattr(ours, name))).all()
+        assert different(outputs(expected.contacts), outputs(ours.contacts)) == []
+        assert (ours.contacts.points == expected.contacts.points).all()
+        assert not ours.flags
+    with pytest.raises(ValueError, match="known on the device"):
+        _ = result.contacts.points
+    assert pipeline.launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0  # all bodies in one place, as they stand
+
+
 def test_worlds_have_the_tois_that_each_has_alone():
     mesh, end, motion = tumbling_boxes()
     expected = result_of(mesh, end, motion)
