@@ -39,6 +39,7 @@ from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
@@ -46,7 +47,6 @@ from ccd_warp._runtime.progress import Progress
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
     from ccd_warp._mesh_paths import MeshPaths
-    from ccd_warp._motion import RigidMotion
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -189,7 +189,6 @@ class CollisionPipeline:
     def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
         from ccd_warp._mesh_paths import MeshPaths  # few programs need it
-        from ccd_warp._motion import RigidMotion
 
         if isinstance(motion, MeshPaths):
             return motion
