@@ -49,6 +49,23 @@ def test_half_a_turn_is_not_a_chord():
     assert result.body_toi[2] == np.inf
 
 
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_arc_meets_what_no_box_of_its_chord_does(broad_phase):
+    """A point at the end of a long arm, and a small face at the middle of its arc, a twentieth beyond the chord."""
+    face = np.array([[9.99, 0, -0.01], [10.01, 0, -0.01], [10.0, 0, 0.02]])
+    bodies = [(np.array([[10.0, 0, 0]]), NO_FACES), (face, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[1])
+    options = {"broad_phase": broad_phase, "device": "cpu"}
+    for turn in (0.01, 0.2, 0.39):
+        poses_t0, poses_t1 = ([about_z(angle), AT_REST] for angle in (-0.5 * turn, 0.5 * turn))
+        result = ccd.rigid_ccd(mesh, poses_t0, poses_t1, **options)
+        assert result.toi == pytest.approx(0.5, abs=1e-11 / turn)
+    motion = ccd.RigidMotion(poses_t0, poses_t1)
+    bodies = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[1], rigid=[0, 1])
+    found = ccd.find_candidates(bodies, bodies.vertices, bodies.vertices, motion=motion, **options)
+    assert found.vertex_face.tolist() == [[0, 0]]
+
+
 def test_several_turns_in_a_step_list_each_pair_once_and_first():
     places = [at_angle(angle) for angle in (1.0, 4.0, 6.0)]
     mesh, at_rest = blade_and_points(places, static=[1, 2, 3])
