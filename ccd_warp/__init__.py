@@ -32,6 +32,8 @@ from ccd_warp._input.option_types import (
     ProximityOptions,
 )
 from ccd_warp._intersections import Intersections
+from ccd_warp._joint_motion import JointMotion
+from ccd_warp._joints import Joint
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._one_shot import (
@@ -78,6 +80,8 @@ __all__ = [
     "IntersectionKind",
     "IntersectionOptions",
     "Intersections",
+    "Joint",
+    "JointMotion",
     "LaunchFlag",
     "LaunchResult",
     "LineSearchOptions",
