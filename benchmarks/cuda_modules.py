@@ -12,7 +12,7 @@ import warp as wp
 _FILES = [
     *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.half_warp_tree"),
     *("boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
-    *("step.contacts", "step.device_step", "step.contact_place"),
+    *("step.contacts", "step.device_step", "step.contact_place", "step.place_bodies"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
     *("at_one_time.device_hold", "at_one_time.start_holds"),
 ]
@@ -21,12 +21,12 @@ _FILES = [
 def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     """The modules of the files, and those of templates for a precision, a dimension or an end of the search.
 
-    With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii, or line
-    searches in which something starts within its distance; of the latter the narrow phase in one precision, as there is
-    no other.
+    With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii or bodies that
+    turn, or line searches in which something starts within its distance; of the latter the narrow phase in one
+    precision, as there is no other.
     """
     from ccd_warp.kernels.narrow_phase.queued_pairs import STAGES
-    from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM
+    from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM
     from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
     from ccd_warp.kernels.template import specialised
 
@@ -43,6 +43,7 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
         norms = [MAXIMUM_NORM]
         if with_distances:
             norms += [EUCLIDEAN_NORM, OWN_BOX_NORM] if real is wp.float64 else [EUCLIDEAN_NORM]
+            norms += [ARC_BOX_NORM, ARC_BALL_NORM]
         for norm in norms:
             of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
             queued = specialised("narrow_phase.queued_pairs", real=real, norm=norm)

@@ -107,6 +107,24 @@ def line_searches_with_radii(case: StepCase, precision: str, device: str = "cpu"
     return found
 
 
+def on_arcs(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """Calls with a motion, whose rigid bodies turn: on screws by less than a slice, on linear paths by several."""
+    mesh, start, end = case.make()
+    options = {**case.options, "precision": precision, "device": device}
+    rng = np.random.default_rng(33)
+    end = np.where(mesh.rigid[mesh.vertex_body][:, None], start, end)
+    found: Outputs = {}
+    for path, turn in (("screw", 0.05), ("linear", 0.25)):
+        poses = np.hstack([0.02 * rng.standard_normal((int(mesh.rigid.sum()), 3)), rng.standard_normal((1, 4))])
+        twist = np.hstack([0.1 * rng.standard_normal((len(poses), 3)), turn * rng.standard_normal((len(poses), 3))])
+        motion = ccd.RigidMotion(poses, twist=twist, path=path)
+        found |= outputs_of(ccd.mesh_ccd(mesh, start, end, motion=motion, **options), f"mesh_ccd {path}")
+        step = ccd.collision_free_step(mesh, start, end, motion=motion, **options)
+        found |= outputs_of(step, f"collision_free_step {path}")
+    searched = ccd.line_search(mesh, start, end, motion=motion, per="body", **options)
+    return found | outputs_of(searched.vertices, "line_search")
+
+
 def searches_with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The searches that a mesh with radii has of its own, one of which culls where it finds."""
     mesh, start, end = case.make()

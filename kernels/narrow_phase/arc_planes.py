@@ -41,13 +41,12 @@ def meeting_on_arc(
     turns: Turns,
 ) -> Meeting:
     """`meeting_of` for a vertex that turns with its body in a slice, at a time of the step."""
-    body = turns.vertex_body[v]
-    spin = turns.spin[body]
+    spin = turns.t_length * turns.omega[turns.vertex_body[v]]
     velocity = turns.velocity[v]
     size = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
     size = wp.max(size, wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1))))
     motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
-    error = turns.slack[body] + (_ERROR * size + _MOTION_ERROR * motion)
+    error = turns.slack[v] + (_ERROR * size + _MOTION_ERROR * motion)
     along = wp.length(wp.cross(spin, planes.unit[k])) + _UNIT * wp.length(spin)
     amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along
     if not along > _ZERO:

@@ -274,9 +274,14 @@ if has_arcs(norm):
         r.v1 = gathered_point(turns.velocity, i.i1)
         r.v2 = gathered_point(turns.velocity, i.i2)
         r.v3 = gathered_point(turns.velocity, i.i3)
-        of_a = of_vertex(turns.vertex_body, i.i0)
-        of_b = of_vertex(turns.vertex_body, i.i3)
-        r.spin_a = gathered_point(turns.spin, of_a)
-        r.spin_b = gathered_point(turns.spin, of_b)
-        r.slack = gathered_number(turns.slack, of_a) + gathered_number(turns.slack, of_b)
+        r.spin_a = turns.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i0))
+        r.spin_b = turns.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
+        of_a = gathered_number(turns.slack, i.i0)
+        of_b = simd.greatest(gathered_number(turns.slack, i.i2), gathered_number(turns.slack, i.i3))
+        of_second = gathered_number(turns.slack, i.i1)
+        if kind == EDGE_EDGE:
+            of_a = simd.greatest(of_a, of_second)
+        else:
+            of_b = simd.greatest(of_b, of_second)
+        r.slack = of_a + of_b
         return r

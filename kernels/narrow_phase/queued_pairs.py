@@ -17,7 +17,7 @@ and no other pair at all.
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim
-from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, is_by_pair
+from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs, is_by_pair
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import is_stationary, row_points
@@ -104,6 +104,11 @@ def turns_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Tur
 
 
 has_own = is_by_pair(norm)
+on_arcs = has_arcs(norm)
+if on_arcs:
+    lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
+    arcs_of_pairs = specialised("narrow_phase.lane_rows", norm=norm).arcs_of_pairs
+    options_of_pair = specialised("pair.pair_options", real=real, norm=norm).options_of_pair
 options_of_rows = specialised("pair.pair_options", real=real, norm=norm).options_of_rows
 Outcome = specialised("pair.solver", norm=norm, real=real, on_warp=True).Outcome
 pair_outcome = specialised("narrow_phase.pair_outcome", norm=norm, real=real, on_warp=True)
@@ -213,7 +218,15 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
                 else:
                     own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    if wp.static(is_bound):
+                    if wp.static(on_arcs):
+                        key = pairs[k]
+                        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
+                        first = first_corners[pair[0]]
+                        second = second_corners[pair[1]]
+                        if is_needed:
+                            of_pair = options_of_pair(options, first, second)
+                            outcome = pair_outcome.solve_on_arcs(kind, first, second, t, used, a, b, of_pair, cap)
+                    elif wp.static(is_bound):
                         outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
                     elif is_needed:
                         outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
@@ -222,7 +235,15 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if wp.static(is_bound):
                     least = wp.cast(least_bits[0], wp.float64)
                 answer = lane_solver.LaneAnswer()
-                if wp.static(is_initial and has_own):
+                if wp.static(on_arcs):
+                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
+                    own.arcs = arcs_of_pairs(kind, pairs, k, first_corners, second_corners, options.turns)
+                    if wp.static(is_initial):
+                        answer = lane_windows.first_window(kind, a, b, own, options, t, cap, least)
+                    else:
+                        later = wp.float64(used)
+                        answer = lane_windows.later_windows(kind, a, b, own, options, _ONE, t, later, cap, least)
+                elif wp.static(is_initial and has_own):
                     pass  # all pairs have skipped the first rounds
                 elif wp.static(is_initial):
                     answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
@@ -296,7 +317,9 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     return solve_pairs
 
 
-points_toi = [] if norm == OWN_BOX_NORM else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+points_toi = (
+    [] if norm == OWN_BOX_NORM or on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
+)
 solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

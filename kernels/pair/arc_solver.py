@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..boxes.thickness import radius_of
 from ..interrupts import is_stopped
 from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, on_warp, real
@@ -42,11 +43,9 @@ def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> 
         r.v1 = turns.velocity[second[0]]
         r.v2 = turns.velocity[second[1]]
         r.v3 = turns.velocity[second[2]]
-    body_a = turns.vertex_body[first[0]]
-    body_b = turns.vertex_body[second[0]]
-    r.spin_a = turns.spin[body_a]
-    r.spin_b = turns.spin[body_b]
-    r.slack = turns.slack[body_a] + turns.slack[body_b]
+    r.spin_a = turns.t_length * turns.omega[turns.vertex_body[first[0]]]
+    r.spin_b = turns.t_length * turns.omega[turns.vertex_body[second[0]]]
+    r.slack = radius_of(turns.slack, first) + radius_of(turns.slack, second)
     return r
 
 

@@ -110,9 +110,10 @@ below are in the normalised units of step 2.
    begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
    `BodyPaths` states for p and v is 2u·P and 2u·(2P); on all axes 12·√3 u·P, PLACE_POSITION = 24. The product with R
    and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X - c| at most; the angle tθ, and what it
-   was computed from, is off by 12u·tθ, which moves a vertex by that times its distance from the axis. With ρ the
-   largest |X - c| of a body, T the length of V and PLACE = 40 that is PLACE·u·(1 + |ω|/2)(ρ + T), which covers what
-   `BodyPaths` states for the pivot and for V, and the products of errors.
+   was computed from, is off by 12u·tθ, which moves a vertex by that times its distance from the axis. With ρ
+   the sum of |X - c|, |c| and the largest coordinate of X, T the length of u and PLACE = 40 that is PLACE·u·(1 +
+   |ω|/2)(ρ + T), which covers the difference X - c, what `BodyPaths` states for the pivot and for u, and the products
+   of errors. A vertex that does not turn has the error of step 12 on three axes.
 
 Constants are in units of u.
 """

@@ -5,11 +5,11 @@ import warp as wp
 
 @wp.struct
 class Turns:
-    """What is known of all vertices; lengths and angles are of the whole slice. The arrays are empty if none turns."""
+    """What is known of all vertices; lengths are of the whole slice. The arrays are empty if none turns."""
 
     velocity: wp.array[wp.vec3d]  # of each vertex: the part of its velocity at the start that turns with its body
-    spin: wp.array[wp.vec3d]  # rotation vector of each body; 0 where it does not turn
-    slack: wp.array[wp.float64]  # of each body: by how much rounding may move its vertices
+    omega: wp.array[wp.vec3d]  # rotation vector of each body in the whole step; 0 where it does not turn
+    slack: wp.array[wp.float64]  # of each vertex: by how much rounding may move it
     vertex_body: wp.array[wp.int32]
     t_begin: wp.float64  # the slice as part of the step
     t_length: wp.float64

@@ -10,7 +10,7 @@ With s = sin(θt/2)/θ these are σ1 = 2s·cos(θt/2) and σ2 = 2s². The roundi
 
 import warp as wp
 
-from ..pair.rounding import RELATIVE, SAGITTA, UNIT_ROUNDOFF
+from ..pair.rounding import INTERPOLATION, PLACE, PLACE_POSITION, RELATIVE, SAGITTA, UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -24,6 +24,10 @@ _NO_TURN = wp.constant(wp.float64(1.0e-100))
 # The sagitta of the whole slice is an eighth of |ω|·|V|.
 _EIGHTH_UP = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
 _SUM_UP = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
+_PLACE_POSITION = wp.constant(wp.float64(PLACE_POSITION * UNIT_ROUNDOFF[wp.float64]))
+_PLACE = wp.constant(wp.float64(PLACE * UNIT_ROUNDOFF[wp.float64]))
+# Of the length of a vector: of each of its coordinates, on three axes.
+_INTERPOLATION = wp.constant(wp.float64(2.0 * INTERPOLATION * UNIT_ROUNDOFF[wp.float64]))
 _SQUARE_UNDERFLOW = wp.constant(wp.float64(2.0**-1000))
 
 
@@ -38,7 +42,6 @@ class BodyPaths:
     start: wp.array[vec3d]  # p
     velocity: wp.array[vec3d]  # v
     turning: wp.array[vec3d]  # u
-    slack: wp.array[wp.float64]  # by how much rounding may move a vertex
 
 
 @wp.struct
@@ -87,6 +90,15 @@ def place_at(paths: BodyPaths, body: int, t: wp.float64) -> Place:
     return place
 
 
+@wp.func
+def slack_of(paths: BodyPaths, body: int, arm: vec3d, x: vec3d) -> wp.float64:
+    """By how much rounding may move a vertex (rounding, step 18)."""
+    start = paths.start[body]
+    far = wp.max(wp.max(wp.abs(start)), wp.max(wp.abs(start + paths.velocity[body])))
+    reach = wp.length(arm) + wp.length(paths.pivot[body]) + wp.length(paths.turning[body]) + wp.max(wp.abs(x))
+    return _PLACE_POSITION * far + _PLACE * (_ONE + _HALF * wp.length(paths.omega[body])) * reach
+
+
 @wp.kernel
 def place_vertices(
     begin: int,
@@ -103,6 +115,7 @@ def place_vertices(
     at_begin: wp.array[vec3d],
     at_end: wp.array[vec3d],
     velocity: wp.array[vec3d],
+    slack: wp.array[wp.float64],
     grown_radius: wp.array[wp.float64],
     grown_box_radius: wp.array[wp.float64],
 ):
@@ -113,8 +126,8 @@ def place_vertices(
     a = x
     b = vertices_t1[i]
     v = vec3d()
-    slack = paths.slack[body]
     bulge = _ZERO
+    error = _ZERO
     if paths.is_rigid[body] != 0:
         first = place_at(paths, body, t_begin)
         last = place_at(paths, body, t_end)
@@ -126,12 +139,15 @@ def place_vertices(
         omega = length * paths.omega[body]
         v = wp.cross(omega, from_pivot) + length * first.turning
         bulge = _EIGHTH_UP * wp.length(omega) * wp.sqrt(wp.dot(v, v) + _SQUARE_UNDERFLOW)
+        error = slack_of(paths, body, arm, x)
     else:
+        error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
         if t_begin > _ZERO:
             a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
         if t_end < _ONE:
             b = (_ONE - t_end) * x + t_end * vertices_t1[i]
-    bulge += slack
+    bulge += error
+    slack[i] = error
     at_begin[i] = a
     at_end[i] = b
     velocity[i] = v

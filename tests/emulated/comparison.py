@@ -47,6 +47,7 @@ _PLAN = {
     "with_radii": ("radii",),
     "line_searches_with_radii": ("radii",),
     "searches_with_radii": ("radii, spatial hash, excluded pairs",),
+    "on_arcs": ("bodies that turn", "bodies that turn, a distance"),
 }
 
 
@@ -55,7 +56,7 @@ def _plan() -> Iterator[tuple[str, str, str]]:
     for call, steps in _PLAN.items():
         for k, step in enumerate(steps):
             is_both = step in _SOME and call in ("on_the_host", "launches")
-            for precision in PRECISIONS if is_both else (PRECISIONS[k % 2],):
+            for precision in PRECISIONS if is_both else (PRECISIONS[k % 2 if call != "on_arcs" else 0],):
                 yield call, step, precision
 
 
@@ -94,7 +95,7 @@ CPU_ALONE = {
 }
 # Of modules for distances, ends of the names of those that are not run, and the ones that run what is theirs.
 RUN_ELSEWHERE = {
-    "float32 euclidean": "those of float64",
+    **dict.fromkeys(["float32 euclidean", "float32 arc_box", "float32 arc_ball"], "those of float64"),
     "own_box": "boxes are those of the maximum norm, and a separation of each pair is that of radii",
     **dict.fromkeys(["measure_pairs box", "near_contacts box"], "those of a ball, but for the distance of a pair"),
     "search_trees boxes True thick": "the spatial hash has radii with lists, the tree each of them alone",

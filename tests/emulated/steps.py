@@ -49,6 +49,11 @@ def _with_kinematic() -> Made:
     return _every_kind((ccd.HalfSpace([0, 0, 0.1], [0.1, 0, 2]),), static=[2], kinematic=[1, 3])
 
 
+def _turning() -> Made:
+    """The same with a body that turns beside a static one, one that does not keep its shape, and a ground."""
+    return _every_kind((ccd.HalfSpace([0, 0, 0.1], [0.1, 0, 2]),), static=[1], rigid=[0])
+
+
 def _in_plane(**arguments: Any) -> Made:
     rng = np.random.default_rng(23)
     k = np.arange(60)
@@ -169,4 +174,6 @@ THICK = {
         lambda: _thick(exclude_pairs={"bodies": [(0, 2)], "vertices": [(0, 130), (7, 250), (3, 20)]}),
         {"broad_phase": "hash"},
     ),
+    "bodies that turn": StepCase(_turning, {}),
+    "bodies that turn, a distance": StepCase(_turning, {"minimum_distance": 0.004, "broad_phase": "hash"}),
 }

@@ -5,12 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.topology import Positions, Topology
-from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels.pair.rounding import INTERPOLATION, PLACE, PLACE_POSITION, UNIT_ROUNDOFF
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.step import place_bodies as kernels
 
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
 
 # Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
 TURN_OF_A_SLICE = 0.2
+_COLUMNS = dtypes_of(kernels.BodyPaths)
 
 
 @dataclass(frozen=True)
@@ -51,80 +50,44 @@ class Arcs:
     Attributes:
         radius: By how much each vertex is enlarged in a slice: its radius, its sagitta and its rounding.
         box_radius: The same for its boxes.
+        start: Positions at the begin of a slice.
+        end: Positions at its end.
     """
 
-    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+    def __init__(self, topology: Topology, radius: wp.array | None = None, box_radius: wp.array | None = None) -> None:
+        """Allocate the arrays; ``radius`` and ``box_radius`` are others than those of the mesh."""
+        mesh, device = topology.mesh, topology.device
         self._topology = topology
-        num_vertices, num_bodies, device = topology.mesh.num_vertices, topology.mesh.num_bodies, topology.device
-        self._ends = [wp.zeros(num_vertices, dtype=wp.vec3d, device=device) for _ in range(2)]
-        self._velocity = wp.zeros(num_vertices, dtype=wp.vec3d, device=device)
-        self.radius: wp.array = wp.zeros(num_vertices, dtype=wp.float64, device=device)
-        self.box_radius: wp.array = wp.zeros(num_vertices, dtype=wp.float64, device=device)
-        self._paths = kernels.BodyPaths()
-        self._spin = wp.zeros(num_bodies, dtype=wp.vec3d, device=device)
-
-    def begin(self, paths: "MeshPaths", positions: Positions) -> None:
-        """Begin a step along these paths, of bodies whose vertices have positions in their own frames."""
-        self._step_paths = paths
-        topology, mesh = self._topology, self._topology.mesh
-        is_rigid = paths.is_rigid
-        self._start = [self._on_device(x) for x in positions]
-        fields = {name: topology.array(getattr(paths, name), wp.vec3d) for name in ("omega", "pivot", "velocity")}
-        fields |= {
-            "start": topology.array(paths.pivot_t0, wp.vec3d),
-            "turning": topology.array(paths.turning, wp.vec3d),
-        }
-        fields |= {"is_rigid": topology.array(is_rigid.astype(np.int32))}
-        fields |= {"rotation": topology.array(paths.rotation, wp.vec4d)}
-        self._slack = topology.array(slack_of(mesh, paths, positions), wp.float64)
-        fields["slack"] = self._slack
-        for name, array in fields.items():
-            setattr(self._paths, name, array)
-
-    def _on_device(self, values: NDArray[np.float64]) -> wp.array:
-        return wp.array(values, dtype=wp.vec3d, device=self._topology.device, copy=False)
-
-    def place(self, part: Slice, execution: Execution) -> Positions:
-        """The positions at both ends of a slice, whose arrays the next slice overwrites."""
-        topology = self._topology
-        execution.launch(
-            kernels.place_vertices,
-            topology.mesh.num_vertices,
-            inputs=[
-                part.t_begin,
-                part.t_end,
-                topology.vertex_body,
-                self._paths,
-                *self._start,
-                topology.radius,
-                topology.box_radius,
-            ],
-            outputs=[*self._ends, self._velocity, self.radius, self.box_radius],
+        self._radii = topology.radius if radius is None else radius, box_radius or topology.box_radius
+        self.start, self.end, self._velocity = (
+            wp.zeros(mesh.num_vertices, dtype=wp.vec3d, device=device) for _ in range(3)
         )
-        self._spin.assign((part.t_end - part.t_begin) * self._step_paths.omega)
-        start, end = (array.numpy() for array in self._ends)
-        return start, end
+        self.radius, self.box_radius, self._slack = (
+            wp.zeros(mesh.num_vertices, dtype=wp.float64, device=device) for _ in range(3)
+        )
+        self._arrays = {name: wp.zeros(mesh.num_bodies, dtype=dtype, device=device) for name, dtype in _COLUMNS.items()}
+        self._paths = struct_of(kernels.BodyPaths, self._arrays)
+
+    def begin(self, paths: "MeshPaths") -> None:
+        """Begin a step along these paths."""
+        for name, array in self._arrays.items():
+            array.assign(getattr(paths, "pivot_t0" if name == "start" else name))
+
+    def place(self, part: Slice, launcher: Execution | Recording, start: Any, end: Any) -> None:
+        """Place vertices at both ends of a slice, given their positions at both ends of the step."""
+        topology = self._topology
+        inputs = [part.t_begin, part.t_end, topology.vertex_body, self._paths, start, end, *self._radii]
+        outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
+        launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
+
+    def positions(self) -> Positions:
+        """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
+        return self.start.numpy(), self.end.numpy()
 
     def turns(self, part: Slice) -> Any:
         """How the vertices turn in a slice, as the struct of the kernels."""
         turns = Turns()
-        turns.velocity, turns.spin, turns.slack = self._velocity, self._spin, self._slack
+        turns.velocity, turns.omega, turns.slack = self._velocity, self._arrays["omega"], self._slack
         turns.vertex_body = self._topology.vertex_body
         turns.t_begin, turns.t_length = part.t_begin, part.t_end - part.t_begin
         return turns
-
-
-def slack_of(mesh: Any, paths: "MeshPaths", positions: Positions) -> NDArray[np.float64]:
-    """By how much rounding may move a vertex of each body (``kernels.pair.rounding``, steps 12 and 18)."""
-    unit = UNIT_ROUNDOFF[wp.float64]
-    lengths = np.sqrt(np.maximum(*(np.einsum("ij,ij->i", x, x) for x in positions)))
-    largest = np.zeros(mesh.num_bodies)
-    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    if len(filled):
-        largest[filled] = np.maximum.reduceat(lengths, mesh.body_vertex_range[filled])
-    largest *= 1.0 + 8.0 * unit
-    arm = largest + np.linalg.norm(paths.pivot, axis=1)
-    far = np.maximum(np.abs(paths.pivot_t0), np.abs(paths.pivot_t0 + paths.velocity)).max(axis=1)
-    turned = (1.0 + 0.5 * np.linalg.norm(paths.omega, axis=1)) * (arm + np.linalg.norm(paths.turning, axis=1))
-    of_turns = unit * (PLACE_POSITION * far + PLACE * turned)
-    return np.where(paths.is_rigid, of_turns, INTERPOLATION * unit * largest)

@@ -108,7 +108,10 @@ class Step:
         if paths is not None:
             self.slices = [*slices_of(paths, options.t_max)]
             self.arcs = workspace.arcs
-            self.arcs.begin(paths, positions)
+            self.arcs.begin(paths)
+            self._given: list[wp.array] = [
+                wp.array(x, dtype=wp.vec3d, device=self.topology.device, copy=False) for x in positions
+            ]
 
     def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide.
@@ -132,7 +135,8 @@ class Step:
             if part is None or part.t_begin == 0.0:
                 plan.begin_counts()
             if part is not None and self.arcs is not None:
-                t_end, self.positions = 1.0, self.arcs.place(part, self.execution)
+                self.arcs.place(part, self.execution, *self._given)
+                t_end, self.positions = 1.0, self.arcs.positions()
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
                 self.length_scale = length_scale_of(self.mesh, self.options)

@@ -102,7 +102,7 @@ class Workspace:
         """What is known of bodies that turn."""
         from ccd_warp._engine.host.arcs import Arcs  # not before a scene needs it
 
-        return Arcs(self.topology, self.buffers)
+        return Arcs(self.topology)
 
     def packed_on_arcs(self, options: Options, length_scale: float, turns: Any, *, is_held: bool = False) -> Any:
         """The options of a slice of a step in which bodies turn."""
