@@ -115,7 +115,7 @@ class JointMotion:
             raise ValueError(f"coefficients has shape {array.shape}; expected {expected}")
         array = as_float64(array, "coefficients", coefficients)
         tree.check(array, "coefficients")
-        powers = np.ascontiguousarray(array.reshape(-1, 4, n).transpose(1, 0, 2))
+        powers = np.ascontiguousarray((array if array.ndim == 3 else array[None]).transpose(1, 0, 2))
         tree.check_quaternions(powers[0], "coefficients")
         for joint, columns in zip(tree.joints, tree.columns, strict=True):
             if joint.kind == "free" and powers[1:, :, columns][..., 3:].any():
@@ -210,7 +210,7 @@ class JointMotion:
                 columns = self._tree.columns[self._tree.joint_of[link]]
                 rotation = course.after if course.angle is None else product(turning(course, times), course.after)
                 found[:, columns.start + 3 : columns.stop] = rotation.T
-        return found.reshape(*self._worlds, -1)
+        return found.reshape(*self._worlds, self.num_coordinates)
 
     def shortened(self, t: ArrayLike) -> JointMotion:
         """The motion up to a fraction of the step, on the same paths.
