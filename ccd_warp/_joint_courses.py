@@ -67,7 +67,7 @@ def courses_of(tree: JointTree, coefficients: Array, ends: Array | None) -> list
             continue
         joint = tree.joints[tree.joint_of[link]]
         origin = np.array([joint.origin])
-        place, turn = origin[:, :3].T, normalized(origin[:, 3:]).T
+        place, turn = origin[:, :3].T, normalized(scaled(origin[:, 3:])).T
         columns = tree.columns[tree.joint_of[link]]
         own = np.ascontiguousarray(coefficients[:, :, columns].transpose(0, 2, 1))
         course = JointCourse(tree.parent_of(link), place, turn)

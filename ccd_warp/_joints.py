@@ -86,10 +86,11 @@ class Joint:
         if array.shape not in ((7,), (4, 4)):
             raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
         try:
-            poses, _ = checked_poses([self.origin], name)
+            poses, _ = checked_poses(array[None], name)
         except ValueError as error:
             raise ValueError(str(error).replace(" for body 0", "")) from None
-        return tuple((poses[0] + 0.0).tolist())
+        pose = poses[0] if array.ndim == 2 else array.astype(np.float64)
+        return tuple((pose + 0.0).tolist())
 
     @property
     def num_coordinates(self) -> int:
