@@ -16,10 +16,10 @@ TOLERANCE = 1e-6
 _ORDERS = {False: "quaternion x y z w, scalar last", True: "quaternion w x y z, scalar first"}
 
 
-def shown_body(row: int, leading: tuple[int, ...]) -> str:
-    """A body in a message: "body 3", or "body 3 of world 2"."""
+def shown_body(row: int, leading: tuple[int, ...], kind: str = "body") -> str:
+    """A body, or what else there is one row of, in a message: "body 3", or "body 3 of world 2"."""
     *worlds, count = leading
-    return f"body {row % count} of world {row // count}" if worlds else f"body {row}"
+    return f"{kind} {row % count} of world {row // count}" if worlds else f"{kind} {row}"
 
 
 def shown_bodies(leading: tuple[int, ...]) -> str:
@@ -107,8 +107,8 @@ def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
     return rows
 
 
-def checked_fractions(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
-    """Fractions of the step, shape [N]: one for all bodies, one a body, or one a body of each world.
+def checked_fractions(values: Any, leading: tuple[int, ...], kind: str = "body") -> NDArray[np.float64]:
+    """Fractions of the step, shape [N]: one for all bodies, or worlds, one of each, or one a body of each world.
 
     Raises:
         ValueError: If one is not in [0, 1], or there are not as many as bodies.
@@ -124,7 +124,7 @@ def checked_fractions(values: Any, leading: tuple[int, ...]) -> NDArray[np.float
     wrong = ~((rows >= 0.0) & (rows <= 1.0))
     if wrong.any():
         row = int(wrong.argmax())
-        raise ValueError(f"t is {rows[row]} for {shown_body(row, leading)}; expected {expected}")
+        raise ValueError(f"t is {rows[row]} for {shown_body(row, leading, kind)}; expected {expected}")
     return rows
 
 
