@@ -23,13 +23,17 @@ class MeshPaths(BodyPaths):
 
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
+        excess: How far points of each body may be from the path, a length, shape [B].
+        active: Bodies that are searched, bool, shape [B].
     """
 
     is_rigid: NDArray[np.bool_]
+    excess: NDArray[np.float64]
+    active: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
-        """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
+    def of(cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None) -> MeshPaths:
+        """The paths of the rigid bodies of a mesh, for which a motion has given a row each, and an ``excess``.
 
         Raises:
             ValueError: If the numbers of bodies differ, the mesh is in the plane, or a static body moves.
@@ -58,7 +62,10 @@ class MeshPaths(BodyPaths):
             of_rigid = getattr(given, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
             rows[field.name][bodies] = of_rigid
-        return cls(**rows, is_rigid=mesh.rigid.copy())
+        of_all = np.zeros(mesh.num_bodies)
+        if excess is not None:
+            of_all[bodies] = excess
+        return cls(**rows, is_rigid=mesh.rigid.copy(), excess=of_all, active=np.ones(mesh.num_bodies, dtype=bool))
 
     def check_own_frames(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.

@@ -20,6 +20,7 @@ from ccd_warp._input.option_types import (
 )
 from ccd_warp._input.options import options_of
 from ccd_warp._intersections import Intersections
+from ccd_warp._joint_motion import JointMotion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pipeline import CollisionPipeline
@@ -233,7 +234,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: RigidMotion | JointMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -246,7 +247,8 @@ def mesh_ccd(
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         motion: How the rigid bodies of the mesh turn, a row for each. Their vertices then move on arcs, and stand in
-            the bodies' own frames in both of the other arguments; all others move straight.
+            the bodies' own frames in both of the other arguments; all others move straight. With a
+            :class:`ccd_warp.JointMotion` each world is searched up to its first contact alone.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -325,7 +327,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: RigidMotion | JointMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -356,7 +358,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: RigidMotion | JointMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
