@@ -33,6 +33,8 @@ def find_candidates(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
+    *,
+    motion: RigidMotion | None = None,
     **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
@@ -67,6 +69,8 @@ def find_candidates(
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
+        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. The boxes then hold their arcs, slice by slice where
+            a body turns by more than 0.2 radians, and a pair whose boxes overlap in a slice is found.
         **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
@@ -88,9 +92,9 @@ def find_candidates(
     boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap; where there are
     radii, those of two that come within ``inflation`` and both radii.
     """
-    chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation"])
+    chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation", "motion"])
     with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
-        return pipeline.find_candidates(vertices_t0, vertices_t1, inflation)
+        return pipeline.find_candidates(vertices_t0, vertices_t1, inflation, motion=motion)
 
 
 def find_intersections(

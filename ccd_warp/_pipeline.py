@@ -39,13 +39,14 @@ from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 
 if TYPE_CHECKING:
+    from ccd_warp._engine.device.arc_step import DeviceArcStep
     from ccd_warp._mesh_paths import MeshPaths
-    from ccd_warp._motion import RigidMotion
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -108,6 +109,7 @@ class CollisionPipeline:
         # state is used again.
         self._workspace: Workspace | None = workspace
         self._device_step: DeviceStep | None = None
+        self._arc_step: DeviceArcStep | None = None  # of launches with a motion
         self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
@@ -187,7 +189,6 @@ class CollisionPipeline:
     def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
         from ccd_warp._mesh_paths import MeshPaths  # few programs need it
-        from ccd_warp._motion import RigidMotion
 
         if isinstance(motion, MeshPaths):
             return motion
@@ -295,8 +296,16 @@ class CollisionPipeline:
             self._is_placing = False
         self._capacities, self._layout, self._device_step = capacities, layout, step
         self._at_one_time.clear()
+        self._arc_step = None
 
-    def launch(self, vertices_t0: Any, vertices_t1: Any = None, *, displacements: Any = None) -> LaunchResult:
+    def launch(
+        self,
+        vertices_t0: Any,
+        vertices_t1: Any = None,
+        *,
+        displacements: Any = None,
+        motion: RigidMotion | None = None,
+    ) -> LaunchResult:
         """Check a step for collisions on the device, without waiting for the result.
 
         This is for time loops on the device. Kernels of fixed sizes, recorded at the first call, read the positions and
@@ -319,13 +328,17 @@ class CollisionPipeline:
             displacements: Displacements in place of end positions; they are added to the start positions in float64. A
                 solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
                 of the motion.
+            motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
+                ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
+                arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
+                for each 0.2 radians; ``to_host()`` keeps the first.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
 
         Raises:
-            ValueError: If an array is not as described, or if both or neither of ``vertices_t1`` and ``displacements``
-                are given.
+            ValueError: If an array or the motion is not as described, or if both or neither of ``vertices_t1`` and
+                ``displacements`` are given.
             RuntimeError: If a CUDA graph is being captured, and there was no earlier call with arrays of these types.
 
         References:
@@ -339,8 +352,8 @@ class CollisionPipeline:
             given = "both" if vertices_t1 is not None else "neither"
             raise ValueError(f"{given} of vertices_t1 and displacements is given; expected one of them")
         if displacements is None:
-            return self._launch(vertices_t0, vertices_t1)
-        return self._launch(vertices_t0, displacements, name_t1="displacements", is_displacement=True)
+            return self._launch(vertices_t0, vertices_t1, motion)
+        return self._launch(vertices_t0, displacements, motion, name_t1="displacements", is_displacement=True)
 
     def launch_line_search(
         self,
@@ -407,9 +420,31 @@ class CollisionPipeline:
             check_step_is_whole(self._options.t_max)
         return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
 
-    def _launch(self, vertices_t0: Any, vertices_t1: Any, **arguments: Any) -> LaunchResult:
+    def _launch_on_arcs(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on the device step of bodies that turn, which the first such launch makes."""
+        from ccd_warp._engine.device.arc_step import DeviceArcStep  # few programs need it
+
+        paths, mesh = self._paths_of(motion), self.mesh
+        step, self._arc_step = self._arc_step, None
+        if step is None:
+            if self._topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
+            layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
+            step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
+        prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
+        step.launch_on_paths(prepared, paths)
+        self._arc_step = step
+        return step.result
+
+    def _launch(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
+    ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         with self._lock:
+            if motion is not None:
+                return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
             if self._device_step is None:
                 if self._topology.device.is_capturing:
                     raise RuntimeError("nothing is reserved; call reserve() before the capture")
@@ -500,11 +535,18 @@ class CollisionPipeline:
         """Number of device arrays allocated so far."""
         return self._workspace.buffers.num_allocations if self._workspace else 0
 
-    def find_candidates(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0) -> Candidates:
+    def find_candidates(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        inflation: float = 0.0,
+        *,
+        motion: RigidMotion | None = None,
+    ) -> Candidates:
         """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation))
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""

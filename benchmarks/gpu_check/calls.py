@@ -122,7 +122,13 @@ def on_arcs(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
         step = ccd.collision_free_step(mesh, start, end, motion=motion, **options)
         found |= outputs_of(step, f"collision_free_step {path}")
     searched = ccd.line_search(mesh, start, end, motion=motion, per="body", **options)
-    return found | outputs_of(searched.vertices, "line_search")
+    found |= outputs_of(searched.vertices, "line_search")
+    candidates = ccd.find_candidates(mesh, start, end, motion=motion, device=device)
+    pipeline = ccd.CollisionPipeline(mesh, **case.capacities, **options)
+    launched = pipeline.launch(_on_device(start, "float64", device), _on_device(end, "float64", device), motion=motion)
+    tois = {"vertices": launched.vertex_toi, "bodies": launched.body_toi, "flags": launched.flags}
+    found |= outputs_of(launched.contacts.to_host(), "contacts of a launch")
+    return found | outputs_of(candidates, "find_candidates") | outputs_of(tois, "launch")
 
 
 def searches_with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:

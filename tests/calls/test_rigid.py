@@ -49,6 +49,23 @@ def test_half_a_turn_is_not_a_chord():
     assert result.body_toi[2] == np.inf
 
 
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_arc_meets_what_no_box_of_its_chord_does(broad_phase):
+    """A point at the end of a long arm, and a small face at the middle of its arc, a twentieth beyond the chord."""
+    face = np.array([[9.99, 0, -0.01], [10.01, 0, -0.01], [10.0, 0, 0.02]])
+    bodies = [(np.array([[10.0, 0, 0]]), NO_FACES), (face, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[1])
+    options = {"broad_phase": broad_phase, "device": "cpu"}
+    for turn in (0.01, 0.2, 0.39):
+        poses_t0, poses_t1 = ([about_z(angle), AT_REST] for angle in (-0.5 * turn, 0.5 * turn))
+        result = ccd.rigid_ccd(mesh, poses_t0, poses_t1, **options)
+        assert result.toi == pytest.approx(0.5, abs=1e-11 / turn)
+    motion = ccd.RigidMotion(poses_t0, poses_t1)
+    bodies = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[1], rigid=[0, 1])
+    found = ccd.find_candidates(bodies, bodies.vertices, bodies.vertices, motion=motion, **options)
+    assert found.vertex_face.tolist() == [[0, 0]]
+
+
 def test_several_turns_in_a_step_list_each_pair_once_and_first():
     places = [at_angle(angle) for angle in (1.0, 4.0, 6.0)]
     mesh, at_rest = blade_and_points(places, static=[1, 2, 3])
@@ -175,6 +192,40 @@ def test_line_search_keeps_bodies_rigid_and_ends_free_of_collisions(per, distanc
     shortened = np.where(is_rigid, mesh.vertices, found.vertices)
     arguments = (mesh, mesh.vertices, shortened)
     assert ccd.is_step_collision_free(*arguments, motion=found.motion, device="cpu", minimum_distance=0.99 * distance)
+
+
+def test_candidates_hold_all_contacts_and_those_of_boxes_over_the_whole_arc_more():
+    mesh, end, motion = tumbling_boxes()
+    found = {}
+    for broad_phase in ("tree", "hash"):
+        options = {"motion": motion, "device": "cpu", "broad_phase": broad_phase}
+        found[broad_phase] = ccd.find_candidates(mesh, mesh.vertices, end, **options)
+    contacts = result_of(mesh, end, motion).contacts
+    for name, pairs in vars(found["tree"]).items():
+        keys = set(map(tuple, pairs.tolist()))
+        of_kind = contacts.primitives[contacts.kind == int(ccd.PairKind[name.upper()])]
+        assert keys.issuperset(map(tuple, of_kind.tolist()))
+        assert len(keys) == len(pairs)
+        assert (pairs == vars(found["hash"])[name]).all()
+    assert len(contacts) < sum(map(len, vars(found["tree"]).values()))
+
+
+@pytest.mark.parametrize("options", [{}, {"minimum_distance": 0.01, "broad_phase": "hash"}])
+def test_launches_find_what_the_host_does(options):
+    mesh, end, motion = tumbling_boxes()
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", **options)
+    for shown in (motion, motion.shortened(0.5), motion):
+        expected = result_of(mesh, end, shown, **options)
+        result = pipeline.launch(mesh.vertices, end[mesh.moving_vertices], motion=shown)
+        ours = result.to_host()
+        for name in ("toi", "vertex_toi", "body_toi"):
+            assert (np.atleast_1d(getattr(expected, name)) == np.atleast_1d(getattr(ours, name))).all()
+        assert different(outputs(expected.contacts), outputs(ours.contacts)) == []
+        assert (ours.contacts.points == expected.contacts.points).all()
+        assert not ours.flags
+    with pytest.raises(ValueError, match="known on the device"):
+        _ = result.contacts.points
+    assert pipeline.launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0  # all bodies in one place, as they stand
 
 
 def test_worlds_have_the_tois_that_each_has_alone():

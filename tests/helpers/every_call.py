@@ -64,7 +64,7 @@ POSES = {
 }
 AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
 PICTURE = viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8))
-LAUNCHED = {"vertices_t0": START, "vertices_t1": END}
+LAUNCHED = {"motion": None, "vertices_t0": START, "vertices_t1": END}
 
 
 def _of_arrays(**parts):
@@ -115,7 +115,15 @@ def every_call(folder):
         "point_point_ccd": (ccd.point_point_ccd, _points(0, 1)),
         "find_candidates": (
             ccd.find_candidates,
-            FRAMES | {"inflation": 0.0, "broad_phase": "hash", "pair_kinds": None, "device": "cpu", "num_threads": 1},
+            FRAMES
+            | {
+                "inflation": 0.0,
+                "motion": None,
+                "broad_phase": "hash",
+                "pair_kinds": None,
+                "device": "cpu",
+                "num_threads": 1,
+            },
         ),
         "find_intersections": (
             ccd.find_intersections,
@@ -189,7 +197,7 @@ def every_call(folder):
         ),
         "pipeline.find_candidates": (
             PIPELINE.find_candidates,
-            {"vertices_t0": START, "vertices_t1": END, "inflation": 0.0},
+            {"vertices_t0": START, "vertices_t1": END, "inflation": 0.0, "motion": None},
         ),
         "pipeline.find_intersections": (PIPELINE.find_intersections, {"positions": START}),
         "pipeline.find_proximity": (PIPELINE.find_proximity, {"positions": START, "distance": 0.1}),

@@ -46,6 +46,63 @@ PLANTED = [
         "return wp.max(of_first, wp.min(hold[second[0]]",
         ("kernels/pair/test_hold.py::test_patch_slides_over_a_mesh_without_losing_height",),
     ),
+    # --- pairs on arcs ---
+    Fault(
+        "the sagitta of a chord half as long",
+        "kernels/pair/arcs.py",
+        "return (eighth_up * h * h) * amplitude",
+        "return (eighth_up * h * h * half * half) * amplitude",
+        ("kernels/pair/test_arcs.py::test_random_pairs",),
+    ),
+    Fault(
+        "no sagitta of the first primitive",
+        "kernels/pair/arcs.py",
+        "return simd.square_root(of_a) * across_axes(arcs.spin_a) + simd",
+        "return simd",
+        ("kernels/pair/test_arcs.py::test_random_pairs",),
+    ),
+    Fault(
+        "vertices on arcs without rounding",
+        "kernels/pair/arcs.py",
+        "return arcs.slack + (point_error * size + motion_error * motion)",
+        "return point_error * size",
+        ("kernels/pair/test_arcs.py::test_hostile_pairs",),
+    ),
+    Fault(
+        "a time of the slice for one of the step",
+        "kernels/pair/windows.py",
+        "return (simd.spread(turns.t_begin) + turns.t_length * t) * step_down",
+        "return (simd.spread(turns.t_begin) + t) * step_down",
+        ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first",),
+    ),
+    Fault(
+        "a frame whose spin does not change what is left",
+        "kernels/pair/frames.py",
+        "return of_u + omega * (e + h * (of_u + omega * apart)) + two * omega * apart",
+        "return of_u",
+        ("kernels/pair/test_arcs.py::test_a_common_spin_is_no_motion",),
+    ),
+    Fault(
+        "boxes of slices without their sagittas",
+        "kernels/step/place_bodies.py",
+        "bulge = _EIGHTH_UP * wp.length(omega) *",
+        "bulge = _ZERO *",
+        ("calls/test_rigid.py::test_arc_meets_what_no_box_of_its_chord_does",),
+    ),
+    Fault(
+        "a vertex on an arc over a plane on its chord",
+        "kernels/narrow_phase/arc_planes.py",
+        "amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along",
+        "amplitude = _ZERO",
+        ("calls/test_rigid.py::test_cube_that_falls_and_tumbles_lands_on_an_edge",),
+    ),
+    Fault(
+        "a later slice that forgets the contacts before",
+        "ccd_warp/_engine/device/arc_step.py",
+        "counts = self._no_count, self._flag.array",
+        "counts = self.result.contacts.count, self._flag.array",
+        ("calls/test_rigid.py::test_launches_find_what_the_host_does",),
+    ),
     # --- boxes ---
     Fault(
         "a world beyond its cell",

@@ -84,6 +84,8 @@ class StepBoxes:
         num_aabbs: int,
         sets: Sequence[BoxSet],
         execution: Execution,
+        *,
+        goes_on: bool = False,
     ) -> None:
         """Start a step: choose its quantization, and build what static bodies need where it is not up to date.
 
@@ -93,10 +95,12 @@ class StepBoxes:
             num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
             sets: The trees or spatial hashes that the step needs.
             execution: Where to build them.
+            goes_on: Whether this is a further slice of a step, which keeps the order of the trees.
         """
         start = positions[0]
         mesh = self.topology.mesh
-        self.num_boxes = self.num_sorted = 0
+        if not goes_on:
+            self.num_boxes = self.num_sorted = 0
         self.quantization = choose_quantization(self.topology, positions, num_aabbs)
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
@@ -110,7 +114,7 @@ class StepBoxes:
             lambda: choose_cell(self.topology, positions, self.quantization),
         )
         for each in sets:
-            self._lay_out(each, layout)
+            self._lay_out(each, layout, goes_on)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
             for each in sets:
@@ -120,16 +124,18 @@ class StepBoxes:
                     self.keep_in_order(each, execution)
                     self._filled.add(each.name)
 
-    def _lay_out(self, each: BoxSet, layout: Layout) -> None:
+    def _lay_out(self, each: BoxSet, layout: Layout, goes_on: bool) -> None:
         """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
         is_new = each.name not in self._rest
         if is_new:
             each.lay_out(layout)
-        if is_new or each.adapt(layout):
+        is_changed = is_new or each.adapt(layout)
+        if is_changed:
             self._rest[each.name] = each.structs
             self._filled.discard(each.name)
         if not each.primitives.is_static:
-            each.structs = self._rest[each.name]
+            if is_changed or not goes_on:
+                each.structs = self._rest[each.name]
             self.num_boxes += each.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:

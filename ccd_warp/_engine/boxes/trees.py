@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout
+from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
@@ -17,11 +18,12 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.boxes import half_warp_tree
-from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, has_arcs, is_ball
 from ccd_warp.kernels.search import search_types
 from ccd_warp.kernels.step import device_step
 
 _CHUNK = int(device_step.CHUNK)
+_DIAGONAL = float(np.nextafter(np.sqrt(3.0), 2.0))  # of a cube with a side of 1, and more
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
 # The roles of bodies whose primitives are paired: one of the two is free.
@@ -257,7 +259,13 @@ class Part:
 def search_options(
     t_end: float, inflation: float, separation: float, norm: str, flag: StopFlag, radii: tuple[wp.array, wp.array]
 ) -> Any:
-    """What a step asks of the search, as the struct of the kernels; ``radii`` of vertices and of their boxes."""
+    """What a step asks of the search, as the struct of the kernels; ``radii`` of vertices and of their boxes.
+
+    Sagittas of arcs are Euclidean, as radii are, so the search is for balls there; one that holds a box is as large as
+    its diagonal.
+    """
+    if has_arcs(norm) and not is_ball(norm):
+        norm, separation = EUCLIDEAN_NORM, next_above(_DIAGONAL * separation)
     packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
     packed.is_euclidean = int(is_ball(norm))

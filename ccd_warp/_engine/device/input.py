@@ -43,6 +43,7 @@ class Form(NamedTuple):
     t1_by_vertex: bool
     is_displacement: bool = False
     line_search: LineSearch | None = None
+    num_slices: int = 0  # where bodies turn
 
 
 class PreparedLaunch(NamedTuple):
@@ -134,6 +135,7 @@ class DeviceInput:
         is_displacement: bool = False,
         line_search: LineSearch | None = None,
         safety: float = 1.0,
+        num_slices: int = 0,
     ) -> PreparedLaunch:
         """Check the arguments of a launch, which are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
         mesh, device = self._mesh, self._topology.device
@@ -150,7 +152,7 @@ class DeviceInput:
             check_same_dtype(start, end, name_t1)
         real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
         count = mesh.num_vertices
-        form = Form(real, len(start) == count, len(end) == count, is_displacement, line_search)
+        form = Form(real, len(start) == count, len(end) == count, is_displacement, line_search, num_slices)
         places_static = form.t0_by_vertex and self.has_static
         return PreparedLaunch(form, start, end, safety, places_static, given if is_copied else None)
 

@@ -72,6 +72,7 @@ class DeviceStep(Plan):
     """
 
     goal: Goal = "contacts"
+    on_arcs = False
 
     def __init__(
         self,
@@ -89,7 +90,8 @@ class DeviceStep(Plan):
         self._mesh = mesh = topology.mesh
         self._flag = StopFlag(topology.device)
         execution = Execution(topology.device, options.threads, self._flag)
-        super().__init__(topology, options, execution, self.goal, norm_of(mesh, options, may_change=True))
+        norm = norm_of(mesh, options, may_change=True, on_arcs=self.on_arcs)
+        super().__init__(topology, options, execution, self.goal, norm)
         _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
         self._options, self._vertices, self._radius = options, vertices, radius
         self._input = DeviceInput(topology, execution, static_positions, radius)

@@ -27,21 +27,22 @@ class Slice:
     Attributes:
         t_begin: Its begin, a time of the step.
         t_end: Its end.
-        is_last: Whether no other follows.
     """
 
     t_begin: float
     t_end: float
-    is_last: bool
+
+    @staticmethod
+    def all(count: int, t_max: float) -> "list[Slice]":
+        """So many slices of equal length, of [0, t_max]."""
+        ends = [t_max * k / count for k in range(count)] + [t_max]
+        return [Slice(*ends[k : k + 2]) for k in range(count)]
 
 
 def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
     """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
     turn = float(np.linalg.norm(paths.omega, axis=1).max(initial=0.0)) * t_max
-    count = max(1, int(np.ceil(turn / TURN_OF_A_SLICE)))
-    ends = [t_max * k / count for k in range(count + 1)]
-    ends[-1] = t_max
-    return [Slice(ends[k], ends[k + 1], k + 1 == count) for k in range(count)]
+    return Slice.all(max(1, int(np.ceil(turn / TURN_OF_A_SLICE))), t_max)
 
 
 class Arcs:
@@ -58,7 +59,7 @@ class Arcs:
         """Allocate the arrays; ``radius`` and ``box_radius`` are others than those of the mesh."""
         mesh, device = topology.mesh, topology.device
         self._topology = topology
-        self._radii = topology.radius if radius is None else radius, box_radius or topology.box_radius
+        self._radii = (topology.radius, topology.box_radius) if radius is None else (radius, box_radius)
         self.start, self.end, self._velocity = (
             wp.zeros(mesh.num_vertices, dtype=wp.vec3d, device=device) for _ in range(3)
         )

@@ -59,6 +59,17 @@ class Candidates:
         return Candidates(*map(_sorted_pairs, vars(self).values()))
 
 
+def union(found: "list[Candidates]") -> Candidates:
+    """The pairs of several searches, each once, in lexicographic order."""
+    return Candidates(
+        *(np.unique(np.concatenate(of_kind), axis=0) for of_kind in zip(*map(_pairs_of, found), strict=True))
+    )
+
+
+def _pairs_of(candidates: Candidates) -> list[NDArray[np.int32]]:
+    return list(vars(candidates).values())
+
+
 @dataclass(frozen=True)
 class Found:
     """Keys of pairs of one kind: ``keys[begin:begin + count]``.

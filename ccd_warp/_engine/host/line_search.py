@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +12,10 @@ from ccd_warp._contacts import Contacts
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._motion import RigidMotion
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -74,7 +72,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: "RigidMotion | None" = None
+    motion: RigidMotion | None = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
-from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, has_arcs, is_ball
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
-_DIAGONAL = np.nextafter(np.sqrt(3.0), 2.0)
 _NONE = dict.fromkeys(PairKind, 0)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
@@ -201,10 +199,15 @@ class HostPlan(Plan):
         self.num_searches[kind], self.num_candidates[kind] = 1, self._num_met_by_planes
         return self._num_met_by_planes
 
-    def fill_boxes(self, positions: Positions, t_end: float, inflation: float, active: wp.array) -> None:
-        """Compute the boxes of a step over [0, t_end]; those of bodies that are not active are empty."""
+    def fill_boxes(
+        self, positions: Positions, t_end: float, inflation: float, active: wp.array, *, goes_on: bool = False
+    ) -> None:
+        """Compute the boxes of a step over [0, t_end], or of a slice with which it ``goes_on``.
+
+        Those of bodies that are not active are empty.
+        """
         boxes = self._boxes
-        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution)
+        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution, goes_on=goes_on)
         self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
         self._active = active
         self._bind_trees()
@@ -245,10 +248,7 @@ class HostPlan(Plan):
         """Search for pairs that touch before ``t_end``."""
         values = (t_end, inflation, separation)
         if values != self._search_values:
-            norm = self.norm
-            if has_arcs(norm):  # sagittas are Euclidean, and the ball of this radius holds the box
-                norm, separation = EUCLIDEAN_NORM, separation if is_ball(norm) else next_above(_DIAGONAL * separation)
-            packed = search_options(t_end, inflation, separation, norm, self._workspace.flag, self._radii)
+            packed = search_options(*values, self.norm, self._workspace.flag, self._radii)
             self.bind(search_options=packed)
             self._search_values = values
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import located
 from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.host.arcs import Arcs, Slice, slices_of
-from ccd_warp._engine.host.candidates import Candidates, Collector
+from ccd_warp._engine.host.candidates import Candidates, Collector, union
 from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore
 from ccd_warp._engine.host.oddities import (
     DistanceInEdges,
@@ -38,6 +38,7 @@ from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
 
 if TYPE_CHECKING:
+    from ccd_warp._engine.host.search import PairSearch
     from ccd_warp._mesh_paths import MeshPaths
 
 # Memory for pairs where the user sets no limit.
@@ -145,7 +146,8 @@ class Step:
         with self.timed("boxes"):
             self.inflation = half_up(self.separation) if inflation is None else inflation
             active = self.workspace.active(self._bodies_near())
-            plan.fill_boxes(self.positions, t_end, self.inflation, active)
+            goes_on = part is not None and part.t_begin > 0.0
+            plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=goes_on)
         return plan
 
     def bind_options(self, plan: HostPlan, part: "Slice | None") -> None:
@@ -264,10 +266,23 @@ class Step:
             yield batch
 
     def candidates(self, inflation: float) -> Candidates:
-        """All pairs whose boxes, enlarged by ``inflation``, overlap."""
+        """All pairs whose boxes, enlarged by ``inflation``, overlap, in a slice where the step has several."""
+        found = [self._candidates_of(part, inflation) for part in self.slices]
+        num_launches, num_candidates = Counter[PairKind](), Counter[PairKind]()
+        for _, search in found:
+            num_launches.update(search.num_launches)
+            num_candidates.update(search.candidates)
+        candidates = found[0][0] if len(found) == 1 else union([each for each, _ in found])
+        for kind, pairs in ((PairKind.VERTEX_PLANE, candidates.vertex_plane),) if self.plan.has_planes else ():
+            num_launches[kind], num_candidates[kind] = 1, len(pairs)
+        self.finish_counts(num_launches, num_candidates, sum(search.num_batches for _, search in found))
+        return candidates
+
+    def _candidates_of(self, part: "Slice | None", inflation: float) -> "tuple[Candidates, PairSearch]":
+        """The candidates of a slice, or of the whole step, and the search that has found them."""
         from ccd_warp._engine.host.search import PairSearch  # few programs need it
 
-        plan = self.begin("candidates", 1.0, inflation)
+        plan = self.begin("candidates", 1.0, inflation, part)
         # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
         is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
         collector = Collector(self.execution, is_sorted=is_sorted)
@@ -281,17 +296,15 @@ class Step:
             with self.timed("copy"):
                 collector.take(ranges)
         plan.release_positions()
-        num_launches, num_candidates = search.num_launches, search.candidates
         with self.timed("copy"):
             candidates = collector.candidates()
         if plan.has_planes:
             with self.timed("planes"):
-                vertices, box_radius = self.topology.plane_vertices.numpy(), self.topology.box_radius.numpy()
-                near = plane_candidates(self.mesh, vertices, self.positions, inflation, box_radius)
+                box_radius = self.topology.box_radius if self.arcs is None else self.arcs.box_radius
+                vertices = self.topology.plane_vertices.numpy()
+                near = plane_candidates(self.mesh, vertices, self.positions, inflation, box_radius.numpy())
             candidates = replace(candidates, vertex_plane=near)
-            num_launches[PairKind.VERTEX_PLANE], num_candidates[PairKind.VERTEX_PLANE] = 1, len(near)
-        self.finish_counts(num_launches, num_candidates, search.num_batches)
-        return candidates
+        return candidates, search
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
         """Earliest toi of all pairs, inf if none touches.
