@@ -94,7 +94,7 @@ class Joint:
 
     @property
     def num_coordinates(self) -> int:
-        """How many numbers say where the child is: 1, 0 of a fixed joint, 7 of a free one."""
+        """The numbers that say where the child is; 1, of a fixed joint 0, of a free one 7."""
         return COORDINATES[self.kind]
 
 

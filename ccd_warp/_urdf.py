@@ -90,11 +90,17 @@ def _quiet(logger: str) -> Iterator[None]:
 def _joints(file: Path, robot: Any, base: Any) -> tuple[tuple[Joint, ...], dict[str, tuple[str, float, float]]]:
     """All joints, and those that mimic another one: which, the factor and what is added."""
     joints, mimics = [], {}
+    links = {link.name for link in robot.links}
+    for joint in robot.joints:
+        for name in (joint.parent, joint.child):
+            if name not in links:
+                raise ValueError(
+                    f"{file}: joint {joint.name!r} joins {name!r}, which is no link; expected one of the file"
+                )
     carried = {joint.child for joint in robot.joints}
     roots = [link.name for link in robot.links if link.name not in carried]
     if base is not None or not robot.joints:
-        names = {link.name for link in robot.links}
-        world = next(name for name in ("world", *(f"world_{k}" for k in range(len(names) + 1))) if name not in names)
+        world = next(name for name in ("world", *(f"world_{k}" for k in range(len(links) + 1))) if name not in links)
         origin = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0) if base is None else base
         joints += [Joint(f"{world} to {name}", world, name, "fixed", origin=origin) for name in roots]
     for joint in robot.joints:

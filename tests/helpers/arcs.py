@@ -63,8 +63,8 @@ def paths_of(pairs: ArcPairs, k: int) -> list[RigidPath | StraightPath]:
     return paths
 
 
-def solve(pairs: ArcPairs) -> Answers:
-    """The answers of a set of pairs."""
+def solve(pairs, paths_of=paths_of) -> Answers:
+    """The answers of a set of pairs of a kind, with a distance, whose trajectories are those that `paths_of` gives."""
     lo, hi, width = (np.full(len(pairs), np.inf) for _ in range(3))
     for k in range(len(pairs)):
         with ctx.workprec(BITS):

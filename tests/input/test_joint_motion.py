@@ -1,0 +1,178 @@
+"""Motions of joints: where links are, worlds, waypoints and cubics, and what is refused."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chain_pairs import chain_sets, positions
+from chain_worlds import step_of
+
+import ccd_warp as ccd
+
+HALF = np.sqrt(0.5)
+
+
+def arm():
+    """A turning base, a slide along x at height 1, and a hand fixed 0.5 above it; the order is not that of the tree."""
+    return [
+        ccd.Joint("wrist", "carriage", "hand", "fixed", origin=(0, 0, 0.5, 0, 0, 0, 2)),
+        ccd.Joint("turn", "ground", "base", "revolute", (0, 0, 3)),
+        ccd.Joint("slide", "base", "carriage", "prismatic", (1, 0, 0), (0, 0, 1, 0, 0, 0, 1)),
+    ]
+
+
+def near(found, expected):
+    assert np.shape(found) == np.shape(expected) and np.abs(found - np.array(expected)).max() < 1e-15
+
+
+def test_links_are_where_the_joints_put_them():
+    motion = ccd.JointMotion(arm(), [0.0, 1.0], [np.pi, 3.0])
+    assert motion.names == ("carriage", "hand", "ground", "base")
+    assert (motion.num_links, motion.num_worlds, motion.num_coordinates) == (4, 1, 2)
+    near(motion.poses_t0[1], [1, 0, 1.5, 0, 0, 0, 1])
+    near(motion.at(0.5)[0], [0, 2, 1, 0, 0, HALF, HALF])
+    near(motion.poses_t1[0, :3], [-3, 0, 1])
+    near(motion.at(0.5)[2:, :3], np.zeros((2, 3)))
+    assert np.array_equal(motion.at(0), motion.poses_t0) and np.array_equal(motion.at(1), motion.poses_t1)
+    near(motion.configuration(0.5), [np.pi / 2, 2])
+    assert repr(motion) == "JointMotion(4 links, 2 moving joints)"
+
+
+def test_points_of_a_mesh_are_where_the_arm_of_the_truth_has_them():
+    for pairs in list(chain_sets(4).values())[::3]:
+        mesh, motion, _ = step_of(pairs)
+        assert motion.num_worlds == mesh.num_worlds == 4 and len(motion._rows) * 4 == mesh.num_bodies
+        for t in (0.0, 0.7, 1.0):
+            poses = motion.at(t)
+            for side in (0, 1):
+                local = (pairs.points_a, pairs.points_b)[side]
+                placed = ccd.RigidMotion(poses[:, side], poses[:, side])._body_paths
+                seen = positions(pairs, side, np.full((4, 1), t))[:, 0]
+                rows = np.repeat(np.arange(4), local.shape[1])
+                found = placed.positions(local.reshape(-1, 3), rows, 0.0)
+                assert np.abs(found - seen.reshape(-1, 3)).max() < 1e-14
+
+
+def test_a_free_joint_turns_the_shortest_way_while_it_goes_straight():
+    ship = [ccd.Joint("float", "sea", "ship", "free"), ccd.Joint("mast", "ship", "flag", "revolute", (0, 0, 1))]
+    start, end = [0, 0, 0, 0, 0, 0, 1, 0.0], [4, 0, 2, 0, 0, -3, -3, 1.0]
+    motion = ccd.JointMotion(ship, start, end, links=["ship"])
+    rigid = ccd.RigidMotion([start[:7]], [end[:7]])
+    for t in (0.0, 0.3):
+        near(motion.at(t), rigid.at(t))
+    near(motion.configuration(0.5)[:7], rigid.at(0.5)[0])
+    near(motion.poses_t1[0], [4, 0, 2, 0, 0, HALF, HALF])  # the rotation of the quaternion of the other sign
+
+
+def test_worlds_and_waypoints():
+    path = np.array([[0.0, 1.0], [0.5, 1.0], [0.5, 2.0], [1.0, 0.0]])
+    motion = ccd.JointMotion.from_waypoints(arm(), path, links=["hand", "base"])
+    assert motion.poses_t0.shape == (3, 2, 7) and motion.names == ("hand", "base")
+    assert repr(motion) == "JointMotion(2 links, 2 moving joints in each of 3 worlds)"
+    near(motion.poses_t1[:-1], motion.poses_t0[1:])
+    times = [0.0, 0.5, 0.25]
+    each = [ccd.JointMotion(arm(), path[k], path[k + 1], links=["hand", "base"]).at(t) for k, t in enumerate(times)]
+    near(motion.at(times), each)
+    fan = ccd.JointMotion(arm(), path[0], path[1:])
+    near(fan.poses_t0, np.repeat(fan.poses_t0[:1], 3, axis=0))
+
+
+def test_cubics():
+    c = np.array([[0.0, 1.0], [0.0, 2.0], [3.0, 0.0], [-2.0, 0.0]])  # 3t² − 2t³, from rest to rest
+    motion = ccd.JointMotion.from_cubics(arm(), c)
+    near(motion.configuration(0.25), [0.15625, 1.5])
+    near(motion.at(0.25), ccd.JointMotion(arm(), [0.15625, 1.5], [0, 0]).poses_t0)
+    assert ccd.JointMotion.from_cubics(arm(), [c, c]).poses_t1.shape == (2, 4, 7)
+    near(motion.shortened(0.5).at(0.5), motion.at(0.25))
+
+
+def test_shortened_goes_the_same_way():
+    ship = [ccd.Joint("float", "sea", "ship", "free"), *arm()]
+    q = np.random.default_rng(0).normal(size=(2, 3, 9))
+    motion = ccd.JointMotion(ship + [ccd.Joint("deck", "ship", "ground", "fixed")], *q)
+    short = motion.shortened([0.5, 0.0, 1.0])
+    assert np.abs(short.at(0.5) - motion.at([0.25, 0.0, 0.5])).max() < 1e-14
+    assert np.array_equal(short.poses_t1[2], motion.poses_t1[2])
+    assert np.abs(short.configuration(1.0) - motion.configuration([0.5, 0.0, 1.0])).max() < 1e-14
+
+
+def test_a_motion_does_not_change_and_is_pickled():
+    q0, q1 = np.zeros((2, 2)), np.ones((2, 2))
+    motion = ccd.JointMotion(arm(), q0, q1)
+    before = motion.poses_t1.copy()
+    q1[:] = 7
+    again = pickle.loads(pickle.dumps(motion))
+    for one in (motion, again):
+        assert np.array_equal(one.at(1.0), before)
+        with pytest.raises(ValueError, match="read-only"):
+            one.poses_t0[0] = 1
+    assert again.joints == motion.joints
+    joint = arm()[1]
+    assert hash(joint) == hash(replace(joint)) and joint.axis == (0.0, 0.0, 3.0)
+
+
+def rejected(message, *arguments, make=ccd.JointMotion, **options):
+    with pytest.raises(ValueError) as error:
+        make(*arguments, **options)
+    assert message in str(error.value)
+
+
+def test_joints_that_form_no_tree_are_refused():
+    def link(name, parent, child):
+        return ccd.Joint(name, parent, child, "fixed")
+
+    rejected("a loop of 2 joints: a, b", [link("a", "x", "y"), link("b", "y", "x")], [], [])
+    rejected("a loop of 2 joints", [link("c", "y", "z"), link("a", "x", "y"), link("b", "y", "x")], [], [])
+    rejected("a loop of 1 joint: a", [link("a", "x", "x")], [], [])
+    rejected("carry the link 'y', 'a' and 'b'", [link("a", "x", "y"), link("b", "z", "y")], [], [])
+    rejected("2 links that no joint carries: x, Y; expected one", [link("a", "x", "y"), link("b", "Y", "z")], [], [])
+    rejected("joints has 2 of the name 'a'", [link("a", "x", "y"), link("a", "y", "z")], [], [])
+    rejected("joints is empty", [], [], [])
+    rejected("an item of joints is 3; expected a Joint", [3], [], [])
+    rejected("links has 'arm'; expected names of links: carriage", arm(), [0, 0], [1, 1], links=["hand", "arm"])
+    rejected("links has 2 of the name 'hand'", arm(), [0, 0], [1, 1], links=["hand", "hand"])
+
+
+def test_joints_are_checked():
+    def joint(message, kind="revolute", axis=(0, 0, 1), **options):
+        rejected(message, "elbow", "upper", "lower", kind, axis, make=ccd.Joint, **options)
+
+    joint("axis of joint 'elbow' is (0, 0, 0), of length 0.0", axis=(0, 0, 0))
+    joint("axis of joint 'elbow' is None; expected three finite numbers", axis=None)
+    joint("axis of joint 'elbow' is (nan, 0, 1)", axis=(np.nan, 0, 1))
+    joint("axis of joint 'elbow' is (0, 1)", axis=(0, 1))
+    joint("expected none, as the joint is free", kind="free")
+    joint("kind of joint 'elbow' is 'ball'", kind="ball")
+    joint("origin of joint 'elbow' has shape (6,)", origin=(0,) * 6)
+    joint("origin of joint 'elbow' has a quaternion of length 0; expected", origin=(0,) * 7)
+    joint("origin of joint 'elbow' holds nan; expected finite numbers", origin=(np.nan, 0, 0, 0, 0, 0, 1))
+    joint("origin of joint 'elbow' holds no rotation: the products", origin=np.diag([1.0, 1, 2, 1]))
+    rejected("parent is 3; expected the name", "elbow", 3, "x", "fixed", make=ccd.Joint)
+    turned = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
+    near(ccd.Joint("a", "b", "c", "fixed", origin=turned).origin, (5, 6, 7, 0, 0, HALF, HALF))
+
+
+def test_configurations_are_checked():
+    rejected("q0 has shape (3,); expected shape (2,)", arm(), [0, 0, 0], [1, 1])
+    rejected("q1 is of 3 worlds; expected 2 like q0", arm(), np.zeros((2, 2)), np.zeros((3, 2)))
+    rejected("q1 holds nan at [1, 0], for joint 'turn'", arm(), [0, 0], [[0, 0], [np.nan, 0]])
+    rejected("link 'carriage' is at no finite pose", arm(), [0, -1e308], [0, 1e308])
+    make = ccd.JointMotion.from_waypoints
+    rejected("waypoints has shape (1, 2); expected (K, 2), K at least 2", arm(), [[0, 0]], make=make)
+    make = ccd.JointMotion.from_cubics
+    rejected("coefficients has shape (3, 2); expected shape (4, 2)", arm(), np.zeros((3, 2)), make=make)
+    rejected(
+        "coefficients holds inf at [2, 1], for joint 'slide'",
+        arm(),
+        np.diag([0, 0, np.inf])[:, 1:].repeat(2, 0)[2:],
+        make=make,
+    )
+    free = [ccd.Joint("float", "sea", "ship", "free")]
+    rejected("q0 has a quaternion of length 0 for the free joint 'float', of configuration 0", free, [0] * 7, [1] * 7)
+    rejected("turns the free joint 'float'; expected 0", free, np.ones((4, 7)), make=make)
+    motion = ccd.JointMotion(arm(), np.zeros((2, 2)), np.ones((2, 2)))
+    for call in (motion.at, motion.shortened, motion.configuration):
+        rejected("t is 1.5; expected a fraction in [0, 1]", 1.5, make=call)
+        rejected("t is nan for world 1", [0.5, np.nan], make=call)
+        rejected("t has shape (3,)", [0.5] * 3, make=call)

@@ -1,0 +1,163 @@
+"""Certified slices of motions of joints: no point of a link is farther from its path than stated (60 digits, arb)."""
+
+import numpy as np
+import pytest
+from arc_paths import Basis, _rotation, add, cross, dot, scaled, sub, vector
+from chain_paths import ChainJoint, ChainPath
+from flint import arb, ctx
+
+import ccd_warp as ccd
+
+EPS = 2.0**-52
+KINDS = ("revolute", "prismatic", "free", "fixed")
+
+
+@pytest.fixture(autouse=True)
+def many_digits():
+    with ctx.workprec(256):
+        yield
+
+
+def exact_place(joints, point, t):
+    """A point of the last link at a time."""
+    found = ChainPath([point], joints).points(Basis(arb(0), t, arb(0)))[0]
+    return [x[0] for x in found]
+
+
+def place_on_path(paths, row, point, s):
+    """A point of a body on its path, by the formula that the paths state."""
+    omega, turning = vector(paths.omega[row]), vector(paths.turning[row])
+    basis = Basis(dot(omega, omega).sqrt(), s, arb(0))
+    arm = _rotation(vector(paths.rotation[row]))(sub(vector(point), vector(paths.pivot[row])))
+    turned = add(cross(omega, arm), turning)
+    place = add(add(vector(paths.pivot_t0[row]), scaled(s, vector(paths.velocity[row]))), arm)
+    return add(place, add(scaled(basis.sigma1[0], turned), scaled(basis.sigma2[0], cross(omega, turned))))
+
+
+def farthest(paths, row, joints, points, begin, end):
+    """How far points are from their path, at a few times of a slice."""
+    apart = 0.0
+    for s in (0.0, 0.3, 0.5, 0.62, 1.0):
+        t = arb(float(begin)) + (arb(float(end)) - arb(float(begin))) * s
+        for point in points:
+            d = sub(exact_place(joints, point, t), place_on_path(paths, row, point, arb(s)))
+            apart = max(apart, float(dot(d, d).sqrt().upper()))
+    return apart
+
+
+def random_chain(rng, kinds, turn, cubic, size=1.0):
+    """A chain with these joints, its motion, and the joints as the oracle takes them."""
+    joints, of_oracle, columns = [], [], []
+    for k, kind in enumerate(kinds):
+        origin = np.concatenate([rng.normal(size=3) * 0.3 * size, rng.normal(size=4) if k % 2 else [0, 0, 0, 1]])
+        axis = rng.normal(size=3)
+        joints.append(
+            ccd.Joint(f"{k}", f"link {k}", f"link {k + 1}", kind, axis if kind in KINDS[:2] else None, origin)
+        )
+        powers = np.zeros((4, joints[-1].num_coordinates))
+        powers[: 4 if cubic else 2] = rng.normal(size=(4, powers.shape[1]))[: 4 if cubic else 2]
+        powers[1:] *= turn
+        if kind == "prismatic":
+            powers *= size
+        if kind == "free":
+            powers[:, :3] *= size
+            powers[1:, 3:] *= 0.0 if cubic else 0.5
+        columns.append(powers)
+        q = None if not cubic else powers if kind == "free" else powers[:, 0] if powers.size else None
+        ends = np.stack([powers[0], powers[0] + powers[1]])
+        ends = None if cubic else ends if kind == "free" else ends[:, 0] if powers.size else None
+        of_oracle.append(ChainJoint(kind, origin, axis, q, ends))
+    powers = np.concatenate(columns, axis=1)
+    if cubic:
+        return ccd.JointMotion.from_cubics(joints, powers), of_oracle
+    return ccd.JointMotion(joints, powers[0], powers[0] + powers[1]), of_oracle
+
+
+CHAINS = {
+    "of seven revolute joints": ["revolute"] * 7,
+    "of all kinds": ["free", "revolute", "prismatic", "fixed", "revolute", "prismatic", "revolute"],
+    "of a free joint on an arm": ["revolute", "revolute", "free", "fixed", "revolute"],
+    "of slides": ["prismatic", "revolute", "prismatic", "prismatic", "revolute"],
+}
+
+
+@pytest.mark.parametrize("cubic", [False, True], ids=["linear", "cubic"])
+@pytest.mark.parametrize("chain", CHAINS)
+def test_no_point_is_farther_from_its_path_than_stated(chain, cubic):
+    rng = np.random.default_rng([len(chain), cubic])
+    for turn, duration in ((0.1, 0.9), (0.3, 0.3), (1.0, 0.2), (3.0, 0.4), (1.0, 1e-3), (1.0, 1e-9), (1.0, 0.0)):
+        size = 10 ** rng.uniform(-3, 3)
+        motion, joints = random_chain(rng, CHAINS[chain], turn, cubic, size)
+        begin = rng.uniform(0, 1 - duration)
+        end = begin + duration
+        centres, reach = (
+            rng.normal(size=(motion.num_links, 3)) * 0.2 * size,
+            rng.uniform(0.01, 0.5, motion.num_links) * size,
+        )
+        paths, excess = motion._slices(begin, end, reach, centres)
+        for row in {1, 3, motion.num_links - 1}:
+            directions = rng.normal(size=(4, 3))
+            lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+            points = centres[row] + directions / lengths * (reach[row] * (1 - 4 * EPS))
+            apart = farthest(paths, row, joints[:row], points, begin, end)
+            assert apart <= excess[row]
+            if duration == 1e-3 and row == motion.num_links - 1:
+                assert excess[row] < 2 * apart  # a sum of two lengths for that of a sum, at a few points
+
+
+@pytest.mark.parametrize("kinds", [["revolute"], ["fixed", "revolute", "fixed"], ["prismatic"], ["free"]])
+def test_one_joint_is_on_its_path_but_for_rounding(kinds):
+    rng = np.random.default_rng(1)
+    motion, joints = random_chain(rng, kinds, 2.0, False)
+    paths, excess = motion._slices(0.1, 0.9, np.ones(motion.num_links))
+    assert (excess < 4000 * EPS).all()
+    assert farthest(paths, len(kinds), joints, [[0.5, -0.5, 0.7]], 0.1, 0.9) <= excess[-1]
+
+
+def test_a_slide_along_the_axis_of_a_turn_is_a_screw():
+    joints = [ccd.Joint("slide", "ground", "carriage", "prismatic", (0, 0, 1))]
+    joints += [ccd.Joint("turn", "carriage", "drill", "revolute", (0, 0, 2), (0.3, 0, 0, 0, 0, 0, 1))]
+    motion = ccd.JointMotion(joints, [0, 0], [-2, 3])
+    assert (motion._slices(0.0, 1.0, [1.0, 1.0, 1.0])[1] < 1e-11).all()  # rounding in all of a turn by 3 rad
+
+
+def test_the_bound_falls_as_the_square_of_the_slice():
+    motion, _ = random_chain(np.random.default_rng(2), ["revolute"] * 7, 0.5, False)
+    reach = np.full(8, 0.2)
+    whole, half = (motion._slices(0.5, 0.5 + h, reach)[1][2:] for h in (1e-2, 0.5e-2))
+    assert (np.abs(whole / half - 4) < 0.2).all()  # what the bound adds for the ends falls as the cube
+
+
+def test_a_centre_nearer_to_the_points_has_a_smaller_bound():
+    motion, _ = random_chain(np.random.default_rng(3), ["revolute"] * 7, 0.1, False)
+    about_origin = motion._slices(0.0, 1.0, np.full(8, 0.4))[1]
+    about_centre = motion._slices(0.0, 1.0, np.full(8, 0.2), np.tile([0.0, 0.2, 0.0], (8, 1)))[1]
+    assert (about_centre[2:] < about_origin[2:]).all()
+
+
+def test_worlds_have_slices_of_their_own():
+    motion, _ = random_chain(np.random.default_rng(4), CHAINS["of all kinds"], 0.5, False)
+    q0 = np.stack([motion.configuration(0.0), motion.configuration(0.5)])
+    both = ccd.JointMotion(motion.joints, q0, motion.configuration(1.0))
+    reach = np.linspace(0.1, 0.8, 8)
+    paths, excess = both._slices([0.1, 0.3], [0.2, 0.6], reach)
+    turns = both._turns([0.1, 0.3], [0.2, 0.6])
+    for world, (begin, end) in enumerate([(0.1, 0.2), (0.3, 0.6)]):
+        alone = ccd.JointMotion(motion.joints, q0[world], motion.configuration(1.0))
+        rows = slice(8 * world, 8 * world + 8)
+        expected, bound = alone._slices(begin, end, reach)
+        assert np.array_equal(excess[rows], bound) and np.array_equal(turns[rows], alone._turns(begin, end))
+        for name, rows_of in vars(expected).items():
+            assert np.array_equal(getattr(paths, name)[rows], rows_of)
+
+
+def test_links_turn_no_more_than_stated():
+    rng = np.random.default_rng(5)
+    for cubic in (False, True):
+        motion, _ = random_chain(rng, CHAINS["of all kinds"], 0.5, cubic)
+        times = np.linspace(0.2, 0.7, 200)
+        quaternions = np.array([motion.at(t)[:, 3:] for t in times])
+        steps = 2 * np.arccos(np.minimum(np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=-1)), 1))
+        turned, bound = steps.sum(axis=0), motion._turns(0.2, 0.7)
+        assert (turned <= bound + 1e-5).all()  # the cosine of a small angle is rounded
+        assert (bound <= 3 * turned).all()
