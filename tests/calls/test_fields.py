@@ -33,7 +33,7 @@ MEANT = {
 # Fields whose name says all, or that so many things have that a search for them would tell nothing.
 PLAIN = {
     *("body_names", "body_toi", "contacts", "count", "counts", "edge_edge", "first", "flags", "hit", "index"),
-    *("is_limited", "iterations", "kind", "mesh", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
+    *("is_limited", "iterations", "kind", "mesh", "motion", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
     *("hidden_gaps", "num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status"),
     *(
         "timings",
