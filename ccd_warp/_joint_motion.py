@@ -17,6 +17,7 @@ from ccd_warp._joint_bounds import Window, motions
 from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
 from ccd_warp._joints import Joint, JointTree
+from ccd_warp._motion import RigidMotion
 
 
 class JointMotion:
@@ -294,3 +295,7 @@ class JointMotion:
         joints = counted(sum(joint.kind != "fixed" for joint in self.joints), "moving joint", "moving joints")
         worlds = f" in each of {counted(self.num_worlds, 'world', 'worlds')}" if self._worlds else ""
         return f"JointMotion({counted(self.num_links, 'link', 'links')}, {joints}{worlds})"
+
+
+# What calls on a step take.
+Motion = RigidMotion | JointMotion

@@ -20,7 +20,7 @@ from ccd_warp._input.option_types import (
 )
 from ccd_warp._input.options import options_of
 from ccd_warp._intersections import Intersections
-from ccd_warp._joint_motion import JointMotion
+from ccd_warp._joint_motion import Motion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pipeline import CollisionPipeline
@@ -234,7 +234,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | JointMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -325,7 +325,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | JointMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -356,7 +356,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | JointMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:

@@ -38,7 +38,7 @@ from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
-from ccd_warp._joint_motion import JointMotion
+from ccd_warp._joint_motion import JointMotion, Motion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._motion import RigidMotion
@@ -591,7 +591,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | JointMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> MeshResult:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
@@ -630,7 +630,7 @@ class CollisionPipeline:
         assert result is not None
         return search.result(result)
 
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None) -> ArrayLike:
+    def _at_start(self, vertices_t0: ArrayLike, motion: Motion | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
         if motion is None:
             return vertices_t0
@@ -638,7 +638,7 @@ class CollisionPipeline:
         paths = self._joints_at(motion, 0.0) if isinstance(motion, JointMotion) else self._paths_of(motion)
         return paths.at(self.mesh, start, start, 0.0)
 
-    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None = None) -> Intersections:
+    def _checked_start(self, vertices_t0: ArrayLike, motion: Motion | None = None) -> Intersections:
         """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
         vertices_t0 = self._at_start(vertices_t0, motion)
         counts, timings = self.counts, self.timings
@@ -655,7 +655,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | JointMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> float:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
@@ -667,7 +667,7 @@ class CollisionPipeline:
         return toi
 
     def _least_toi(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | JointMotion | None = None
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None = None
     ) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
         if isinstance(motion, JointMotion):
@@ -711,7 +711,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | JointMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> bool:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
