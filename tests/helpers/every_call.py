@@ -131,8 +131,14 @@ def every_call(folder):
         ),
         "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
         "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
-        "collision_free_step": (ccd.collision_free_step, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
-        "is_step_collision_free": (ccd.is_step_collision_free, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
+        "collision_free_step": (
+            ccd.collision_free_step,
+            FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False},
+        ),
+        "is_step_collision_free": (
+            ccd.is_step_collision_free,
+            FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False},
+        ),
         "rigid_ccd": (
             ccd.rigid_ccd,
             {"mesh": MESH, "path": "linear", "pivot": None, "twist": None} | POSES_OF_MESH | MESH_OPTIONS,
@@ -193,7 +199,10 @@ def every_call(folder):
             {"positions": START, "search_radius": 0.1},
         ),
         "launch_proximity": (PIPELINE.launch_proximity, {"positions": START, "distance": 0.1}),
-        "pipeline.mesh_ccd": (PIPELINE.mesh_ccd, {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False}),
+        "pipeline.mesh_ccd": (
+            PIPELINE.mesh_ccd,
+            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
+        ),
         "pipeline.collision_free_step": (
             PIPELINE.collision_free_step,
             {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
