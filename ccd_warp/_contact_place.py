@@ -58,6 +58,12 @@ class MovingVertices:
             return self.paths.places(self.mesh.vertex_body[vertices], start, end, t)
         return (1.0 - t) * start + t * end
 
+    def all_at(self, t: float) -> NDArray[np.float64]:
+        """Positions of all vertices at a time, shape [V, 3] or [V, 2]."""
+        if self.paths is not None:
+            return self.paths.at(self.mesh, self.start, self.end, t)
+        return (1.0 - t) * self.start + t * self.end
+
     def velocities(self, vertices: NDArray[np.integer], t: NDArray[np.float64]) -> NDArray[np.float64]:
         """How vertices move at a time of each, as displacements in the whole step."""
         start, end = self._ends_of(vertices)

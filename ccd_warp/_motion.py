@@ -157,7 +157,7 @@ class RigidMotion:
 
     @property
     def poses_t0(self) -> NDArray[np.float64]:
-        """Poses at t = 0: position and unit quaternion x y z w, float64, shape [B, 7], or [W, B, 7] with worlds."""
+        """Poses at t = 0, position and unit quaternion x y z w, float64, shape [B, 7], or [W, B, 7] with worlds."""
         return self._poses_t0.reshape(*self._leading, 7)
 
     @property
