@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contacts import Contacts
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
@@ -19,6 +20,8 @@ _CHUNK = 1 << 12
 # The positions of so many vertices, and of some more, are copied in the time in which those of one contact are chosen.
 _VERTICES_A_CONTACT = 5
 _FEW_VERTICES = 1 << 12
+# Turn between two of the times that stand for an arc, in radians, and the most of these times.
+TURN, _MOST_TIMES = 0.1, 500
 # What contacts have by their place.
 _PLACED = ("points", "relative_velocity")
 
@@ -40,6 +43,27 @@ class MovingVertices:
     end: NDArray[np.float64]
     paths: MeshPaths | None = None
     rows: NDArray[np.integer] | None = None
+
+    @classmethod
+    def of(
+        cls, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], motion: BodyPaths | None
+    ) -> "MovingVertices":
+        """Of positions in space; where no body of the mesh is rigid, a motion is one of all, as of ``rigid_ccd``.
+
+        Raises:
+            ValueError: If the motion does not match the mesh.
+        """
+        if motion is None:
+            return cls(mesh, start, end)
+        paths = MeshPaths.of(mesh if mesh.rigid.any() else mesh._all_rigid, motion)
+        paths.check_own_frames(mesh, start, end)
+        return cls(mesh, start, end, paths)
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Times between which every vertex moves nearly straight, from 0 to 1."""
+        turn = 0.0 if self.paths is None else float(np.linalg.norm(self.paths.omega, axis=1).max(initial=0.0))
+        return np.linspace(0.0, 1.0, 2 + min(int(turn / TURN), _MOST_TIMES))
 
     def copied(self, contacts: Contacts) -> "MovingVertices":
         """The same, of arrays that nobody else holds, with what the contacts need."""

@@ -5,14 +5,11 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import MovingVertices
+from ccd_warp._contact_place import TURN, MovingVertices
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._motion import RigidMotion
 
-# Turn between two places of a body that stand for its arc, in radians, and the most of them.
-_TURN, _MOST_PLACES = 0.1, 500
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 
 
@@ -25,19 +22,9 @@ def moving_vertices(
         ValueError: If the positions or the motion do not match the mesh.
     """
     start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
-    if motion is None:
-        return MovingVertices(mesh, start, end)
-    check_instance("motion", motion, RigidMotion)
-    rigid = mesh if mesh.rigid.any() else mesh._all_rigid
-    paths = MeshPaths.of(rigid, motion._body_paths)
-    paths.check_own_frames(mesh, start, end)
-    return MovingVertices(mesh, start, end, paths)
-
-
-def times_of(moving: MovingVertices) -> NDArray[np.float64]:
-    """Times between which every body moves nearly straight, from 0 to 1."""
-    turn = 0.0 if moving.paths is None else float(np.linalg.norm(moving.paths.omega, axis=1).max(initial=0.0))
-    return np.linspace(0.0, 1.0, 2 + min(int(turn / _TURN), _MOST_PLACES))
+    if motion is not None:
+        check_instance("motion", motion, RigidMotion)
+    return MovingVertices.of(mesh, start, end, None if motion is None else motion._body_paths)
 
 
 def outermost(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -50,7 +37,7 @@ def arcs_of(moving: MovingVertices, most: int) -> list[NDArray[np.float64]]:
     paths, mesh = moving.paths, moving.mesh
     if paths is None:
         return []
-    turns = np.linalg.norm(paths.omega, axis=1) >= _TURN
+    turns = np.linalg.norm(paths.omega, axis=1) >= TURN
     bodies = np.flatnonzero(turns & (np.diff(mesh.body_vertex_range) > 0))
     chosen = []
     for body in bodies[:most].tolist():
@@ -60,5 +47,5 @@ def arcs_of(moving: MovingVertices, most: int) -> list[NDArray[np.float64]]:
     vertices = np.array(chosen, dtype=np.int64)
     if not len(vertices):
         return []
-    places = [moving.at(vertices, np.full((len(vertices), 1), t)) for t in times_of(moving)]
+    places = [moving.at(vertices, np.full((len(vertices), 1), t)) for t in moving.times]
     return list(np.stack(places, axis=1))

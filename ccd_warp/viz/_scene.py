@@ -17,7 +17,7 @@ from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_corners
 from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._status import PairKind
-from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost, times_of
+from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
@@ -177,7 +177,7 @@ def make_scene(
     between = np.zeros((0, 3))
     if moving.paths is not None:
         start, end = moving.all_at(0.0), moving.all_at(1.0)
-        between = np.concatenate([outermost(moving.all_at(t)) for t in times_of(moving)])
+        between = np.concatenate([outermost(moving.all_at(t)) for t in moving.times])
     centre, unit = middle_of(np.concatenate([start, between]), np.concatenate([end, between]))
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
