@@ -92,24 +92,32 @@ class MeshPaths(BodyPaths):
     ) -> NDArray[np.float64]:
         """Where vertices are at a time, one for all or one a vertex; all of them by default."""
         vertices = np.arange(len(start)) if vertices is None else vertices
-        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))
-        body = mesh.vertex_body[vertices]
-        x: NDArray[np.float64] = (1.0 - times) * start[vertices] + times * end[vertices]
+        return self.places(mesh.vertex_body[vertices], start[vertices], end[vertices], t)
+
+    def places(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
+        times = _times(t, len(body))
+        x: NDArray[np.float64] = (1.0 - times) * start + times * end
         rigid = np.flatnonzero(self.is_rigid[body])
-        x[rigid] = self.positions(start[vertices[rigid]], body[rigid], times[rigid, 0])
+        x[rigid] = self.positions(start[rigid], body[rigid], times[rigid, 0])
         return x
 
-    def velocity_at(
-        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any
+    def velocities(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
     ) -> NDArray[np.float64]:
-        """How vertices move at a time, as displacements in the whole step."""
-        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))[:, 0]
-        body = mesh.vertex_body[vertices]
-        v: NDArray[np.float64] = end[vertices] - start[vertices]
+        """How vertices of these bodies move at a time, as displacements in the whole step, shape [n, 3]."""
+        v: NDArray[np.float64] = end - start
         rigid = np.flatnonzero(self.is_rigid[body])
-        rows, t_rigid = body[rigid], times[rigid]
+        rows, times = body[rigid], _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
-        arms = rotated(self.rotation[rows], start[vertices[rigid]] - self.pivot[rows])
-        arms = arms + _arcs(omega, arms, t_rigid)
-        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, t_rigid)
+        arms = rotated(self.rotation[rows], start[rigid] - self.pivot[rows])
+        arms = arms + _arcs(omega, arms, times)
+        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, times)
         return v
+
+
+def _times(t: Any, count: int) -> NDArray[np.float64]:
+    """One time for all, or one for each, shape [count, 1]."""
+    return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
