@@ -167,6 +167,6 @@ def _drake(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
 
         def toi_of(k: int, checker: Any = checker, starts: np.ndarray = starts, ends: np.ndarray = ends) -> float:
             measure = checker.MeasureEdgeCollisionFree(starts[k], ends[k])
-            return np.inf if measure.completely_free() else measure.alpha()
+            return np.inf if measure.completely_free() else measure.alpha_or(0.0)
 
         yield f"drake, edge steps of {size:g}", _each(steps, toi_of)

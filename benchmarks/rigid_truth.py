@@ -40,9 +40,17 @@ def touching_at(steps: RigidSteps, times: np.ndarray | float, mesh: ccd.Collisio
 
 
 def starting_apart(steps: RigidSteps) -> RigidSteps:
-    """The steps whose bodies are apart at their start."""
-    apart = ~touching_at(steps, 0.0)
+    """The steps at whose start surfaces do not meet, and no obstacle is inside the body."""
+    apart = ~(touching_at(steps, 0.0) | _inside(steps))
     return replace(steps, poses=steps.poses[apart], omega=steps.omega[apart], moves=steps.moves[apart])
+
+
+def _inside(steps: RigidSteps) -> np.ndarray:
+    """Whether the centre of an obstacle is in a box of the body at the start, shape [n]."""
+    start = np.stack([steps.poses_at(k, np.zeros(1))[0] for k in range(len(steps))])
+    places = (steps.obstacles.centers - start[:, None, :3, 3]) @ start[:, :3, :3]
+    offsets = np.abs(places[:, :, None] - steps.body.centers)
+    return (offsets <= 0.5 * steps.body.sizes).all(axis=-1).any(axis=(1, 2))
 
 
 @dataclass(frozen=True)
