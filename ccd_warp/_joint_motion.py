@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64
@@ -298,4 +299,4 @@ class JointMotion:
 
 
 # What calls on a step take.
-Motion = RigidMotion | JointMotion
+Motion = RigidMotion | JointMotion | AffineMotion

@@ -41,16 +41,7 @@ class MeshPaths(BodyPaths):
         if mesh.dimension == 2:
             raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
         bodies = np.flatnonzero(mesh.rigid)
-        if len(bodies) == 0:
-            raise ValueError(
-                "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
-                "rigid_ccd, for which all bodies are"
-            )
-        if len(given) != len(bodies):
-            raise ValueError(
-                f"motion has {counted(len(given), 'row', 'rows')} for "
-                f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
-            )
+        check_rows(mesh, bodies, len(given))
         moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
         for row in np.flatnonzero(moves & mesh.static[bodies])[:1].tolist():
             raise ValueError(
@@ -121,3 +112,21 @@ class MeshPaths(BodyPaths):
 def _times(t: Any, count: int) -> NDArray[np.float64]:
     """One time for all, or one for each, shape [count, 1]."""
     return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
+
+
+def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> None:
+    """Check that a motion has a row for each of the rigid bodies, of which there are some.
+
+    Raises:
+        ValueError: If not.
+    """
+    if len(bodies) == 0:
+        raise ValueError(
+            "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
+            "rigid_ccd, for which all bodies are"
+        )
+    if num_rows != len(bodies):
+        raise ValueError(
+            f"motion has {counted(num_rows, 'row', 'rows')} for "
+            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
+        )

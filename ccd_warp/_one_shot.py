@@ -35,7 +35,7 @@ def find_candidates(
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
     *,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
@@ -388,7 +388,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:

@@ -243,6 +243,25 @@ def test_worlds_have_the_tois_that_each_has_alone():
     assert found.world_toi[2] == np.inf
 
 
+def test_bodies_that_stretch_move_straight_between_the_places_of_their_maps():
+    mesh, end, _ = tumbling_boxes()
+    rng = np.random.default_rng(4)
+    maps = [np.concatenate([np.eye(3) + 0.2 * rng.standard_normal((4, 3, 3)), rng.random((4, 3, 1))], axis=2)] * 2
+    maps[1] = maps[0] + 0.3 * rng.standard_normal((4, 3, 4)) * (np.arange(4) > 0)[:, None, None]  # the first is static
+    affine = ccd.AffineMotion(*maps)
+    rigid = mesh.rigid[mesh.vertex_body]
+    start, stop = mesh.vertices.copy(), end.copy()
+    start[rigid] = affine.positions_t0(mesh.vertices[rigid], mesh.vertex_body[rigid])
+    stop[rigid] = affine.positions_t1(mesh.vertices[rigid], mesh.vertex_body[rigid])
+    expected = ccd.mesh_ccd(mesh, start, stop, device="cpu")
+    assert len(expected.contacts) > 5
+    assert different(outputs(expected), outputs(result_of(mesh, end, affine))) == []
+    searched = ccd.line_search(mesh, mesh.vertices, end, motion=affine, device="cpu")
+    assert searched.fraction == ccd.line_search(mesh, start, stop, device="cpu").fraction
+    with pytest.raises(ValueError, match="3 rows for 4 rigid bodies"):
+        result_of(mesh, end, ccd.AffineMotion(maps[0][:3], maps[1][:3]))
+
+
 def test_kinematic_rotor_is_not_tested_against_another_one_and_not_shortened():
     mesh, at_rest = blade_and_points([at_angle(0.5)])
     mesh = ccd.CollisionMesh.from_arrays(
