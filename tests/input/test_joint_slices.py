@@ -121,9 +121,8 @@ def test_the_bound_is_hardly_larger_than_what_is_found():
         (paths, excess), turns = motion._slices(begin, end, reach, centres), motion._turns(begin, end)
         for row in range(1, 8):
             directions = rng.normal(size=(4, 3))
-            points = centres[row] + directions * (
-                reach[row] * (1 - 4 * EPS) / np.linalg.norm(directions, axis=1)[:, None]
-            )
+            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+            points = centres[row] + directions * (reach[row] * (1 - 4 * EPS))
             apart = farthest(paths, row, joints[:row], points, begin, end)
             assert apart <= excess[row]
             if apart > 1e-10 * size and k % 3:
