@@ -16,12 +16,13 @@ while its origin moves straight, and smaller for all others.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._joint_bounds import Motion, Window, motions
-from ccd_warp._joint_courses import EPS, Array, JointCourse, cross, length, poses, rotated
-from ccd_warp._rotations import arc_factors
+from ccd_warp._joint_courses import EPS, Array, JointCourse, cross, length, poses, product, rotated
 
 _UP = 1.0 + 4096.0 * EPS  # rounding of a bound itself
 _PATH_ERROR = 64.0 * EPS  # of the fields of a path, relative to what moves
@@ -43,37 +44,56 @@ def slices(
     Returns:
         Paths of N = W·L bodies, those of a world after another's, and the lengths, shape [N].
     """
-    num_worlds = len(window.begin)
+    num_worlds, each = len(window.begin), len(rows)
     with np.errstate(all="ignore"):
         found = motions(courses, order, window)
-        links = Motion(
-            *(np.stack([x[k] for k in rows], axis=-1).reshape(*x[0].shape[:-1], -1) for x in zip(*found, strict=True))
+        links = Motion(*(_joined([x[k] for k in rows]) for x in zip(*found, strict=True)))
+        (p0, q0), (p1, q1) = (
+            [_joined([x[k] for k in rows]) for x in poses(courses, order, t)] for t in (window.begin, window.end)
         )
-        begin, end = (_rows(poses(courses, order, t), rows) for t in (window.begin, window.end))
-        around = np.tile(centre.T, num_worlds)
-        arms = rotated(links.rotation, around)
-        radius = np.tile(reach, num_worlds)
+        arms, radius = rotated(links.rotation, np.tile(centre.T, num_worlds)), np.tile(reach, num_worlds)
         frame = _frame(links, arms, radius)
-        end[:, :3] -= frame.T
-        paths = BodyPaths.between(begin, end, None)
-        moving = BodyPaths(
-            paths.rotation, paths.omega, paths.pivot, paths.pivot_t0, paths.velocity + frame.T, paths.turning
-        )
-        share = np.where(
-            window.duration > 0.0,
-            (window.middle - window.begin) / np.where(window.duration > 0.0, window.duration, 1.0),
-            0.5,
-        )
-        each = len(rows)
-        bound = _excess(links, paths, frame, arms, radius, np.repeat(share, each), np.repeat(window.half, each))
-    return moving, bound
+        path = _screw(q0, q1, p0, p1 - p0 - frame)
+        length_of = np.where(window.duration > 0.0, window.duration, 1.0)
+        share = np.where(window.duration > 0.0, (window.middle - window.begin) / length_of, 0.5)
+        bound = _excess(links, path, frame, arms, radius, np.repeat(share, each), np.repeat(window.half, each))
+    fields = (q0, path.omega, np.zeros_like(p0), p0, path.velocity + frame, path.turning)
+    return BodyPaths(*(np.ascontiguousarray(x.T) for x in fields)), bound
 
 
-def _rows(placed: tuple[list[Array], list[Array]], rows: list[int]) -> Array:
-    """Poses of links, shape [N, 7]."""
-    positions, rotations = placed
-    poses_of = [np.concatenate([positions[k], rotations[k]]) for k in rows]
-    return np.ascontiguousarray(np.stack(poses_of, axis=-1).reshape(7, -1).T)
+def _joined(arrays: list[Array]) -> Array:
+    """The numbers of several links, shape [..., W] each, as those of W·L bodies."""
+    joined: Array = np.stack(arrays, axis=-1).reshape(*arrays[0].shape[:-1], -1)
+    return joined
+
+
+class Screw(NamedTuple):
+    """A screw as `BodyPaths` has it, shape [3, N] each.
+
+    Attributes:
+        omega: Its rotation vector.
+        velocity: The displacement along it.
+        turning: The velocity of the body's origin across it at the begin.
+        start: The place of the body's origin at the begin.
+    """
+
+    omega: Array
+    velocity: Array
+    turning: Array
+    start: Array
+
+
+def _screw(q0: Array, q1: Array, start: Array, d: Array) -> Screw:
+    """The screw between rotations, [4, N], by a displacement, [3, N]; ω is off by 16 eps, however small it is."""
+    between = product(q1, np.concatenate([-q0[:3], q0[3:]]))
+    sine = length(between[:3])
+    axis = between[:3] / np.where(sine > 0.0, sine, 1.0)
+    angle = 2.0 * np.arctan2(sine, np.abs(between[3])) * np.where(between[3] < 0.0, -1.0, 1.0)
+    omega, half = angle * axis, 0.5 * angle
+    along = np.where(sine > 0.0, axis * (axis * d).sum(axis=0), d)
+    across = d - along
+    ratio = np.where(half != 0.0, half / np.tan(np.where(half != 0.0, half, 1.0)), 1.0)
+    return Screw(omega, along, ratio * across - 0.5 * cross(omega, across), start)
 
 
 def _frame(links: Motion, arms: Array, radius: Array) -> Array:
@@ -88,14 +108,16 @@ def _frame(links: Motion, arms: Array, radius: Array) -> Array:
     return np.where(np.isfinite(frame).all(axis=0), frame, 0.0)
 
 
-def _excess(
-    links: Motion, paths: BodyPaths, frame: Array, arms: Array, radius: Array, share: Array, half: Array
-) -> Array:
-    """How far points may be from their paths; the paths are seen from the moving frame, which is at 0 at the begin."""
-    n, turning, velocity = paths.omega.T, paths.turning.T, paths.velocity.T
-    first, second = (x[:, 0] for x in arc_factors(paths.omega, share))
+def _excess(links: Motion, path: Screw, frame: Array, arms: Array, radius: Array, share: Array, half: Array) -> Array:
+    """How far points may be from their paths, which are seen from the moving frame."""
+    n, velocity, turning = path.omega, path.velocity, path.turning
+    theta = length(n)
+    divisor = np.where(theta > 0.0, theta, 1.0)
+    first = np.where(theta > 0.0, np.sin(theta * share) / divisor, share)
+    second = np.where(theta > 0.0, np.sin(0.5 * theta * share) / divisor, 0.5 * share)
+    second = 2.0 * second * second
     bent = cross(n, turning)
-    origin = paths.pivot_t0.T + share * (velocity + frame) + first * turning + second * bent
+    origin = path.start + share * (velocity + frame) + first * turning + second * bent
     speed = velocity + turning + first * bent + second * cross(n, bent)  # of the path's own origin, in the middle
     # at the centre, in the middle
     arm = length(arms)
@@ -139,7 +161,7 @@ def _excess(
     of_slice = (middle + off * growth) / 8.0 + growth / 24.0
     # rounding of the poses at the ends, and of the fields that lead from one to the other
     reach = radius + arm
-    ends = links.moved + links.turned * reach + 4.0 * EPS * (1.0 + size_n) * reach
+    ends = links.moved + links.turned * reach + (16.0 + 4.0 * size_n) * EPS * reach
     ends = ends + _PATH_ERROR * (length(velocity) + length(turning) * (1.0 + size_n) + size_w)
     bound: Array = (of_slice + ends) * _UP
     return bound

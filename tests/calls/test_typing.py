@@ -39,6 +39,8 @@ places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.
 motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
+arm = ccd.JointMotion([ccd.Joint("hinge", "wall", "door", "revolute", (0, 0, 1))], [0.0], x[0], links=["door"])
+reach: float = arm.shortened(0.5).at([0.5])[0, 0, 0] + ccd.read_urdf("arm.urdf", base=x[0]).motion(x, x).poses_t1[0, 0]
 moved = ccd.AffineMotion(x, x).positions_t1(x[0], [0, 0, 0, 0]) * motion.num_bodies
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
@@ -63,6 +65,7 @@ ccd.find_intersections(mesh, x[0], x[0])
 ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
 ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
 ccd.RigidMotion(x, x, path="spline")
+ccd.Joint("a", "b", "c", "ball")
 ccd.RigidMotion(x, x, "screw")
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
