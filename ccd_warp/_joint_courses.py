@@ -109,7 +109,8 @@ def cross(a: Array, b: Array) -> Array:
 
 def length(a: Array) -> Array:
     """Lengths of vectors, shape [W]; those below 1e-154 may be 0."""
-    root: Array = np.sqrt(np.einsum("ij,ij->j", a, a))
+    x, y, z = a  # summed in the same order for any number of worlds
+    root: Array = np.sqrt(x * x + y * y + z * z)
     return root
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.parsers.expat import ParserCreate
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,8 +56,9 @@ def read_urdf(
     file = check_path("path", path)
     folders = {name: check_path(f"packages[{name!r}]", folder) for name, folder in (packages or {}).items()}
     try:
-        ElementTree.parse(file)  # the parser of robots would go on after what is no XML
-        with _quiet("yourdfpy"):
+        # the parser of robots would go on after what is no XML; names of other programs' elements may be of any space
+        ParserCreate().Parse(file.read_bytes(), True)
+        with _quiet("yourdfpy.urdf"):
             robot = yourdfpy.URDF.load(str(file), build_scene_graph=False, load_meshes=False).robot
     except Exception as error:  # whatever the parser raises where an element is missing
         raise ValueError(f"{file}: is no URDF file ({' '.join(str(error).split()) or type(error).__name__})") from error
@@ -164,7 +165,7 @@ def _found(file: Path, folders: Mapping[str, Path], name: str) -> Path:
     package, _, inside = name.removeprefix("package://").partition("/")
     if name.startswith("package://") and package in folders:
         return folders[package] / inside
-    with _quiet("yourdfpy"):
+    with _quiet("yourdfpy.urdf"):
         found = Path(yourdfpy.filename_handler_magic(fname=name, dir=str(file.parent)))
     if not found.is_file():
         raise ValueError(f"{file}: has the mesh {name!r}, which is not found; expected packages= to say where it is")

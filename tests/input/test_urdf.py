@@ -21,6 +21,7 @@ GRIPPER = """<?xml version="1.0"?>
     <collision><origin xyz="0.1 0 0.3"/><geometry><sphere radius="0.03"/></geometry></collision>
   </link>
   <link name="flange"/>
+  <sensor:camera name="eye"/>
   <link name="hand"><collision><geometry>
     <mesh filename="package://gripper/meshes/hand.stl" scale="0.1 0.1 0.2"/></geometry></collision></link>
   <link name="camera"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
@@ -111,6 +112,23 @@ def test_a_motion_has_a_row_for_each_body_and_joints_that_mimic_go_along(file):
         ValueError, match=r"q1 has shape \(4,\); expected shape \(..., 3\), the numbers of the joints turn"
     ):
         robot.motion([0, 0, 0], [0, 0, 0, 0])
+
+
+@needs_parser
+def test_links_are_where_the_parser_has_them(file, caplog):
+    """Its own kinematics, by matrices."""
+    import yourdfpy
+
+    robot = ccd.read_urdf(file)
+    assert not caplog.text
+    other = yourdfpy.URDF.load(str(file), load_meshes=False)
+    for q in np.random.default_rng(0).normal(size=(3, 3)):
+        other.update_cfg(q)
+        poses = robot.motion(q, q).poses_t0
+        matrices = np.array([other.get_transform(name) for name in robot.names])
+        seen = ccd.RigidMotion(matrices, matrices).poses_t0
+        signs = np.sign((poses[:, 3:] * seen[:, 3:]).sum(axis=1, keepdims=True))
+        assert np.abs(np.hstack([seen[:, :3], signs * seen[:, 3:]]) - poses).max() < 1e-14
 
 
 @needs_parser
