@@ -102,7 +102,7 @@ def _turns(raw: dict, figures: str) -> Iterator[str]:
     for record in records:
         spin = record["spin"]
         yield (
-            f"A {record['kind']} pair of bodies that spin together by 1 rad about one axis costs "
+            f"A pair ({record['kind']}) of bodies that spin together by 1 rad about one axis costs "
             f"{time_text(spin['spinning'])} with all stages, {time_text(spin['still'])} where both stand still."
         )
     yield ""
