@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, read_static
 from ccd_warp._files.opened import Stamp, noted_files
-from ccd_warp._files.poses import bodies_of
-from ccd_warp._files.poses import read_poses as read_table
 from ccd_warp._frames import checked_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_choice, check_count, check_items, check_path
@@ -58,9 +56,11 @@ class PoseSequence:
         surface: bool = False,
     ) -> None:
         """Of the files; ``make_mesh`` joins bodies, with the rigid ones as ``rigid=``."""
+        from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
+
         with noted_files() as self._opened:
             bodies = read_static(mesh_path, max_bytes=max_bytes, surface=surface).split()
-            table = read_table(poses_path, max_bytes)
+            table = read_poses(poses_path, max_bytes)
         chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
         self._first_bodies = [
             *(replace(body, is_static=k not in chosen) for k, body in enumerate(bodies)),
