@@ -76,6 +76,14 @@ def test_several_turns_in_a_step_list_each_pair_once_and_first():
     assert result.vertex_contact[0] == result.body_contact[0] == 0  # that of the least toi
 
 
+def test_body_that_turns_alone_meets_nothing():
+    """A triangle has no pair at all, so no slice of the step has a list of contacts."""
+    mesh = ccd.CollisionMesh.from_arrays([(BLADE, [[0, 1, 2]])])
+    result = ccd.rigid_ccd(mesh, [AT_REST], twist=[[0, 0, 0, 0, 0, 1.0]], device="cpu")
+    assert result.toi == np.inf
+    assert len(result.contacts) == 0
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(
