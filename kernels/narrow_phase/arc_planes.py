@@ -3,8 +3,8 @@
 What is added to the distance is the sagitta along the normal n: the acceleration along it is at most |V|·|ω×n|. So a
 body that turns about the normal, as what spins on the ground does, has straight motion toward the plane.
 
-With ``holds`` a vertex that starts within its distance keeps what it had, as on straight paths, but slice by slice: what
-it has at the begin of a slice is no less than what it kept before. In the solid it may leave, and go no deeper.
+With ``holds`` a vertex that starts within its distance keeps what it had, as on straight paths, but slice by slice:
+what it has at the begin of a slice is no less than what it kept before. In the solid it may leave, and go no deeper.
 """
 
 import warp as wp

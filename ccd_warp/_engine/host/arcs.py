@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
 TURN_OF_A_SLICE = 0.2
+_ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
 _COLUMNS = dtypes_of(kernels.BodyPaths)
 
 
@@ -42,7 +43,8 @@ class Slice:
 def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
     """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
     turn = float(np.linalg.norm(paths.omega, axis=1).max(initial=0.0)) * t_max
-    return Slice.all(max(1, int(np.ceil(turn / TURN_OF_A_SLICE))), t_max)
+    count = np.ceil(turn / TURN_OF_A_SLICE - _ROUNDING)
+    return Slice.all(max(1, int(count)), t_max)
 
 
 class Arcs:
