@@ -12,7 +12,7 @@ import warp as wp
 from ..pair.arcs import bend, point_at
 from ..pair.rounding import ARC_MOTION, ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 from ..pair.turns import Turns
-from ..pair.windows import Window, in_step, longest_sharp, next_window, reached
+from ..pair.windows import Window, in_step, next_window, reached
 from .planes import Meeting, PlaneQuery, Planes, meeting_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -111,5 +111,5 @@ def meeting_on_arc(
         is_open = wp.where(is_free, end < _ONE, bulge > error) and windows < _MOST_WINDOWS
         if not is_open and (not is_free or end < _ONE):
             meeting.toi = wp.where(is_inside, turns.t_begin, in_step(t, turns))
-        window = next_window(window, t, is_free, longest_sharp(window.h, bulge, error))
+        window = next_window(window, t, is_free)
     return meeting

@@ -17,7 +17,7 @@ from .status import (
     STATUS_NO_COLLISION,
 )
 from .turns import Turns
-from .windows import Window, in_slice, in_step, longest_sharp, next_window, reached
+from .windows import Window, in_slice, in_step, next_window, reached
 
 solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
 arcs = specialised("pair.arcs", norm=norm)
@@ -132,8 +132,7 @@ def solve_on_arcs(
             outcome.gap = frames.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
-        limit = lane_windows.sharpness(error, kind, at_begin)
-        is_sharp = wp.max(chords) <= limit
+        is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))
         t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:
@@ -145,6 +144,6 @@ def solve_on_arcs(
             if outcome.status == STATUS_COLLISION and outcome.toi == zero:
                 outcome.status = STATUS_INITIAL_CONTACT
             outcome.width = wp.where(is_limit, options.t_max - outcome.toi, outcome.width * window.h)
-        window = next_window(window, t_reached, is_free, longest_sharp(window.h, wp.max(chords), limit))
+        window = next_window(window, t_reached, is_free)
     outcome.iterations = used
     return outcome

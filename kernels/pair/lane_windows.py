@@ -11,7 +11,7 @@ from .pair_options import LaneOptions
 from .points import Points, corners, largest
 from .query import Options
 from .rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
-from .windows import Window, in_slice, in_step, longest_sharp, next_window, reached
+from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
@@ -37,6 +37,12 @@ def sharpness(error: Lanes, kind: int, p: Points) -> Lanes:
     """The sagitta below which a contact of chords is one of arcs, but for rounding."""
     m = largest(corners(kind, p))
     return error + corner_error * simd.greatest(m.x, simd.greatest(m.y, m.z))
+
+
+@simd.func
+def is_below(a: Vec3, limit: Lanes) -> simd.Mask:
+    """Whether no component is above a limit."""
+    return simd.is_at_most(simd.greatest(a.x, simd.greatest(a.y, a.z)), limit)
 
 
 @simd.func
@@ -100,9 +106,7 @@ def advance_windows(
         found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
         is_open = simd.mask_of(open)
         is_free = simd.mask_of(found.free)
-        limit = sharpness(error, kind, at_begin)
-        most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
-        is_sharp = simd.is_at_most(most, limit)
+        is_sharp = is_below(chords, sharpness(error, kind, at_begin))
         touches = open & found.contact & simd.bits_of(is_sharp)
         is_contact = simd.mask_of(touches)
         answer.contact = answer.contact | touches
@@ -112,8 +116,7 @@ def advance_windows(
         gap = simd.select(is_framed, longest_turned * found.gap, found.gap)
         answer.gap = simd.select(is_contact, gap, answer.gap)
         answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
-        least = longest_sharp(window.h, most, limit)
-        following = next_window(window, reached(window, end, is_free, found.t), is_free, least)
+        following = next_window(window, reached(window, end, is_free, found.t), is_free)
         window.begin = simd.select(is_open, following.begin, window.begin)
         window.h = simd.select(is_open, following.h, window.h)
         window.last = simd.select(is_open, following.last, window.last)

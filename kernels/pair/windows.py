@@ -8,8 +8,7 @@ sagitta is of the size of rounding errors.
 **How much shorter.** A window of length h that ends in a contact after a gain g leaves a gap of its sagitta, which a
 pair that goes on as it came crosses in the time g·(h / h')², h' the length of the window before that ended in a
 contact. A chord of four times that length has the contact in its middle, and leaves a gap that is smaller by the square
-of the ratio of both: Newton's iteration, from below. None is shorter than it takes for its sagitta to be rounding: in a
-shorter one nothing but rounding would be left of the motion, by which the lanes could not tell a contact.
+of the ratio of both: Newton's iteration, from below.
 """
 
 import warp as wp
@@ -25,7 +24,6 @@ Lanes = simd.Lanes
 zero = wp.constant(wp.float64(0.0))
 four = wp.constant(wp.float64(4.0))
 eighth = wp.constant(wp.float64(0.125))
-sharp_share = wp.constant(wp.float64(0.75))
 least_share = wp.constant(wp.float64(2.0**-10))
 slice_down = wp.constant(wp.float64(1.0 - 8.0 * UNIT_ROUNDOFF[wp.float64]))
 step_down = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
@@ -61,18 +59,12 @@ def reached(window: Window, end: Lanes, is_free: simd.Mask, share: Lanes) -> Lan
 
 
 @simd.func
-def longest_sharp(h: Lanes, sagitta: Lanes, limit: Lanes) -> Lanes:
-    """About the length of the longest window whose sagitta is below a limit, where that of one of length h is above."""
-    return sharp_share * h * simd.square_root(limit / simd.greatest(sagitta, limit))
-
-
-@simd.func
-def next_window(window: Window, t: Lanes, is_free: simd.Mask, least: Lanes) -> Window:
-    """The window after one that is free up to a time, as long as ``least`` where it is shorter."""
+def next_window(window: Window, t: Lanes, is_free: simd.Mask) -> Window:
+    """The window after one that is free up to a time."""
     gain = t - window.begin
     shorter = eighth * window.h
     ratio = window.h / simd.greatest(window.last, window.h)
-    ahead = simd.greatest(simd.greatest(four * gain * (ratio * ratio), least_share * window.h), least)
+    ahead = simd.greatest(four * gain * (ratio * ratio), least_share * window.h)
     ahead = simd.select(simd.is_less(zero, window.last), simd.least(shorter, ahead), shorter)
     r = Window()
     r.begin = t
