@@ -84,6 +84,21 @@ def test_body_that_turns_alone_meets_nothing():
     assert len(result.contacts) == 0
 
 
+@pytest.mark.parametrize(("distance", "motion"), [(4, 10), (5, 16), (4001, 10000)])
+def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance, motion):
+    """Between slices positions are rounded to multiples of the smallest number, a large part of these motions."""
+    point, face = (np.zeros((1, 3)), NO_FACES), (BLADE + [5.0, 0, 0], [[0, 1, 2]])
+    mesh = ccd.CollisionMesh.from_arrays([point, point, face], rigid=[2], codimensional_points=True)
+    least = 2.0**-1074
+    start = mesh.vertices.copy()
+    start[0, 0] = distance * least
+    end = start.copy()
+    end[1, 0] = motion * least
+    turn = ccd.RigidMotion([[0, 0, 9, 0, 0, 0, 1]], twist=[[0, 0, 0, 0, 0, 0.5]])
+    toi = ccd.mesh_ccd(mesh, start, end, motion=turn, length_scale=motion * least, device="cpu").toi
+    assert toi <= distance / motion
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(
