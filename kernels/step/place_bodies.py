@@ -98,6 +98,7 @@ def slack_of(paths: BodyPaths, body: int, arm: vec3d, x: vec3d) -> wp.float64:
     start = paths.start[body]
     far = wp.max(wp.max(wp.abs(start)), wp.max(wp.abs(start + paths.velocity[body])))
     reach = wp.length(arm) + wp.length(paths.pivot[body]) + wp.length(paths.turning[body]) + wp.max(wp.abs(x))
+    reach += wp.length(paths.velocity[body])  # of a screw it has the error of the direction of its axis
     return _PLACE_POSITION * far + _PLACE * (_ONE + _HALF * wp.length(paths.omega[body])) * reach
 
 
