@@ -251,6 +251,18 @@ def test_launches_find_what_the_host_does(options):
     assert pipeline.launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0  # all bodies in one place, as they stand
 
 
+def test_particle_that_has_grown_between_launches_lands_earlier():
+    point = (np.zeros((1, 3)), NO_FACES)
+    mesh = ccd.CollisionMesh.from_arrays([point, GROUND], rigid=[0], codimensional_points=True, radius=[0.1])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    motion = ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1.0]])
+    for radius in (0.1, 0.3, 0.1):
+        pipeline.radius.assign(np.array([radius]))
+        toi = pipeline.launch(mesh.vertices, mesh.vertices, motion=motion).to_host().toi
+        assert toi == pytest.approx(0.5 * (1.0 - radius), abs=1e-12)
+        assert toi <= 0.5 * (1.0 - radius)
+
+
 def test_worlds_have_the_tois_that_each_has_alone():
     mesh, end, motion = tumbling_boxes()
     expected = result_of(mesh, end, motion)
