@@ -96,6 +96,7 @@ class Stages:
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
         plane_query: What vertices and planes are asked for; None where there are no half-spaces.
         turns: How vertices turn in a slice of the step; None where no body turns.
+        plane_radius: Where bodies turn, `box_radius` without what is added for their arcs.
         reach: At one time, how near is near.
         proximities: The list of pairs within that.
     """
@@ -120,6 +121,7 @@ class Stages:
     queue: Any = None
     plane_query: Any = None
     turns: Any = None
+    plane_radius: Any = None
     reach: Any = None
     proximities: Any = None
 
@@ -382,8 +384,8 @@ class Stages:
         topology = self.topology
         vertices = topology.plane_vertices
         box_radius, turns = self.box_radius, Turns()
-        if self.turns is not None:  # the radii of boxes have what is added for arcs
-            box_radius, turns = topology.box_radius, self.turns
+        if self.turns is not None:
+            box_radius, turns = self.plane_radius, self.turns
         inputs = [
             sink,
             vertices,

@@ -77,6 +77,8 @@ def meeting_on_arc(
     size = wp.max(size, wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1))))
     motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
     error = turns.slack[v] + (_ERROR * size + _MOTION_ERROR * motion)
+    if planes.vertex.shape[0] > 0 and planes.vertex[k] >= 0:  # the point of one that moves is rounded between slices
+        error += turns.slack[planes.vertex[k]]
     along = wp.length(wp.cross(spin, planes.unit[k])) + _UNIT * wp.length(spin)
     amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along
     if not along > _ZERO:

@@ -108,12 +108,15 @@ below are in the normalised units of step 2.
    FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS.
 18. **Bodies on arcs** (`kernels.step.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
    begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
-   `BodyPaths` states for p and v is 2u·P and 2u·(2P); on all axes 12·√3 u·P, PLACE_POSITION = 24. The product with R
-   and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X - c| at most; the angle tθ, and what it
-   was computed from, is off by 12u·tθ, which moves a vertex by that times its distance from the axis. With ρ
-   the sum of |X - c|, |c| and the largest coordinate of X, T the length of u and PLACE = 40 that is PLACE·u·(1 +
-   |ω|/2)(ρ + T), which covers the difference X - c, what `BodyPaths` states for the pivot and for u, and the products
-   of errors. A vertex that does not turn has the error of step 12 on three axes.
+   `BodyPaths` states for p is 2u·P; on all axes 6·√3 u·P, PLACE_POSITION = 24 with v of a linear path, which is off by
+   4u·(2P) at most. Of a screw v is off by 16u·(|v| + T), T the length of u, as it has the direction of ω, and what u
+   leads to by as much. The product with R and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X -
+   c| at most; the angle tθ, and what it was computed from, is off by 12u·tθ, which moves a vertex by that times its
+   distance from the axis. With ρ the sum of |X - c|, |c| and the largest coordinate of X, and PLACE = 40 that is
+   PLACE·u·(1 + |ω|/2)(ρ + T + |v|), which covers the difference X - c, what `BodyPaths` states for the pivot and for
+   screws, and the products of errors. A vertex that does not turn has the error of step 12 on three axes. The products
+   of a vertex, some thirty of them here and in step 17, lose 2^-1075 each at most where they underflow: the slack gets
+   2^-1068.
 
 Constants are in units of u.
 """

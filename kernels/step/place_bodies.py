@@ -29,6 +29,8 @@ _PLACE = wp.constant(wp.float64(PLACE * UNIT_ROUNDOFF[wp.float64]))
 # Of the length of a vector: of each of its coordinates, on three axes.
 _INTERPOLATION = wp.constant(wp.float64(2.0 * INTERPOLATION * UNIT_ROUNDOFF[wp.float64]))
 _SQUARE_UNDERFLOW = wp.constant(wp.float64(2.0**-1000))
+# More than all products of a vertex lose by underflow.
+_UNDERFLOW = wp.constant(wp.float64(2.0**-1068))
 
 
 @wp.struct
@@ -97,6 +99,7 @@ def slack_of(paths: BodyPaths, body: int, arm: vec3d, x: vec3d) -> wp.float64:
     start = paths.start[body]
     far = wp.max(wp.max(wp.abs(start)), wp.max(wp.abs(start + paths.velocity[body])))
     reach = wp.length(arm) + wp.length(paths.pivot[body]) + wp.length(paths.turning[body]) + wp.max(wp.abs(x))
+    reach += wp.length(paths.velocity[body])  # of a screw it has the error of the direction of its axis
     return _PLACE_POSITION * far + _PLACE * (_ONE + _HALF * wp.length(paths.omega[body])) * reach
 
 
@@ -147,6 +150,7 @@ def place_vertices(
             a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
         if t_end < _ONE:
             b = (_ONE - t_end) * x + t_end * vertices_t1[i]
+    error += _UNDERFLOW
     bulge += error
     slack[i] = error
     at_begin[i] = a

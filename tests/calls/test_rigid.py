@@ -84,6 +84,21 @@ def test_body_that_turns_alone_meets_nothing():
     assert len(result.contacts) == 0
 
 
+@pytest.mark.parametrize(("distance", "motion"), [(4, 10), (5, 16), (4001, 10000)])
+def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance, motion):
+    """Between slices positions are rounded to multiples of the smallest number, a large part of these motions."""
+    point, face = (np.zeros((1, 3)), NO_FACES), (BLADE + [5.0, 0, 0], [[0, 1, 2]])
+    mesh = ccd.CollisionMesh.from_arrays([point, point, face], rigid=[2], codimensional_points=True)
+    least = 2.0**-1074
+    start = mesh.vertices.copy()
+    start[0, 0] = distance * least
+    end = start.copy()
+    end[1, 0] = motion * least
+    turn = ccd.RigidMotion([[0, 0, 9, 0, 0, 0, 1]], twist=[[0, 0, 0, 0, 0, 0.5]])
+    toi = ccd.mesh_ccd(mesh, start, end, motion=turn, length_scale=motion * least, device="cpu").toi
+    assert toi <= distance / motion
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(
@@ -249,6 +264,18 @@ def test_launches_find_what_the_host_does(options):
     with pytest.raises(ValueError, match="known on the device"):
         _ = result.contacts.points
     assert pipeline.launch(mesh.vertices, mesh.vertices).toi.numpy()[0] == 0.0  # all bodies in one place, as they stand
+
+
+def test_particle_that_has_grown_between_launches_lands_earlier():
+    point = (np.zeros((1, 3)), NO_FACES)
+    mesh = ccd.CollisionMesh.from_arrays([point, GROUND], rigid=[0], codimensional_points=True, radius=[0.1])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    motion = ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1.0]])
+    for radius in (0.1, 0.3, 0.1):
+        pipeline.radius.assign(np.array([radius]))
+        toi = pipeline.launch(mesh.vertices, mesh.vertices, motion=motion).to_host().toi
+        assert toi == pytest.approx(0.5 * (1.0 - radius), abs=1e-12)
+        assert toi <= 0.5 * (1.0 - radius)
 
 
 def test_worlds_have_the_tois_that_each_has_alone():

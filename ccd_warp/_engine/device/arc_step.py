@@ -38,7 +38,8 @@ class DeviceArcStep(DeviceStep):
         searched = search_options(1.0, arrays["inflation"], separation, self.norm, self._flag, radii)
         # the contacts of all slices stay in the list, of which each slice resets the count of something else
         self._no_count: wp.array = self._full(1, 0, wp.int32)
-        return arrays | {"t_end": 1.0, "box_radius": radii[1], "is_thick": True, "search_options": searched}
+        own = {"box_radius": radii[1], "plane_radius": self._input.box_radius, "is_thick": True}
+        return arrays | own | {"t_end": 1.0, "search_options": searched}
 
     def prepare_on_paths(
         self, vertices_t0: Any, vertices_t1: Any, paths: "MeshPaths", **options: Any

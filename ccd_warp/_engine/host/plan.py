@@ -136,6 +136,7 @@ class HostPlan(Plan):
             is_thick=topology.is_thick or arcs is not None,
             boxes=boxes,
             turns=None if arcs is None else Slot("turns"),
+            plane_radius=topology.box_radius,
             **of_pairs,
             **slots,
         )
