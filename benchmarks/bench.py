@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import broad_phases, many_worlds, scaling, small_scenes, whole_step
+from ccd_warp.benchmarks import broad_phases, many_worlds, rigid, scaling, small_scenes, whole_step
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.machine import machine
@@ -26,6 +26,7 @@ from tqdm import tqdm
 from ccd_warp._files.journal import Journal, fingerprint
 
 SECTIONS = ("sweep", "cases", "batches", "start", "threads", "steps", "broad", "worlds", "small", "pairs", "growth")
+SECTIONS += ("rigid",)
 JOURNAL = "bench.journal"
 RAW = "bench.json"
 
@@ -52,6 +53,7 @@ class Settings:
         worlds: Numbers of worlds.
         small_rounds: Rounds of a small scene, and of a single pair.
         growth: Faces of the scenes of growing size.
+        rigid: Steps, pairs and dice of the part on rigid bodies.
     """
 
     quick: bool
@@ -71,6 +73,7 @@ class Settings:
     worlds: tuple[int, ...]
     small_rounds: int
     growth: tuple[int, ...]
+    rigid: rigid.Sizes
 
     @classmethod
     def make(
@@ -105,6 +108,7 @@ class Settings:
                 worlds=(64, 1_024),
                 small_rounds=7,
                 growth=(10_000, 30_000, 100_000),
+                rigid=rigid.QUICK,
             )
         return cls(
             **common,
@@ -121,6 +125,7 @@ class Settings:
             worlds=(64, 256, 1_024, 2_048),
             small_rounds=25,
             growth=(10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000),
+            rigid=rigid.FULL,
         )
 
     def as_dict(self) -> dict:
@@ -229,6 +234,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
     )
     for size in settings.growth:
         yield from each("growth", 4.0 + 8e-6 * size, whole_step.grow_apart, {str(size): size})
+    yield from each("rigid", settings.rigid.seconds, lambda call: call(), rigid.calls(settings.rigid))
 
 
 def measure_case(methods: list[Method], queries: QuerySet, effort: Effort) -> dict:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ccd_warp.benchmarks import require_extra
 
-SECTIONS_HELP = "sweep, cases, batches, start, threads, steps, broad, worlds, small, pairs, growth"
+SECTIONS_HELP = "sweep, cases, batches, start, threads, steps, broad, worlds, small, pairs, growth, rigid"
 INTERRUPTED = 130
 
 

@@ -15,6 +15,7 @@ from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, time_text
 from ccd_warp.benchmarks.raw_file import frame
+from ccd_warp.benchmarks.rigid_sections import draw_turns, of_what
 from ccd_warp.benchmarks.scene_sections import scene_name
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -302,4 +303,5 @@ _PICTURES = {
     "scaling": (draw_scaling, lambda raw: raw["batches"]),
     "steps": (draw_steps, lambda raw: raw["steps"]),
     "growth": (draw_growth, lambda raw: len(raw["growth"]) > 1),
+    "turns": (draw_turns, lambda raw: of_what(raw, "turns")),
 }

@@ -68,7 +68,7 @@ def merged(kept: dict, new: dict, sections: tuple[str, ...]) -> dict:
 def flat_rows(raw: dict) -> dict[str, list[dict]]:
     """The lists of the raw figures as flat rows."""
     result: dict[str, list[dict]] = {}
-    for name in ("sweep", "cases"):
+    for name in ("sweep", "cases", "rigid"):
         result[name] = [
             _flat({**{k: v for k, v in unit.items() if k != "rows"}, **row})
             for unit in raw.get(name, [])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ccd_warp.benchmarks import scene_sections, sections
+from ccd_warp.benchmarks import rigid_sections, scene_sections, sections
 from ccd_warp.benchmarks.ahead import ahead
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
@@ -169,6 +169,8 @@ def document(raw: dict, figures: str = "figures") -> str:
     if raw["growth"]:
         lines += ["### Growth", "", *scene_sections.growth(raw), ""]
         lines += picture("growth", "Time and memory against the faces of a scene") if "exponents" in raw else []
+    if raw.get("rigid"):
+        lines += ["## Rigid bodies that turn", "", *rigid_sections.rigid(raw, figures), ""]
     if raw["sweep"]:
         lines += ["## The sweep", "", "Time of a query, and the 99th percentile of the error of its toi.", ""]
         lines += [*sections.by_tolerance(raw), "", "## Every figure at the default tolerance", ""]

@@ -49,6 +49,7 @@ from ccd_warp._one_shot import (
 )
 from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._pipeline import CollisionPipeline
+from ccd_warp._pose_sequence import PoseSequence, read_poses
 from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
@@ -94,6 +95,7 @@ __all__ = [
     "PairOptions",
     "PairResult",
     "Planes",
+    "PoseSequence",
     "Proximities",
     "ProximityOptions",
     "RigidMotion",
@@ -112,6 +114,7 @@ __all__ = [
     "point_point_ccd",
     "point_segment_ccd",
     "read_frames",
+    "read_poses",
     "read_sequence",
     "read_urdf",
     "rigid_ccd",

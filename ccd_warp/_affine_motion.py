@@ -88,6 +88,17 @@ class AffineMotion:
         """
         return self._positions(self._affine_t1, points, body)
 
+    def _ends(
+        self, rows: NDArray[np.float64], first: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Places at both ends of rows of the bodies' frames, body after body, which begin at these rows."""
+        counts = np.diff(np.append(first, len(rows)))
+        ends = []
+        for maps in (self._affine_t0, self._affine_t1):
+            chosen = np.repeat(maps, counts, axis=0)
+            ends.append((chosen[..., :3] * rows[:, None]).sum(axis=-1) + chosen[..., 3])
+        return ends[0], ends[1]
+
     def _positions(self, maps: NDArray[np.float64], points: Any, body: Any) -> NDArray[np.float64]:
         places = as_positions(points, "points", 3)
         check_finite(places, "points")

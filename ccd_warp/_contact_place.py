@@ -1,12 +1,13 @@
-"""Where contacts are: their vertices, and their positions at the time of impact."""
+"""Where contacts are and how they move: their vertices, their positions and velocities at the time of impact."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contacts import Contacts
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
@@ -16,13 +17,87 @@ from ccd_warp._status import PairKind
 
 # Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
 _CHUNK = 1 << 12
-# The positions of so many vertices, and of some more, are copied in the time in which the point of one contact is
-# computed: with 50,000 vertices and 40,000 contacts in 0.6 ms in place of 3.
-_VERTICES_A_POINT = 5
+# The positions of so many vertices, and of some more, are copied in the time in which those of one contact are chosen.
+_VERTICES_A_CONTACT = 5
 _FEW_VERTICES = 1 << 12
+# Turn between two of the times that stand for an arc, in radians, and the most of these times.
+TURN, _MOST_TIMES = 0.1, 500
+# What contacts have by their place.
+_PLACED = ("points", "relative_velocity")
 
-# Positions of vertices at a time of each.
-_At = Callable[[NDArray[np.int32], NDArray[np.float64]], NDArray[np.float64]]
+
+@dataclass(frozen=True)
+class MovingVertices:
+    """How vertices move in a step.
+
+    Attributes:
+        mesh: The mesh.
+        start: Positions at the start of the step, of bodies on ``paths`` in their own frames, shape [n, 3] or [n, 2].
+        end: Those at its end.
+        paths: Paths of bodies that turn; None where there are none.
+        rows: The vertices whose positions these are, ascending, int, shape [n]; None for all of them.
+    """
+
+    mesh: CollisionMesh
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    paths: MeshPaths | None = None
+    rows: NDArray[np.integer] | None = None
+
+    @classmethod
+    def of(
+        cls, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], motion: BodyPaths | None
+    ) -> "MovingVertices":
+        """Of positions in space; where no body of the mesh is rigid, a motion is one of all, as of ``rigid_ccd``.
+
+        Raises:
+            ValueError: If the motion does not match the mesh.
+        """
+        if motion is None:
+            return cls(mesh, start, end)
+        paths = MeshPaths.of(mesh if mesh.rigid.any() else mesh._all_rigid, motion)
+        paths.check_own_frames(mesh, start, end)
+        return cls(mesh, start, end, paths)
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Times between which every vertex moves nearly straight, from 0 to 1."""
+        turn = 0.0 if self.paths is None else float(np.linalg.norm(self.paths.omega, axis=1).max(initial=0.0))
+        return np.linspace(0.0, 1.0, 2 + min(int(turn / TURN), _MOST_TIMES))
+
+    def copied(self, contacts: Contacts) -> "MovingVertices":
+        """The same, of arrays that nobody else holds, with what the contacts need."""
+        if len(self.start) < _VERTICES_A_CONTACT * len(contacts) + _FEW_VERTICES:
+            return replace(self, start=self.start.copy(), end=self.end.copy())
+        is_needed = np.zeros(len(self.start), dtype=bool)
+        is_needed[contacts.vertices] = True
+        is_needed[self.mesh.planes.vertices[self.mesh.planes.vertices >= 0]] = True
+        rows = np.flatnonzero(is_needed)
+        return replace(self, start=self.start[rows], end=self.end[rows], rows=rows)
+
+    def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions of vertices at a time of each, shape [n, 1]."""
+        start, end = self._ends_of(vertices)
+        if self.paths is not None:
+            return self.paths.places(self.mesh.vertex_body[vertices], start, end, t)
+        return (1.0 - t) * start + t * end
+
+    def all_at(self, t: float) -> NDArray[np.float64]:
+        """Positions of all vertices at a time, shape [V, 3] or [V, 2]."""
+        if self.paths is not None:
+            return self.paths.at(self.mesh, self.start, self.end, t)
+        return (1.0 - t) * self.start + t * self.end
+
+    def velocities(self, vertices: NDArray[np.integer], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How vertices move at a time of each, as displacements in the whole step."""
+        start, end = self._ends_of(vertices)
+        if self.paths is not None:
+            return self.paths.velocities(self.mesh.vertex_body[vertices], start, end, t)
+        return np.subtract(end, start, dtype=np.float64)
+
+    def _ends_of(self, vertices: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        rows = vertices if self.rows is None else np.searchsorted(self.rows, vertices)
+        return self.start.take(rows, axis=0), self.end.take(rows, axis=0)
 
 
 @dataclass
@@ -31,17 +106,17 @@ class ContactPlace:
 
     Attributes:
         mesh: The mesh.
-        frames: Positions at both ends of the step, of which nobody else holds the arrays; None if not needed or known.
+        frames: How the vertices of the contacts move, in arrays that nobody else holds; None if it is not known.
         points: Points of the contacts, once they are computed.
+        relative_velocity: Their relative velocities, once they are computed.
         vertices: Vertices of the contacts, once they are computed.
-        paths: Those of bodies that turn in the step; None where there are none.
     """
 
     mesh: CollisionMesh
-    frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    frames: MovingVertices | None = None
     points: NDArray[np.float64] | None = None
+    relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
-    paths: MeshPaths | None = None
 
     @property
     def has_points(self) -> bool:
@@ -50,19 +125,20 @@ class ContactPlace:
 
     def chosen(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
-        return ContactPlace(
-            self.mesh,
-            self.frames,
-            None if self.points is None else self.points[index],
-            None if self.vertices is None else self.vertices[index],
-            self.paths,
-        )
+        columns = (self.points, self.relative_velocity, self.vertices)
+        return ContactPlace(self.mesh, self.frames, *(None if each is None else each[index] for each in columns))
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
         """The points of the contacts to which this belongs; None if they are not known."""
         if self.points is None and self.frames is not None:
-            self.points = points_at_toi(self.mesh, *self.frames, contacts, self.paths)
+            self.points = _points(self.frames, contacts)
         return self.points
+
+    def relative_velocity_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
+        """Their relative velocities; None if they are not known."""
+        if self.relative_velocity is None and self.frames is not None:
+            self.relative_velocity = _relative_velocities(self.frames, contacts)
+        return self.relative_velocity
 
 
 def located(
@@ -72,26 +148,23 @@ def located(
     end: NDArray[np.float64] | None = None,
     paths: MeshPaths | None = None,
 ) -> Contacts:
-    """Contacts that know their mesh and their points in a step between these positions of all vertices.
+    """Contacts that know their mesh and where they are in a step between these positions of all vertices.
 
-    The positions may be arrays of the caller, who changes them afterwards. Where there are many contacts, the positions
-    are therefore copied, and the points computed when they are asked for; otherwise the points are computed at once.
-    Without positions the points stay unknown. Positions and normals have three columns, or of a mesh in the plane the
-    positions two; of such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their
-    own frames.
+    The positions may be arrays of the caller, who changes them afterwards. They are therefore copied: all of them, or
+    where there are few contacts theirs alone. Points and velocities are computed when they are asked for, and without
+    positions stay unknown. Positions and normals have three columns, or of a mesh in the plane the positions two; of
+    such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames.
     """
-    place = ContactPlace(mesh, paths=paths)
+    place = ContactPlace(mesh)
     if mesh.dimension == 2:
         contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
         start, end = (None if x is None else x[:, :2] for x in (start, end))
     if len(contacts) == 0:
-        place.points = np.zeros((0, mesh.dimension))
-    elif start is not None and end is not None:
-        if len(start) < _VERTICES_A_POINT * len(contacts) + _FEW_VERTICES:
-            place.frames = start.copy(), end.copy()
-        else:
-            place.points = points_at_toi(mesh, start, end, contacts, paths)
-    return Contacts(**vars(contacts))._of(place)
+        place.points = place.relative_velocity = np.zeros((0, mesh.dimension))
+    contacts = Contacts(**vars(contacts))._of(place)
+    if len(contacts) and start is not None and end is not None:
+        place.frames = MovingVertices(mesh, start, end, paths).copied(contacts)
+    return contacts
 
 
 def joined(parts: Sequence[Contacts]) -> Contacts:
@@ -100,7 +173,8 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     places: list[ContactPlace | None] = [part._place for part in parts]
     if places[0] is None or not all(place is not None and place.has_points for place in places):
         return contacts
-    return contacts._of(ContactPlace(places[0].mesh, points=np.concatenate([part.points for part in parts])))
+    points, velocities = (np.concatenate([getattr(part, name) for part in parts]) for name in _PLACED)
+    return contacts._of(ContactPlace(places[0].mesh, points=points, relative_velocity=velocities))
 
 
 def points_at_toi(
@@ -119,31 +193,30 @@ def points_at_toi(
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
 
-    def at(vertices: NDArray[np.int32], t: NDArray[np.float64]) -> NDArray[np.float64]:
-        if paths is not None:
-            return paths.at(mesh, start, end, t, vertices)
-        return (1.0 - t) * start.take(vertices, axis=0) + t * end.take(vertices, axis=0)
+    return _points(MovingVertices(mesh, start, end, paths), contacts)
 
-    points = np.empty((len(contacts), start.shape[1]))
+
+def _points(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
+    points = np.empty((len(contacts), frames.start.shape[1]))
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
         for k in range(0, len(of_kind), _CHUNK):
             chosen: Any = of_kind[k : k + _CHUNK]
             if chosen[-1] - chosen[0] == len(chosen) - 1:
                 chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
-            corners = pair_corners(mesh, kind, contacts.primitives[chosen])
+            corners = pair_corners(frames.mesh, kind, contacts.primitives[chosen])
             toi, parameters = contacts.toi[chosen, None], contacts.parameters[chosen]
             if kind == PairKind.VERTEX_PLANE:
-                points[chosen] = _at_planes(mesh, contacts.primitives[chosen], at, toi)
+                points[chosen] = _at_planes(frames, contacts.primitives[chosen], toi)
             else:
-                points[chosen] = _midpoints(kind, corners, at, toi, parameters)
+                points[chosen] = _midpoints(kind, corners, frames, toi, parameters)
     return points
 
 
 def _midpoints(
     kind: PairKind,
     corners: tuple[NDArray[np.int32], NDArray[np.int32]],
-    at: _At,
+    frames: MovingVertices,
     t: NDArray[np.float64],
     parameters: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -155,21 +228,17 @@ def _midpoints(
         PairKind.POINT_POINT: lambda: ([1.0], [1.0]),
     }[kind]()
     sides = [
-        sum(w * at(i, t) for w, i in zip(side_weights, side.T, strict=True))
+        sum(w * frames.at(i, t) for w, i in zip(side_weights, side.T, strict=True))
         for side_weights, side in zip(weights, corners, strict=True)
     ]
     return 0.5 * sides[0] + 0.5 * sides[1]
 
 
-def _at_planes(
-    mesh: CollisionMesh,
-    primitives: NDArray[np.int32],
-    at: _At,
-    t: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _at_planes(frames: MovingVertices, primitives: NDArray[np.int32], t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Midpoints of vertices and the points of their planes that are closest to them."""
+    mesh = frames.mesh
     vertices, number = primitives.T
-    x = at(vertices, t)
+    x = frames.at(vertices, t)
     columns = x.shape[1]
     # of a mesh in the plane the positions of a picture have three coordinates
     points, unit = (mesh._in_space(a)[:, :columns] for a in (mesh.planes.points, unit_normals(mesh.planes.normals)))
@@ -177,10 +246,28 @@ def _at_planes(
     moves = mesh.planes.vertices[number] >= 0
     if moves.any():
         of_point = mesh.planes.vertices[number[moves]]
-        point[moves] = at(of_point, t[moves])
+        point[moves] = frames.at(of_point, t[moves])
     half, normal = 0.5 * x - 0.5 * point, unit[number]
     depth = half[:, 0] * normal[:, 0] + half[:, 1] * normal[:, 1]
     if columns == 3:
         depth += half[:, 2] * normal[:, 2]
     midpoints: NDArray[np.float64] = x - depth[:, None] * normal
     return midpoints
+
+
+def _relative_velocities(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
+    """Velocities of the first closest points less those of the second, shape [m, 3] or [m, 2]."""
+    mesh, columns = frames.mesh, frames.start.shape[1]
+    velocities = np.empty((len(contacts), columns))
+    for k in range(0, len(contacts), _CHUNK):
+        chunk = slice(k, k + _CHUNK)
+        vertices, toi = contacts.vertices[chunk], contacts.toi[chunk]
+        of_vertices = frames.velocities(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None])
+        weights = contacts.weights[chunk, :, None]
+        velocities[chunk] = (weights * of_vertices.reshape(*vertices.shape, columns)).sum(axis=1)
+    of_planes = np.flatnonzero(contacts.kind == int(PairKind.VERTEX_PLANE))
+    points = mesh.planes.vertices[contacts.primitives[of_planes, 1]]
+    moves = points >= 0  # those that move have a vertex of their own, and the others none
+    of_planes, points = of_planes[moves], points[moves]
+    velocities[of_planes] -= frames.velocities(points, contacts.toi[of_planes, None])
+    return velocities

@@ -121,13 +121,17 @@ class Contacts(Placed, ClosePairs):
         f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); p and q; or v
         and the point of the plane below it. Their distance is the gap.
         """
-        points: NDArray[np.float64] | None = self._known().points_of(self)
-        if points is None:
-            raise ValueError(
-                "contacts.points are not known, as no launch has read positions; expected a launch before, or "
-                "to_host(vertices_t0, vertices_t1)"
-            )
-        return points
+        return self._placed("points", self._known().points_of(self))
+
+    @property
+    def relative_velocity(self) -> NDArray[np.float64]:
+        """How the first primitive moves relative to the second at toi, float64, shape [m, 3], in the plane [m, 2].
+
+        It is the velocity of its closest point less that of the second's, as a displacement in the whole step: a length
+        in the unit of the mesh. Divided by the duration of the step it is a velocity in time. Its product with
+        ``normal`` is negative where the two approach. The closest points are points of the bodies, with fixed (u, v).
+        """
+        return self._placed("relative_velocity", self._known().relative_velocity_of(self))
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.
@@ -135,6 +139,16 @@ class Contacts(Placed, ClosePairs):
         Indices into contacts, such as ``MeshResult.vertex_contact``, are those of the original order.
         """
         return self[np.argsort(self.toi, kind="stable")]
+
+    @staticmethod
+    def _placed(name: str, values: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """What follows from positions, or a ValueError where these are not known."""
+        if values is None:
+            raise ValueError(
+                f"contacts.{name} are not known, as no launch has read positions; expected a launch before, or "
+                "to_host(vertices_t0, vertices_t1)"
+            )
+        return values
 
     def _known_mesh(self) -> "CollisionMesh":
         mesh: CollisionMesh = self._known().mesh
@@ -212,6 +226,14 @@ class Contact:
     def point(self) -> NDArray[np.float64]:
         """Position at toi, a length, float64, shape [3], or [2] in the plane."""
         return self._row.points[0].copy()
+
+    @property
+    def relative_velocity(self) -> NDArray[np.float64]:
+        """Of the first primitive relative to the second, as in :class:`ccd_warp.Contacts`, float64, shape [3] or [2].
+
+        A displacement in the whole step.
+        """
+        return self._row.relative_velocity[0].copy()
 
     @property
     def vertices(self) -> NDArray[np.int32]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64
@@ -17,6 +18,7 @@ from ccd_warp._joint_bounds import Window, motions
 from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
 from ccd_warp._joints import Joint, JointTree
+from ccd_warp._motion import RigidMotion
 
 
 class JointMotion:
@@ -294,3 +296,7 @@ class JointMotion:
         joints = counted(sum(joint.kind != "fixed" for joint in self.joints), "moving joint", "moving joints")
         worlds = f" in each of {counted(self.num_worlds, 'world', 'worlds')}" if self._worlds else ""
         return f"JointMotion({counted(self.num_links, 'link', 'links')}, {joints}{worlds})"
+
+
+# What calls on a step take.
+Motion = RigidMotion | JointMotion | AffineMotion

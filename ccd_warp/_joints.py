@@ -34,7 +34,7 @@ class Joint:
     "free"              is at the pose that the joint's 7 coordinates are: position and quaternion **x y z w**
     ==================  ==========================================================================================
 
-    Args:
+    Attributes:
         name: Name of the joint.
         parent: Name of the link that carries the other one.
         child: Name of the link that is carried.
@@ -171,6 +171,8 @@ class JointTree:
         if links is None:
             return list(range(len(self.links)))
         names = check_items("links", links, "names of links")
+        if not names:
+            raise ValueError("links is empty; expected names of links")
         for name in names:
             if name not in self.index:
                 raise ValueError(f"links has {shown(name)}; expected names of links: {listed(self.links)}")

@@ -23,13 +23,17 @@ class MeshPaths(BodyPaths):
 
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
+        excess: How far points of each body may be from the path, a length, shape [B].
+        active: Bodies that are searched, bool, shape [B].
     """
 
     is_rigid: NDArray[np.bool_]
+    excess: NDArray[np.float64]
+    active: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
-        """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
+    def of(cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None) -> MeshPaths:
+        """The paths of the rigid bodies of a mesh, for which a motion has given a row each, and an ``excess``.
 
         Raises:
             ValueError: If the numbers of bodies differ, the mesh is in the plane, or a static body moves.
@@ -37,16 +41,7 @@ class MeshPaths(BodyPaths):
         if mesh.dimension == 2:
             raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
         bodies = np.flatnonzero(mesh.rigid)
-        if len(bodies) == 0:
-            raise ValueError(
-                "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
-                "rigid_ccd, for which all bodies are"
-            )
-        if len(given) != len(bodies):
-            raise ValueError(
-                f"motion has {counted(len(given), 'row', 'rows')} for "
-                f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
-            )
+        check_rows(mesh, bodies, len(given))
         moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
         for row in np.flatnonzero(moves & mesh.static[bodies])[:1].tolist():
             raise ValueError(
@@ -58,7 +53,10 @@ class MeshPaths(BodyPaths):
             of_rigid = getattr(given, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
             rows[field.name][bodies] = of_rigid
-        return cls(**rows, is_rigid=mesh.rigid.copy())
+        of_all = np.zeros(mesh.num_bodies)
+        if excess is not None:
+            of_all[bodies] = excess
+        return cls(**rows, is_rigid=mesh.rigid.copy(), excess=of_all, active=np.ones(mesh.num_bodies, dtype=bool))
 
     def check_own_frames(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.
@@ -85,24 +83,50 @@ class MeshPaths(BodyPaths):
     ) -> NDArray[np.float64]:
         """Where vertices are at a time, one for all or one a vertex; all of them by default."""
         vertices = np.arange(len(start)) if vertices is None else vertices
-        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))
-        body = mesh.vertex_body[vertices]
-        x: NDArray[np.float64] = (1.0 - times) * start[vertices] + times * end[vertices]
+        return self.places(mesh.vertex_body[vertices], start[vertices], end[vertices], t)
+
+    def places(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
+        times = _times(t, len(body))
+        x: NDArray[np.float64] = (1.0 - times) * start + times * end
         rigid = np.flatnonzero(self.is_rigid[body])
-        x[rigid] = self.positions(start[vertices[rigid]], body[rigid], times[rigid, 0])
+        x[rigid] = self.positions(start[rigid], body[rigid], times[rigid, 0])
         return x
 
-    def velocity_at(
-        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any
+    def velocities(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
     ) -> NDArray[np.float64]:
-        """How vertices move at a time, as displacements in the whole step."""
-        times = np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (len(vertices), 1))[:, 0]
-        body = mesh.vertex_body[vertices]
-        v: NDArray[np.float64] = end[vertices] - start[vertices]
+        """How vertices of these bodies move at a time, as displacements in the whole step, shape [n, 3]."""
+        v: NDArray[np.float64] = end - start
         rigid = np.flatnonzero(self.is_rigid[body])
-        rows, t_rigid = body[rigid], times[rigid]
+        rows, times = body[rigid], _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
-        arms = rotated(self.rotation[rows], start[vertices[rigid]] - self.pivot[rows])
-        arms = arms + _arcs(omega, arms, t_rigid)
-        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, t_rigid)
+        arms = rotated(self.rotation[rows], start[rigid] - self.pivot[rows])
+        arms = arms + _arcs(omega, arms, times)
+        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, times)
         return v
+
+
+def _times(t: Any, count: int) -> NDArray[np.float64]:
+    """One time for all, or one for each, shape [count, 1]."""
+    return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
+
+
+def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> None:
+    """Check that a motion has a row for each of the rigid bodies, of which there are some.
+
+    Raises:
+        ValueError: If not.
+    """
+    if len(bodies) == 0:
+        raise ValueError(
+            "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
+            "rigid_ccd, for which all bodies are"
+        )
+    if num_rows != len(bodies):
+        raise ValueError(
+            f"motion has {counted(num_rows, 'row', 'rows')} for "
+            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
+        )

@@ -20,6 +20,7 @@ from ccd_warp._input.option_types import (
 )
 from ccd_warp._input.options import options_of
 from ccd_warp._intersections import Intersections
+from ccd_warp._joint_motion import Motion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pipeline import CollisionPipeline
@@ -34,7 +35,7 @@ def find_candidates(
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
     *,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
@@ -233,7 +234,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -245,8 +246,7 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
-        motion: How the rigid bodies of the mesh turn, a row for each. Their vertices then move on arcs, and stand in
-            the bodies' own frames in both of the other arguments; all others move straight.
+        motion: How rigid bodies turn, whose rows are in their own frames; with joints a world ends at a first contact.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -325,7 +325,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -356,7 +356,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
@@ -388,7 +388,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
-    motion: RigidMotion | None = None,
+    motion: Motion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:
@@ -425,6 +425,8 @@ def line_search(
             more. Where they do not suffice, all vertices of a world move by one fraction, or not at all, and
             ``is_limited`` is set. Bodies and vertices with toi 0 are stopped at once where fewer than 6 rounds are
             left.
+        motion: How the rigid bodies turn, as in :func:`mesh_ccd`, but for joints. They stay rigid: the vertices of each
+            share a fraction of its path, and ``motion`` of the result ends with their poses.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
@@ -38,7 +39,9 @@ from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
+from ccd_warp._joint_motion import JointMotion, Motion
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_paths import MeshPaths, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
@@ -46,7 +49,6 @@ from ccd_warp._runtime.progress import Progress
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
-    from ccd_warp._mesh_paths import MeshPaths
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -173,7 +175,8 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         work: Callable[[Step], _T],
-        motion: RigidMotion | MeshPaths | None = None,
+        motion: RigidMotion | JointMotion | MeshPaths | None = None,
+        options: Options | None = None,
     ) -> _T:
         """Run ``work`` on a step and return its result."""
         paths = None if motion is None else self._paths_of(motion)
@@ -184,27 +187,46 @@ class CollisionPipeline:
                 paths.check_own_frames(self.mesh, start, end)
             return start, end
 
-        return self._run(Step, frames, work, paths=paths)
+        return self._run(Step, frames, work, options, paths=paths)
 
-    def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
+    def _straightened(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
+    ) -> tuple[ArrayLike, ArrayLike, RigidMotion | JointMotion | None]:
+        """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
+        if not isinstance(motion, AffineMotion):
+            return vertices_t0, vertices_t1, motion
+        mesh = self.mesh
+        bodies = np.flatnonzero(mesh.rigid)
+        check_rows(mesh, bodies, len(motion._affine_t0))
+        start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
+        rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
+        first = np.searchsorted(mesh.vertex_body[rows], bodies)
+        start[rows], end[rows] = motion._ends(start[rows], first)
+        return start, end, None
+
+    def _paths_of(self, motion: RigidMotion | JointMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
-        from ccd_warp._mesh_paths import MeshPaths  # few programs need it
-
         if isinstance(motion, MeshPaths):
             return motion
         check_instance("motion", motion, RigidMotion)
+        assert isinstance(motion, RigidMotion)
+        self._check_clipping()
+        return MeshPaths.of(self.mesh, motion._body_paths)
+
+    def _check_clipping(self) -> None:
+        """Check that pairs are solved by clips of time, as on arcs."""
         if not self._options.is_clipping:
             raise ValueError(f"method is {shown(self._options.method)}; expected 'clipping' where motion is given")
-        return MeshPaths.of(self.mesh, motion._body_paths)
 
     def _run(
         self,
         kind: type[_StepT],
         frames: Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]],
         work: Callable[[_StepT], _T],
+        options: Options | None = None,
         **further: Any,
     ) -> _T:
-        """Run ``work`` on a step of a kind between validated positions."""
+        """Run ``work`` on a step of a kind between validated positions, with other options than those of all calls."""
         if self._topology.device.is_capturing:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
         with self._lock:
@@ -214,7 +236,7 @@ class CollisionPipeline:
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
-            step = kind(workspace, (start, end), self._options, seconds, self._show_progress, **further)
+            step = kind(workspace, (start, end), options or self._options, seconds, self._show_progress, **further)
             result = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
@@ -541,11 +563,12 @@ class CollisionPipeline:
         vertices_t1: ArrayLike,
         inflation: float = 0.0,
         *,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
     ) -> Candidates:
         """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
@@ -586,23 +609,55 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> MeshResult:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
-        result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        if isinstance(motion, JointMotion):
+            result = self._on_joints(vertices_t0, vertices_t1, motion)
+        else:
+            result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None) -> ArrayLike:
+    def _joints_at(self, motion: JointMotion, t: float) -> MeshPaths:
+        """Paths on which links stay where joints have them at a time."""
+        if motion.num_worlds != self.mesh.num_worlds:
+            raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
+        return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
+
+    def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
+        """The first contacts of each world where joints move links."""
+        from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
+
+        mesh = self.mesh
+        self._check_clipping()
+        start, end = mesh.frames(vertices_t0, vertices_t1)
+        self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
+        result: MeshResult | None = None
+        of_pass = replace(self._options, t_max=1.0)
+        search = JointSearch(mesh, start, end, motion, self._options.t_max)
+
+        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
+            nonlocal result
+            result = self._on_step(begin, end, Step.contacts, paths, of_pass)
+            return result
+
+        search.run(solve)
+        assert result is not None
+        return search.result(result)
+
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
         if motion is None:
             return vertices_t0
         start = self.mesh.frame(vertices_t0)
-        return self._paths_of(motion).at(self.mesh, start, start, 0.0)
+        paths = self._joints_at(motion, 0.0) if isinstance(motion, JointMotion) else self._paths_of(motion)
+        return paths.at(self.mesh, start, start, 0.0)
 
-    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:
+    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None = None) -> Intersections:
         """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
         vertices_t0 = self._at_start(vertices_t0, motion)
         counts, timings = self.counts, self.timings
@@ -619,19 +674,24 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> float:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         toi = min(self._least_toi(vertices_t0, vertices_t1, motion), self._options.t_max)
         if check_start:
             self._checked_start(vertices_t0, motion)
         return toi
 
-    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None = None) -> float:
+    def _least_toi(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | JointMotion | None = None
+    ) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
+        if isinstance(motion, JointMotion):
+            return self._on_joints(vertices_t0, vertices_t1, motion).toi
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
@@ -671,13 +731,17 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> bool:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
-        least = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        if isinstance(motion, JointMotion):
+            least = self._on_joints(vertices_t0, vertices_t1, motion).toi
+        else:
+            least = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
         if not check_start:
             return least == np.inf
         return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
@@ -690,7 +754,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
         check_start: bool = False,
     ) -> LineSearchResult:
         """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
@@ -699,6 +763,7 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
@@ -708,13 +773,18 @@ class CollisionPipeline:
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
 
     def _search_on_arcs(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion, arguments: dict[str, Any]
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion,
+        arguments: dict[str, Any],
     ) -> LineSearchResult:
         """A line search in which bodies turn."""
         from ccd_warp._engine.host.arc_course import ArcCourse, ArcEnd  # few programs need it
 
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths_of(motion)
+        assert isinstance(motion, RigidMotion)  # as its paths are known
         paths.check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 

@@ -107,6 +107,9 @@ class FrameSequence:
         ]
         return moving + self._static
 
+    def _motion(self, k: int) -> None:
+        """How bodies turn in the step: vertices move straight from frame to frame."""
+
     def _frame(self, n: int) -> tuple[list[Mesh], list[Stamp]]:
         with noted_files() as stamps:
             return [each.read(n) for each in self._series], stamps

@@ -65,6 +65,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `run` and `sequence` take alike: obstacles, limits, and what decides the exit status."""
     parser.add_argument(
+        "--poses",
+        metavar="FILE",
+        type=Path,
+        help="rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV or .json "
+        "with a row for each body and time: t, body, px, py, pz, qx, qy, qz, qw; a body without rows does not move",
+    )
+    parser.add_argument(
+        "--path",
+        choices=("linear", "screw"),
+        help="how a body of --poses moves: its origin on a straight line, or the body on a screw (linear)",
+    )
+    parser.add_argument(
         "--static",
         metavar="FILE",
         type=Path,

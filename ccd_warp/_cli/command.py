@@ -75,13 +75,14 @@ def _add_run(commands) -> None:
     parser = commands.add_parser(
         "run",
         help="earliest times of impact between two frames of a mesh",
-        description="Every vertex moves on a straight line from its place in START to its place in END. Exit status: "
+        description="Every vertex moves on a straight line from its place in START to its place in END; with --poses "
+        "rigid bodies turn, and their vertices move on arcs. Exit status: "
         "0 for a finished run, with a collision or without, 1 for a contact with --fail-on-contact, 2 for bad input.",
     )
     parser.add_argument(
         "start", metavar="START", help="mesh at the start of the step: PLY, OBJ, STL, OFF, GLB or an archive"
     )
-    parser.add_argument("end", metavar="END", help="mesh at its end, with the same faces")
+    parser.add_argument("end", metavar="END", nargs="?", help="mesh at its end, with the same faces; none with --poses")
     parser.add_argument(
         "--output",
         metavar="FILE",
@@ -101,7 +102,8 @@ def _add_sequence(commands) -> None:
     parser = commands.add_parser(
         "sequence",
         help="earliest times of impact in every step of a sequence of frames",
-        description="Every vertex moves on a straight line from each frame to the next. Ctrl-C keeps what was "
+        description="Every vertex moves on a straight line from each frame to the next; with --poses rigid bodies "
+        "turn, and their vertices move on arcs. Ctrl-C keeps what was "
         "computed, and the same command goes on from there. Exit status: 0 for a finished run, with a collision or "
         "without, 1 for a contact with --fail-on-contact, 2 for bad input, 130 after Ctrl-C.",
     )

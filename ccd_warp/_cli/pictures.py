@@ -32,7 +32,15 @@ def draw_step(path: Path, step: SolvedStep) -> Path:
     from ccd_warp import viz
 
     with replacing(path) as to, closed_stderr():
-        viz.render_step(step.mesh, step.vertices_t0, step.vertices_t1, step.result, to, t_max=step.options.t_max)
+        viz.render_step(
+            step.mesh,
+            step.vertices_t0,
+            step.vertices_t1,
+            step.result,
+            to,
+            t_max=step.options.t_max,
+            motion=step.motion,
+        )
     return path
 
 

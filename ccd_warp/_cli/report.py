@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import warp as wp
 
-from ccd_warp._cli.motion import Lengths, largest_displacement
+from ccd_warp._cli.motion import Lengths
 from ccd_warp._cli.places import ContactTable, kind_name
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.scope import NOT_SEEN, left_out, looked_at
@@ -59,7 +59,7 @@ def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is
         Several lines without a final newline.
     """
     lines = [format_title(title, step.options), "", *_bodies(step), "", *_outcome(step), ""]
-    lengths = Lengths.of(step.vertices_t0, largest_displacement(step.vertices_t0, step.vertices_t1), step.options)
+    lengths = Lengths.of(step.moving.all_at(0.0), step.displacement, step.options)
     lines += format_table(("in the unit of the files", ""), lengths.rows(step.mesh.radius), align="<<")
     lines.append("")
     if is_verbose:

@@ -9,12 +9,13 @@ from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
+from ccd_warp._cli.poses import check_poses, pose_sequence
 from ccd_warp._cli.process import report_on, start_quietly, warn
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
 from ccd_warp._files.frames import read_frames, read_static
-from ccd_warp._input.messages import printable
+from ccd_warp._input.messages import InputError, printable
 
 
 def run_step(arguments: argparse.Namespace) -> int:
@@ -30,9 +31,25 @@ def run_step(arguments: argparse.Namespace) -> int:
         check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
     how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface}
-    files = [read_frames(arguments.start, arguments.end, **how)]
-    files += [read_static(path, **how) for path in arguments.static]
-    bodies = [body for file in files for body in file.split()] + half_space_bodies(arguments.half_space)
+    check_poses(arguments)
+    motion, title = None, f"{arguments.start} -> {arguments.end}"
+    if arguments.poses is None:
+        if arguments.end is None:
+            raise InputError(
+                "END is missing; expected the mesh at the end of the step, or --poses; see ccd-warp run --help"
+            )
+        bodies = read_frames(arguments.start, arguments.end, **how).split()
+        bodies += [body for path in arguments.static for body in read_static(path, **how).split()]
+        bodies += half_space_bodies(arguments.half_space)
+    else:
+        sequence = pose_sequence(arguments.start, arguments)
+        if len(sequence) != 2:
+            raise InputError(
+                f"--poses {arguments.poses}: holds poses at {len(sequence)} times; expected 2, those of both ends of "
+                "the step; `sequence` takes more"
+            )
+        bodies, motion = sequence._first_bodies, sequence.step(0)
+        title = f"{arguments.start}: {sequence.labels[0]} -> {sequence.labels[1]}"
     timings = {"read files": time.perf_counter() - begin}
 
     options = given_options(arguments)
@@ -41,6 +58,7 @@ def run_step(arguments: argparse.Namespace) -> int:
         is_quiet=arguments.quiet,
         has_radius=bool(arguments.radius),
         has_half_space=bool(arguments.half_space),
+        has_poses=motion is not None,
     )
     step = solve_scene(
         bodies,
@@ -48,6 +66,7 @@ def run_step(arguments: argparse.Namespace) -> int:
         scene=SceneArguments.of(arguments),
         is_quiet=arguments.quiet,
         ignores_start=arguments.ignore_start_contacts,
+        motion=motion,
     )
     timings.update(step.timings)
     if not arguments.quiet:
@@ -64,7 +83,6 @@ def run_step(arguments: argparse.Namespace) -> int:
         timings["draw picture"] = time.perf_counter() - begin
     if not arguments.quiet:
         report = report_on(arguments.output)
-        title = f"{arguments.start} -> {arguments.end}"
         print(format_report(title, step, timings, is_verbose=arguments.verbose), file=report)
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)

@@ -51,8 +51,8 @@ class SceneArguments:
             arguments.exclude,
         )
 
-    def mesh(self, bodies: Sequence[Body]) -> CollisionMesh:
-        """The bodies as one mesh."""
+    def mesh(self, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
+        """The bodies as one mesh, of which some are rigid."""
         from ccd_warp._frames import mesh_of
 
         names = distinct_names([body.name for body in bodies])
@@ -62,6 +62,7 @@ class SceneArguments:
             kinematic=_kinematic_bodies(self.kinematic, names, bodies),
             radius=radii_of(self.radius, names, [body.half_space is not None for body in bodies]),
             exclusion_rings=self.exclusion_rings,
+            rigid=rigid,
         )
         if self.exclude is None:
             return mesh

@@ -44,8 +44,11 @@ def left_out(mesh: CollisionMesh, options: Options, ignored: "StartContacts | No
     kinds: Sequence[PairKind] = possible_kinds(mesh, options)
     unasked = [kind for kind in possible_kinds(mesh, Options()) if kind not in kinds]
     parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in unasked]
-    if not mesh.self_collision[mesh._is_free].all():
+    is_left_out = mesh._is_free & ~mesh.self_collision
+    if (is_left_out & ~mesh.rigid).any():
         parts.append("pairs within a body (--no-self-collision)")
+    if (is_left_out & mesh.rigid).any():
+        parts.append("pairs within a rigid body")
     if mesh.kinematic.any():
         parts.append("pairs of static and kinematic bodies" if mesh.static.any() else "pairs of kinematic bodies")
     elif mesh.static.any():

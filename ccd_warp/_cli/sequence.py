@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import STDOUT, make_folder, plain_options
 from ccd_warp._cli.pictures import check_animation, draw_step
+from ccd_warp._cli.poses import check_poses, pose_sequence
 from ccd_warp._cli.process import (
     INTERRUPTED,
     check_standard_output,
@@ -27,7 +29,8 @@ from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_plot
 from ccd_warp._cli.sequence_report import format_sequence
-from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, solve
+from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, moving_vertices, solve
+from ccd_warp._contact_place import MovingVertices
 from ccd_warp._files.frames import InputError
 from ccd_warp._files.journal import Journal, fingerprint
 from ccd_warp._files.opened import Stamp, noted_files, stamp
@@ -36,6 +39,7 @@ from ccd_warp._frames import static_bodies
 from ccd_warp._input.arguments import check_count
 from ccd_warp._input.messages import printable
 from ccd_warp._input.options import Options
+from ccd_warp._pose_sequence import PoseSequence
 from ccd_warp._sequence import FrameSequence
 from ccd_warp._version import __version__
 
@@ -55,7 +59,8 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     with noted_files() as opened:
         sequence = _open(arguments)
     given = given_options(arguments)
-    options, ignored = make_options(given, sequence.mesh), None
+    at_start = _moving(sequence, 0).all_at(0.0)
+    options, ignored = make_options(given, sequence.mesh, None if arguments.poses is None else at_start), None
     num_steps = len(sequence) - 1
     folder: Path | None = None if arguments.output == STDOUT else arguments.output
     journal = None
@@ -69,10 +74,11 @@ def run_sequence(arguments: argparse.Namespace) -> int:
         is_quiet=arguments.quiet,
         has_radius=bool(arguments.radius),
         has_half_space=bool(arguments.half_space),
+        has_poses=arguments.poses is not None,
     )
     if arguments.ignore_start_contacts:
         with warnings_on_stderr(is_quiet=arguments.quiet):
-            ignored = StartContacts.of(sequence.mesh, sequence[0], options)
+            ignored = StartContacts.of(sequence.mesh, at_start, options)
         sequence.mesh = sequence.mesh.excluding(ignored.pairs)
 
     report = report_on(arguments.output)
@@ -86,7 +92,8 @@ def run_sequence(arguments: argparse.Namespace) -> int:
 
     def solved(k: int) -> SolvedStep:
         bodies = sequence._bodies(k)
-        return solve(bodies, sequence._mesh_of(bodies), options, line, is_quiet=arguments.quiet, ignored=ignored)
+        mesh, motion = sequence._mesh_of(bodies), sequence._motion(k)
+        return solve(bodies, mesh, options, line, is_quiet=arguments.quiet, ignored=ignored, motion=motion)
 
     is_complete = True
     written: list[Path] = []
@@ -112,7 +119,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _warn_of_motions(ordered)
         if ordered:
-            print(format_sequence(sequence, ordered, options, ignored), file=report)
+            print(format_sequence(sequence, ordered, options, ignored, at_start), file=report)
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)
     if not is_complete:
@@ -125,8 +132,22 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     return int(arguments.fail_on_contact and any(record.hit or record.crossing for record in ordered))
 
 
-def _open(arguments: argparse.Namespace) -> FrameSequence:
+def _moving(sequence: FrameSequence | PoseSequence, k: int) -> MovingVertices:
+    """How all vertices move in a step."""
+    bodies = sequence._bodies(k)
+    return moving_vertices(sequence._mesh_of(bodies), bodies, sequence._motion(k))
+
+
+def _open(arguments: argparse.Namespace) -> FrameSequence | PoseSequence:
     """The frames of the command line, with the first step read."""
+    check_poses(arguments)
+    if arguments.poses is not None:
+        if len(arguments.frames) != 1:
+            raise InputError(f"{len(arguments.frames)} files are given with --poses; expected one mesh file")
+        for name in ("displacement", "faces"):
+            if getattr(arguments, name) is not None:
+                raise InputError(f"--{name} is given with --poses; expected one of them")
+        return pose_sequence(arguments.frames[0], arguments)
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
     series = find_series(
         arguments.frames,
@@ -140,7 +161,11 @@ def _open(arguments: argparse.Namespace) -> FrameSequence:
 
 
 def _journal(
-    folder: Path, arguments: argparse.Namespace, sequence: FrameSequence, options: Options, opened: list[Stamp]
+    folder: Path,
+    arguments: argparse.Namespace,
+    sequence: FrameSequence | PoseSequence,
+    options: Options,
+    opened: list[Stamp],
 ) -> Journal:
     """The steps that an interrupted run of the same command has left in the folder."""
     files = {*opened, *(stamp(path) for each in sequence._series for path in each.files)}
@@ -150,7 +175,7 @@ def _journal(
         **SceneArguments.of(arguments).plain(),
         **{
             name: getattr(arguments, name)
-            for name in ("half_space", "displacement", "surface", "ignore_start_contacts")
+            for name in ("half_space", "displacement", "surface", "ignore_start_contacts", "path")
         },
         "columns": COLUMNS,
         "labels": [each.labels for each in sequence._series],
@@ -173,14 +198,14 @@ def _is_unchanged(record: StepRecord) -> bool:
 
 def _draw(
     path: Path,
-    sequence: FrameSequence,
+    sequence: FrameSequence | PoseSequence,
     records: dict[int, StepRecord],
     solved: Callable[[int], SolvedStep],
     line: ItemsLine,
 ) -> Path:
     """Draw the animation, or the first step that has a contact."""
     if path.suffix.lower() != ".png":
-        return draw_animation(path, sequence, records, line)
+        return draw_animation(path, partial(_moving, sequence), records, line)
     bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
     return draw_step(path, solved(bad))
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ccd_warp._cli.motion import largest_displacement, motion_warnings
+from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.opened import Stamp
@@ -95,7 +95,7 @@ class StepRecord:
             first=first,
             described=[table.described(0), table.placed(0)] if len(table) else [],
             points=table.contacts.points.tolist(),
-            displacement=largest_displacement(step.vertices_t0, step.vertices_t1),
+            displacement=step.displacement,
             warnings=motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max),
             files=files,
         )

@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ccd_warp._cli.motion import Lengths
 from ccd_warp._cli.report import (
     body_rows,
@@ -18,6 +21,7 @@ from ccd_warp._cli.scope import looked_at
 from ccd_warp._cli.sequence_records import StepRecord, ranges_text
 from ccd_warp._display import start_sentence
 from ccd_warp._input.options import Options
+from ccd_warp._pose_sequence import PoseSequence
 from ccd_warp._sequence import FrameSequence
 
 # Steps whose toi the report lists; the CSV file has all.
@@ -25,7 +29,11 @@ _MOST_ROWS = 20
 
 
 def format_sequence(
-    sequence: FrameSequence, records: Sequence[StepRecord], options: Options, ignored: StartContacts | None
+    sequence: FrameSequence | PoseSequence,
+    records: Sequence[StepRecord],
+    options: Options,
+    ignored: StartContacts | None,
+    at_start: NDArray[np.float64],
 ) -> str:
     """The report of the steps that were computed, in their order, without a final newline."""
     mesh, bodies = sequence.mesh, sequence._first_bodies
@@ -61,7 +69,7 @@ def format_sequence(
         lines.append("at the start of each step  no edge passes through a face")
     lines += [*scope_lines(mesh, options, ignored), ""]
     displacement = max(record.displacement for record in records)
-    lengths = Lengths.of(mesh.vertices, displacement, options)
+    lengths = Lengths.of(at_start, displacement, options)
     return "\n".join([*lines, *format_table(("in the unit of the files", ""), lengths.rows(mesh.radius), align="<<")])
 
 

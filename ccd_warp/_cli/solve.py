@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,17 @@ from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.half_spaces import half_space_bodies
+from ccd_warp._cli.motion import largest_displacement
 from ccd_warp._cli.process import notice, warnings_on_stderr
 from ccd_warp._cli.progress import ProgressLine
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.scope import check_kinds
+from ccd_warp._contact_place import MovingVertices
 from ccd_warp._files.frames import Body, make_body
 from ccd_warp._input.options import Options
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._results import MeshResult
 
 
@@ -35,6 +39,7 @@ class SolvedStep:
         start: What touches, or passes through another, at the start.
         ignored: What is left out of both, because it is in contact in the first frame; None if nothing is.
         timings: Seconds of each stage, in order.
+        motion: How rigid bodies turn, whose positions are in their own frames; None where all vertices move straight.
     """
 
     bodies: Sequence[Body]
@@ -46,6 +51,18 @@ class SolvedStep:
     start: Intersections
     ignored: StartContacts | None
     timings: dict[str, float]
+    motion: RigidMotion | None = None
+
+    @cached_property
+    def moving(self) -> MovingVertices:
+        """How the vertices move."""
+        return moving_vertices(self.mesh, self.bodies, self.motion)
+
+    @cached_property
+    def displacement(self) -> float:
+        """The largest distance of a vertex from its place at the start."""
+        start = self.moving.all_at(0.0)
+        return max(largest_displacement(start, self.moving.all_at(t)) for t in self.moving.times[1:])
 
 
 def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -53,10 +70,21 @@ def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[n
     return np.vstack([body.vertices_t0 for body in bodies]), np.vstack([body.vertices_t1 for body in bodies])
 
 
-def make_options(given: dict[str, Any], mesh: CollisionMesh) -> Options:
+def moving_vertices(mesh: CollisionMesh, bodies: Sequence[Body], motion: RigidMotion | None) -> MovingVertices:
+    """How the vertices of all bodies move."""
+    return MovingVertices.of(mesh, *positions_of(bodies), None if motion is None else motion._body_paths)
+
+
+def moving_bodies(bodies: Sequence[Body]) -> list[int]:
+    """The bodies that are not static."""
+    return [k for k, body in enumerate(bodies) if not body.is_static]
+
+
+def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
     """The options of the command line, with the length scale that they mean if they give none.
 
-    It is that of the mesh: the longest side of the box around all bodies at the start. The options are validated here,
+    It is that of the mesh: the longest side of the box around all bodies at the start, where ``start`` says where they
+    are if they have frames of their own. The options are validated here,
     so that no message names a function that is not on the command line.
 
     Raises:
@@ -64,7 +92,10 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh) -> Options:
     """
     options = Options(**given)
     check_kinds(mesh, options)
-    return options if options.length_scale is not None else replace(options, length_scale=mesh.length_scale)
+    if options.length_scale is not None:
+        return options
+    size = 0.0 if start is None else float(np.ptp(start, axis=0).max())
+    return replace(options, length_scale=size if size > 0.0 and np.isfinite(size) else mesh.length_scale)
 
 
 def solve(
@@ -75,6 +106,7 @@ def solve(
     *,
     is_quiet: bool,
     ignored: StartContacts | None = None,
+    motion: RigidMotion | None = None,
 ) -> SolvedStep:
     """Run ``mesh_ccd`` on a step of a mesh, whose bodies these are, with its progress on a line that stays there.
 
@@ -84,13 +116,13 @@ def solve(
     with CollisionPipeline.borrowed(mesh, options) as pipeline:
         pipeline._show_progress = line.show
         with warnings_on_stderr(line.clear, is_quiet=is_quiet):
-            result = pipeline.mesh_ccd(vertices_t0, vertices_t1)
+            result = pipeline.mesh_ccd(vertices_t0, vertices_t1, motion=motion)
             timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
             begin = time.perf_counter()
-            start = pipeline.find_intersections(vertices_t0)
+            start = pipeline.find_intersections(moving_vertices(mesh, bodies, motion).all_at(0.0))
             timings["intersections at start"] = time.perf_counter() - begin
     start = start if ignored is None else ignored.others(start)
-    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, ignored, timings)
+    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, ignored, timings, motion)
 
 
 def solve_scene(
@@ -101,25 +133,33 @@ def solve_scene(
     is_quiet: bool,
     shows_progress: bool = True,
     ignores_start: bool = False,
+    motion: RigidMotion | None = None,
 ) -> SolvedStep:
-    """Make the mesh of one step and run ``mesh_ccd``."""
+    """Make the mesh of one step and run ``mesh_ccd``; with a motion all bodies are rigid that are not static."""
     begin = time.perf_counter()
-    mesh = scene.mesh(bodies)
+    mesh = scene.mesh(bodies, rigid=[] if motion is None else moving_bodies(bodies))
     build_seconds = time.perf_counter() - begin
-    options, line, ignored = make_options(given, mesh), ProgressLine(is_quiet or not shows_progress), None
+    at_start = moving_vertices(mesh, bodies, motion).all_at(0.0)
+    options = make_options(given, mesh, None if motion is None else at_start)
+    line, ignored = ProgressLine(is_quiet or not shows_progress), None
     if ignores_start:
         with warnings_on_stderr(is_quiet=is_quiet):
-            ignored = StartContacts.of(mesh, positions_of(bodies)[0], options)
+            ignored = StartContacts.of(mesh, at_start, options)
         mesh = mesh.excluding(ignored.pairs)
     try:
-        step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored)
+        step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored, motion=motion)
     finally:
         line.clear()
     return replace(step, timings={"build mesh": build_seconds, **step.timings})
 
 
 def load_kernels(
-    given: dict[str, Any], *, is_quiet: bool, has_radius: bool = False, has_half_space: bool = False
+    given: dict[str, Any],
+    *,
+    is_quiet: bool,
+    has_radius: bool = False,
+    has_half_space: bool = False,
+    has_poses: bool = False,
 ) -> float:
     """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
     begin = time.perf_counter()
@@ -130,9 +170,13 @@ def load_kernels(
         make_body("moving", above, below, [[0, 1, 2]]),
         make_body("resting", triangle, None, [[0, 1, 2]], is_static=True),
     ]
+    motion = None
+    if has_poses:
+        bodies[0] = make_body("moving", triangle, triangle, [[0, 1, 2]])
+        motion = RigidMotion([[0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 1.0]], [[0.0, 0.1, -0.5, 0.0, 0.0, 0.0, 1.0]])
     bodies += half_space_bodies(["0,0,0,0,0,1"]) if has_half_space else []
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
     with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
         scene = SceneArguments(self_collision=False, radius=["0.1"] if has_radius else [])
-        solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False)
+        solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False, motion=motion)
     return time.perf_counter() - begin

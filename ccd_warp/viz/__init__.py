@@ -1,7 +1,8 @@
 """Visualise a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
 
 The bodies are shown at t = 0, at the toi of the scene and at t = 1. Static bodies are grey, each other body has its own
-colour, and a legend names them; a line shows the path of a body that moves farther than its own size. At the toi, the
+colour, and a legend names them; a line shows the path of a body that moves farther than its own size. With ``motion=``
+rigid bodies are where they are at these times, and lines show the arcs of their outermost vertices. At the toi, the
 earliest contacts are points with their normals as arrows; later contacts are fainter and drawn at their future
 positions. Nothing hides a contact. At t = 1 the colours show the toi of the vertices, on large faces the earliest of
 their corners; what touches nothing is pale in the colour of its body, and large faces of static bodies stay grey. Where
@@ -23,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._results import HostLaunchResult, MeshResult
 from ccd_warp.viz._camera import make_camera, validated_direction
 from ccd_warp.viz._contacts import contact_points
@@ -65,6 +67,7 @@ def draw_step(
     camera: ArrayLike | None = None,
     colour: Colour = "vertex_toi",
     t_max: float = 1.0,
+    motion: RigidMotion | None = None,
 ) -> Picture:
     """Draw a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
@@ -79,6 +82,8 @@ def draw_step(
         colour: Colours of the bodies at t = 1: by the toi of the vertices, with a colour bar, or by body as at the
             other times.
         t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
+        motion: How rigid bodies turn, as ``mesh_ccd`` takes it; their vertices stand in their own frames in both
+            positions. Of a mesh without rigid bodies all are, as in ``rigid_ccd``.
 
     Returns:
         The picture, which a notebook shows.
@@ -93,11 +98,11 @@ def draw_step(
     width, height = _validated_size(size)
     t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
     toi_range = _toi_range(result, colour)
-    scene = make_scene(mesh, vertices_t0, vertices_t1, result)
+    scene = make_scene(mesh, vertices_t0, vertices_t1, result, motion)
     enlargement = min(width / 3, height) / _SHORTER_SIDE
     panel_size = (width / 3 / enlargement, height / enlargement)
     margins = (_SIDE, _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
-    view = make_camera(scene.start, scene.end, camera, panel_size, margins)
+    view = make_camera(*scene.ends, camera, panel_size, margins)
 
     def draw(plotter: Any) -> None:
         from ccd_warp.viz._panel import Panel
@@ -118,6 +123,7 @@ def render_step(
     camera: ArrayLike | None = None,
     colour: Colour = "vertex_toi",
     t_max: float = 1.0,
+    motion: RigidMotion | None = None,
 ) -> Picture:
     """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
@@ -131,6 +137,7 @@ def render_step(
         camera: Direction from the scene to the viewer, as in :func:`draw_step`.
         colour: Colours of the bodies at t = 1, as in :func:`draw_step`.
         t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
+        motion: How rigid bodies turn, as in :func:`draw_step`.
 
     Returns:
         The picture, which a notebook shows, and which stands for its file where a path is expected.
@@ -148,7 +155,17 @@ def render_step(
         )
     path = check_path("path", path)
     check_picture_path(path, "path")
-    picture = draw_step(mesh, vertices_t0, vertices_t1, result, size=size, camera=camera, colour=colour, t_max=t_max)
+    picture = draw_step(
+        mesh,
+        vertices_t0,
+        vertices_t1,
+        result,
+        size=size,
+        camera=camera,
+        colour=colour,
+        t_max=t_max,
+        motion=motion,
+    )
     return picture.save(path)
 
 
@@ -180,6 +197,7 @@ def show_step(
     *,
     camera: ArrayLike | None = None,
     colour: Colour = "body",
+    motion: RigidMotion | None = None,
 ) -> None:
     """Open a window with a step and a slider over t in [0, 1] that starts at the toi; return when it is closed.
 
@@ -190,6 +208,7 @@ def show_step(
         result: The result of ``mesh_ccd``, or of a launch on the host.
         camera: Initial direction from the scene to the viewer, as in :func:`render_step`.
         colour: Colours of the bodies, as in :func:`render_step`.
+        motion: How rigid bodies turn, as in :func:`draw_step`.
 
     Raises:
         ImportError: If the extra ``viz`` is not installed.
@@ -199,7 +218,7 @@ def show_step(
     check_instance("mesh", mesh, CollisionMesh)
     check_result(result)
     toi_range = _toi_range(result, colour)
-    scene = make_scene(mesh, vertices_t0, vertices_t1, result)
+    scene = make_scene(mesh, vertices_t0, vertices_t1, result, motion)
     validated_direction(camera)
     pyvista = import_pyvista()
     check_display(pyvista)
@@ -209,7 +228,7 @@ def show_step(
     width, height = _WINDOW
     enlargement = min(_WINDOW) / _SHORTER_SIDE
     margins = (_SIDE, 2 * _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
-    view = make_camera(scene.start, scene.end, camera, (width / enlargement, height / enlargement), margins)
+    view = make_camera(*scene.ends, camera, (width / enlargement, height / enlargement), margins)
     plotter = pyvista.Plotter(
         window_size=_WINDOW, title="ccd_warp", lighting="none", theme=pyvista.themes.DocumentTheme()
     )

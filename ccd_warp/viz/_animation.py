@@ -14,8 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp.viz._camera import Camera, automatic_direction, make_camera
 from ccd_warp.viz._file import check_file_path
+from ccd_warp.viz._moving import outermost
 from ccd_warp.viz._scene import StepScene, middle_of, placed
 from ccd_warp.viz._window import ZOOM, drawn
+
+__all__ = ["FrameView", "check_animation_path", "draw_frame", "encoder", "outermost", "write_animation"]
 
 ANIMATION_SUFFIXES = (".gif", ".mp4")
 
@@ -24,7 +27,6 @@ _MARGINS = (14, 40, 72)  # pixels at the sides, above for the title, below for t
 _PER_SECOND = 10
 _HELD = 4  # a contact is shown as long as this many frames
 _COLOURS = 256
-_DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 _BEYOND = 1.08  # between these directions a ball reaches so much farther
 
 
@@ -50,11 +52,6 @@ class FrameView:
         enlargement = min(_SIZE) / _SHORTER_SIDE
         size = (_SIZE[0] / enlargement, _SIZE[1] / enlargement)
         return cls(centre, unit, make_camera(shown, shown, automatic_direction(motion / unit), size, _MARGINS))
-
-
-def outermost(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The positions that lie farthest along the axes and their diagonals, shape [26, 3]."""
-    return positions[(positions @ _DIRECTIONS.T).argmax(axis=0)]
 
 
 def draw_frame(

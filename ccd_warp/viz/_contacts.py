@@ -8,11 +8,18 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._contact_place import points_at_toi
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Contacts
+from ccd_warp.viz._moving import moving_vertices
 
 
 def contact_points(
-    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, contacts: Contacts
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    contacts: Contacts,
+    *,
+    motion: RigidMotion | None = None,
 ) -> NDArray[np.float64]:
     """Position of each contact at its toi: the midpoint of the two points with the parameters (u, v).
 
@@ -24,6 +31,7 @@ def contact_points(
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
         contacts: ``MeshResult.contacts`` of the step.
+        motion: How rigid bodies turn, as ``mesh_ccd`` takes it.
 
     Returns:
         Positions, float64, same length unit as the mesh, shape [m, 3].
@@ -33,5 +41,7 @@ def contact_points(
     """
     check_instance("mesh", mesh, CollisionMesh)
     check_instance("contacts", contacts, Contacts)
-    start, end = mesh.frames(vertices_t0, vertices_t1)
-    return points_at_toi(mesh, start, end, contacts)
+    if motion is not None:
+        moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
+        return points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths)
+    return points_at_toi(mesh, *mesh.frames(vertices_t0, vertices_t1), contacts)

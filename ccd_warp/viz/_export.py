@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._contact_place import points_at_toi
 from ccd_warp._input.arguments import check_instance, check_real
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies
 from ccd_warp._results import HostLaunchResult, MeshResult
+from ccd_warp.viz._moving import moving_vertices
 from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista
 
@@ -23,6 +25,7 @@ def to_pyvista(
     result: MeshResult | HostLaunchResult | None = None,
     *,
     t: float = 0.0,
+    motion: RigidMotion | None = None,
 ) -> Any:
     """A step as a ``pyvista.MultiBlock``: a block for each body, called by its name, and one for the contacts.
 
@@ -39,6 +42,7 @@ def to_pyvista(
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
         result: The result of ``mesh_ccd``, or of a launch on the host; None leaves out the contacts and ``toi``.
         t: Time at which the bodies are placed, in [0, 1].
+        motion: How rigid bodies turn, as in :func:`draw_step`.
 
     Returns:
         A ``pyvista.MultiBlock``.
@@ -51,11 +55,12 @@ def to_pyvista(
     if result is not None:
         check_result(result)
     t = check_real("t", t, "a number in [0, 1]", lambda x: 0 <= x <= 1)
-    start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
+    moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
+    start, end = (moving.all_at(each) for each in (0.0, 1.0))
     if result is not None and result.vertex_toi.shape != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {result.vertex_toi.shape}; expected {(len(start),)}")
     pyvista = import_pyvista()
-    positions = (1.0 - t) * start + t * end
+    positions = moving.all_at(t)
     blocks = pyvista.MultiBlock()
     squares = {}
     if len(mesh.planes):
@@ -81,7 +86,7 @@ def to_pyvista(
         contacts = result.contacts
         shape = pyvista.PolyData()
         if len(contacts):
-            shape = pyvista.PolyData(points_at_toi(mesh, start, end, contacts))
+            shape = pyvista.PolyData(points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths))
             shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
             for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()

@@ -133,10 +133,11 @@ class Panel:
 
     def draw_trails(self) -> None:
         """Draw the paths of bodies that move far."""
-        ends = self.scene.trails.reshape(-1, 3)
-        if len(ends):
-            lines = np.insert(np.arange(len(ends)).reshape(-1, 2), 0, 2, axis=1)
-            trails = pyvista.PolyData(ends, lines=lines.ravel())
+        paths = self.scene.trails
+        if paths:
+            first = np.cumsum([0, *map(len, paths[:-1])])
+            lines = [[len(path), *range(k, k + len(path))] for path, k in zip(paths, first.tolist(), strict=True)]
+            trails = pyvista.PolyData(np.concatenate(paths), lines=np.concatenate(lines))
             self.renderer.add_actor(
                 flat_actor(trails, LINE_COLOUR, line_width=_TRAIL_WIDTH * self.zoom), reset_camera=False
             )

@@ -1,6 +1,7 @@
 """The content of a picture of a step in its own coordinates; this module needs only NumPy."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,9 +13,11 @@ from ccd_warp._display import listed, shortened
 from ccd_warp._half_space import unit_normals
 from ccd_warp._input.arguments import check_instance
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_corners
 from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._status import PairKind
+from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost
 
 STATIC_COLOUR = "#c6c6c2"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
@@ -51,6 +54,9 @@ class StepScene:
         first_body_size: Longest side of the smaller body of that contact, 0 without one.
         names: Name of each body.
         squares: Corners of squares in the planes of those half-spaces that the box reaches, shape [H, 4, 3].
+        place: Positions at a time, shape [V, 3], where bodies turn; None where all vertices move straight.
+        arcs: Paths of some vertices of bodies that turn, shape [k, 3] each.
+        between: Outermost positions between both ends of the step, where bodies turn, shape [n, 3].
     """
 
     start: NDArray[np.float64]
@@ -69,10 +75,20 @@ class StepScene:
     first_body_size: float
     names: tuple[str, ...]
     squares: NDArray[np.float64]
+    place: Callable[[float], NDArray[np.float64]] | None = None
+    arcs: list[NDArray[np.float64]] = field(default_factory=list)
+    between: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def positions(self, t: float) -> NDArray[np.float64]:
         """Positions at a time, shape [V, 3]."""
+        if self.place is not None:
+            return self.place(t)
         return (1.0 - t) * self.start + t * self.end
+
+    @property
+    def ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What a view is to show of the motion: positions at both ends, and what lies farther out between them."""
+        return np.concatenate([self.start, self.between]), np.concatenate([self.end, self.between])
 
     @cached_property
     def vertex_colours(self) -> NDArray[np.uint8]:
@@ -120,16 +136,16 @@ class StepScene:
         return total / np.maximum(np.bincount(body, minlength=count), 1)
 
     @cached_property
-    def trails(self) -> NDArray[np.float64]:
-        """Start and end of the centre of each body that moves farther than its own size, shape [n, 2, 3]."""
+    def trails(self) -> list[NDArray[np.float64]]:
+        """Paths of the centres of bodies that move farther than their own size, and of vertices of those that turn."""
         moving = np.flatnonzero(~self.static)
-        trails = []
+        trails: list[NDArray[np.float64]] = []
         for body in moving if len(moving) <= _MOST_TRAILS else ():
             start, end = (frame[self.vertex_body == body] for frame in (self.start, self.end))
             if len(start):
                 ends = np.array([start.mean(axis=0), end.mean(axis=0)])
                 trails += [ends] if np.ptp(ends, axis=0).max() > np.ptp(start, axis=0).max() else []
-        return np.array(trails).reshape(-1, 2, 3)
+        return trails + self.arcs
 
 
 def check_result(result: Any) -> None:
@@ -139,31 +155,44 @@ def check_result(result: Any) -> None:
 
 
 def make_scene(
-    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, result: MeshResult | HostLaunchResult
+    mesh: CollisionMesh,
+    vertices_t0: ArrayLike,
+    vertices_t1: ArrayLike,
+    result: MeshResult | HostLaunchResult,
+    motion: RigidMotion | None = None,
 ) -> StepScene:
     """Transform a step into the coordinates of the picture.
 
     Raises:
-        ValueError: If the mesh is empty, or the positions or the result do not match it.
+        ValueError: If the mesh is empty, or the positions, the motion or the result do not match it.
     """
-    start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
+    moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
+    start, end = moving.start, moving.end
     if len(start) == 0:
         raise ValueError("mesh has no vertices; expected something to draw")
     if np.shape(result.vertex_toi) != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
-    centre, unit = middle_of(start, end)
     contacts = result.contacts
+    points = points_at_toi(mesh, start, end, contacts, moving.paths)
+    between = np.zeros((0, 3))
+    if moving.paths is not None:
+        start, end = moving.all_at(0.0), moving.all_at(1.0)
+        between = np.concatenate([outermost(moving.all_at(t)) for t in moving.times])
+    centre, unit = middle_of(np.concatenate([start, between]), np.concatenate([end, between]))
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
     return StepScene(
         **placed(mesh, start, end, centre, unit),
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
-        contact_points=(points_at_toi(mesh, start, end, contacts) - centre) / unit,
+        contact_points=(points - centre) / unit,
         contact_normals=mesh._in_space(np.asarray(contacts.normal)),
         contact_is_first=is_first,
         first_contact=first,
         first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
+        place=None if moving.paths is None else lambda t: (moving.all_at(t) - centre) / unit,
+        arcs=[(arc - centre) / unit for arc in arcs_of(moving, _MOST_TRAILS)],
+        between=(between - centre) / unit,
     )
 
 

@@ -42,6 +42,7 @@ class BodyPaths:
     start: wp.array[vec3d]  # p
     velocity: wp.array[vec3d]  # v
     turning: wp.array[vec3d]  # u
+    excess: wp.array[wp.float64]  # how far its vertices may be from this path, a length
 
 
 @wp.struct
@@ -139,7 +140,7 @@ def place_vertices(
         omega = length * paths.omega[body]
         v = wp.cross(omega, from_pivot) + length * first.turning
         bulge = _EIGHTH_UP * wp.length(omega) * wp.sqrt(wp.dot(v, v) + _SQUARE_UNDERFLOW)
-        error = slack_of(paths, body, arm, x)
+        error = slack_of(paths, body, arm, x) + paths.excess[body]
     else:
         error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
         if t_begin > _ZERO:

@@ -43,6 +43,37 @@ def test_the_first_contact_says_what_touches_what_and_where(step):
     assert repr(first).endswith(f"toi={result.toi!r})")
 
 
+def turning_bar():
+    """A bar that turns, a post in its way that falls, and a ground that comes up: mesh, start, end."""
+    bar = np.array([[-1.0, 0, 0], [1.0, 0.0, 0.1], [0.0, 0.3, 0.1], [0.0, -0.3, 0.05]])
+    post = np.array([[0.3, 0.8, -2.0], [0.3, 0.8, 3.0], [0.5, 0.9, 3.0]])
+    ground = ccd.HalfSpace([0.0, 0.0, -2.5], [0.1, 0.0, 1.0])
+    bodies = [(bar, [[0, 1, 2], [0, 3, 1]]), (post, FACE), ground]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], kinematic=[2])
+    end = mesh.vertices + np.array([[0, 0, 0], [0, 0, -1.2], [0, 0.2, 3.5]])[mesh.vertex_body]
+    return mesh, mesh.vertices, end
+
+
+@pytest.mark.parametrize("path", ["linear", "screw"])
+def test_the_relative_velocity_of_what_turns_is_that_of_points_of_the_body(path):
+    mesh, start, end = turning_bar()
+    twist = np.array([0.2, -0.1, 0.3, 0.4, 0.3, 2.0])
+    motion = ccd.RigidMotion([[0.1, 0.0, 0.0, 0, 0, 0, 1]], path=path, twist=[twist])
+    contacts = ccd.mesh_ccd(mesh, start, end, motion=motion).contacts
+    assert {0, 1} <= {*contacts.bodies[contacts.kind == ccd.PairKind.EDGE_EDGE].ravel().tolist()}
+    assert {0, 2} <= {*contacts.bodies[contacts.kind == ccd.PairKind.VERTEX_PLANE].ravel().tolist()}
+    for contact in contacts[(contacts.bodies == 0).any(axis=1)]:
+        origin = motion.at(contact.toi)[0, :3]
+        # on a screw the velocity of the origin turns with the body
+        h = 1e-6
+        linear = (motion.at(contact.toi + h)[0, :3] - motion.at(contact.toi - h)[0, :3]) / (2 * h)
+        of_bar = linear + np.cross(twist[3:], contact.point - origin)
+        of_other = [0, 0, -1.2] if 1 in contact.bodies else [0, 0.2, 3.5]
+        expected = of_bar - of_other if contact.bodies[0] == 0 else of_other - of_bar
+        assert np.allclose(contact.relative_velocity, expected, atol=1e-8)  # of the difference quotient
+        assert contact.relative_velocity @ contact.normal < 0
+
+
 def test_points_lie_on_both_primitives_at_toi(step):
     mesh, start, end, result = step
     contacts = result.contacts
@@ -68,9 +99,12 @@ def test_points_are_those_of_the_step_whatever_becomes_of_the_callers_arrays():
         mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1, 2])
         start, end = np.vstack([start, extra]), np.vstack([end, extra])
         result = ccd.mesh_ccd(mesh, start, end)
-        expected = viz.contact_points(mesh, start, end, result.contacts)
+        contacts = result.contacts
+        expected = viz.contact_points(mesh, start, end, contacts)
+        velocity = (contacts.weights[..., None] * (end - start)[contacts.vertices]).sum(axis=1)
         start[:] = end[:] = 0.0
         assert len(expected) and np.array_equal(result.contacts.points, expected)
+        assert np.array_equal(contacts.relative_velocity, velocity)
 
 
 def test_contacts_are_read_one_at_a_time_in_part_and_by_toi(step):

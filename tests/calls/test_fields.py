@@ -27,13 +27,13 @@ RESULTS = (
 # Fields with a sign, a side, an order or a unit of their own; each has a test of its meaning below.
 MEANT = {
     *("bodies", "body_contact", "bounds", "direction", "distance", "edge_parameter", "features", "fraction", "gap"),
-    *("is_crossing", "normal", "parameters", "point", "points", "primitives", "touching", "vertex_contact"),
-    *("struck", "vertex_fraction", "weights", "world_contact"),
+    *("is_crossing", "normal", "parameters", "point", "points", "primitives", "relative_velocity", "touching"),
+    *("struck", "vertex_contact", "vertex_fraction", "weights", "world_contact"),
 }
 # Fields whose name says all, or that so many things have that a search for them would tell nothing.
 PLAIN = {
     *("body_names", "body_toi", "contacts", "count", "counts", "edge_edge", "first", "flags", "hit", "index"),
-    *("is_limited", "iterations", "kind", "mesh", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
+    *("is_limited", "iterations", "kind", "mesh", "motion", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
     *("hidden_gaps", "num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status"),
     *(
         "timings",
@@ -67,9 +67,11 @@ READ = {
     "parameters point points primitives struck touching vertex_contact weights world_contact",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal primitives weights",
+    "examples/dice.py": "bodies direction distance points",
     "examples/fsi_membrane.py": "direction normal parameters primitives",
     "examples/mesh_against_mesh.py": "normal primitives",
     "examples/newton_cloth.py": "normal parameters primitives",
+    "examples/rotor.py": "direction distance normal primitives relative_velocity",
     "examples/two_layers.py": "direction distance weights",
 }
 DISTANCE = 0.1
@@ -244,6 +246,18 @@ def test_points_and_parameters_are_those_of_the_closest_points(step):
         assert np.allclose(contact.point, (p + q) / 2, atol=1e-12)
         assert np.array_equal(contact.point, result.contacts.points[k])
     assert np.allclose(near.points[:, 0] - near.points[:, 1], near.distance[:, None] * near.direction, atol=1e-12)
+
+
+@meaning_of("relative_velocity", "normal")
+def test_the_relative_velocity_is_that_of_the_first_primitive_less_that_of_the_second(step):
+    contacts = step[3].contacts
+    velocity = np.array([[0, 0, -0.3], [0, 0, -0.75], [0, 0, 0]])[contacts.bodies]
+    assert np.allclose(contacts.relative_velocity, velocity[:, 0] - velocity[:, 1], rtol=0, atol=1e-14)
+    approach = (contacts.relative_velocity * contacts.normal).sum(axis=1)
+    assert (approach < -0.1).all() and {*contacts.kind.tolist()} == {*ccd.PairKind}
+    assert all(
+        np.array_equal(contact.relative_velocity, contacts.relative_velocity[contact.index]) for contact in contacts
+    )
 
 
 @meaning_of("gap")

@@ -76,6 +76,14 @@ def test_several_turns_in_a_step_list_each_pair_once_and_first():
     assert result.vertex_contact[0] == result.body_contact[0] == 0  # that of the least toi
 
 
+def test_body_that_turns_alone_meets_nothing():
+    """A triangle has no pair at all, so no slice of the step has a list of contacts."""
+    mesh = ccd.CollisionMesh.from_arrays([(BLADE, [[0, 1, 2]])])
+    result = ccd.rigid_ccd(mesh, [AT_REST], twist=[[0, 0, 0, 0, 0, 1.0]], device="cpu")
+    assert result.toi == np.inf
+    assert len(result.contacts) == 0
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(
@@ -241,6 +249,25 @@ def test_worlds_have_the_tois_that_each_has_alone():
     assert found.world_toi[0] == pytest.approx(expected.toi, abs=1e-12)
     assert found.world_toi[1] == pytest.approx(2 * expected.toi, abs=1e-9)
     assert found.world_toi[2] == np.inf
+
+
+def test_bodies_that_stretch_move_straight_between_the_places_of_their_maps():
+    mesh, end, _ = tumbling_boxes()
+    rng = np.random.default_rng(4)
+    maps = [np.concatenate([np.eye(3) + 0.2 * rng.standard_normal((4, 3, 3)), rng.random((4, 3, 1))], axis=2)] * 2
+    maps[1] = maps[0] + 0.3 * rng.standard_normal((4, 3, 4)) * (np.arange(4) > 0)[:, None, None]  # the first is static
+    affine = ccd.AffineMotion(*maps)
+    rigid = mesh.rigid[mesh.vertex_body]
+    start, stop = mesh.vertices.copy(), end.copy()
+    start[rigid] = affine.positions_t0(mesh.vertices[rigid], mesh.vertex_body[rigid])
+    stop[rigid] = affine.positions_t1(mesh.vertices[rigid], mesh.vertex_body[rigid])
+    expected = ccd.mesh_ccd(mesh, start, stop, device="cpu")
+    assert len(expected.contacts) > 5
+    assert different(outputs(expected), outputs(result_of(mesh, end, affine))) == []
+    searched = ccd.line_search(mesh, mesh.vertices, end, motion=affine, device="cpu")
+    assert searched.fraction == ccd.line_search(mesh, start, stop, device="cpu").fraction
+    with pytest.raises(ValueError, match="3 rows for 4 rigid bodies"):
+        result_of(mesh, end, ccd.AffineMotion(maps[0][:3], maps[1][:3]))
 
 
 def test_kinematic_rotor_is_not_tested_against_another_one_and_not_shortened():

@@ -56,6 +56,8 @@ BODIES = {
     "radius": np.full(6, 0.125),
     "names": ["face", "cable"],
 }
+JOINT = {"name": "turn", "parent": "base", "child": "arm", "kind": "revolute", "axis": [0.0, 0, 1]}
+JOINT["origin"] = np.array([1.0, 0, 0, 0, 0, 0, 1])
 POSES_OF_MESH = {"poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1]] * MESH.num_bodies)}
 POSES_OF_MESH["poses_t1"] = POSES_OF_MESH["poses_t0"] + 0.25
 POSES = {
@@ -240,6 +242,14 @@ def every_call(folder):
             datasets.write_queries,
             {"path": queries, "points_t0": POINTS_T0, "points_t1": POINTS_T1, "truth": None},
         ),
+        "Joint": (ccd.Joint, JOINT),
+        "JointMotion": (ccd.JointMotion, {"joints": [ccd.Joint(**JOINT)], "q0": [0.0], "q1": [1.0], "links": ["arm"]}),
+        "read_urdf": (ccd.read_urdf, {"path": folder / "arm.urdf", "base": None, "packages": None}),
+        "read_poses": (
+            ccd.read_poses,
+            {"mesh_path": start, "poses_path": folder / "poses.csv", "path": "linear", "static": [], "kinematic": []}
+            | {"max_bytes": 10**6},
+        ),
         "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
         "find_steps": (datasets.find_steps, {"folder": folder}),
         "read_frames": (
@@ -283,6 +293,8 @@ def written(folder):
     datasets.write_step(folder / "0.ply", folder / "1.ply", STEP)
     datasets.write_truth(folder / "truth.json", np.array([True]))
     datasets.write_boxes(folder / "boxes.json", np.array([[0, 1]]))
+    (folder / "poses.csv").write_text("t,body,px,py,pz,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
+    (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
     return every_call(folder)
 
 

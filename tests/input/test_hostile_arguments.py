@@ -63,12 +63,13 @@ OPTIONAL = {
         "camera",
     ),
     *("max_contacts", "body_pairs", "vertex_world", "truth", "kind", "vertices", "names", "exclude_pairs", "radius"),
-    *("displacement", "faces", "pivot", "twist", "motion"),
+    *("displacement", "faces", "pivot", "twist", "motion", "links", "axis", "base", "packages"),
 }
 TEXTS = {"name", "displacement"}
 REQUIRED = {("excluding", "exclude_pairs"), ("Queries", "kind"), ("write_truth", "truth"), ("frame", "vertices")}
 REQUIRED |= {("from_volume", "vertices"), ("RigidMotion of a twist", "twist"), ("edges_by_max", "faces")}
-PATHS = {"path", "folder", "start_path", "end_path", "paths"}
+REQUIRED |= {("Joint", "kind"), ("Joint", "axis")}
+PATHS = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path", "paths"}
 # What is no mistake: the value has the meaning that the documentation gives it.
 FLAGS = {"check_start", "self_collision", "codimensional_points", "progress", "surface"}
 TAKEN = {
@@ -77,9 +78,9 @@ TAKEN = {
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
-    "empty list": {"static", "kinematic", "rigid", "faces of body 0", "edges of body 0"},
+    "empty list": {"static", "kinematic", "rigid", "packages", "faces of body 0", "edges of body 0"},
     "nested empty list": {"faces of body 0", "edges of body 0"},
-    "empty dict": {"static", "kinematic", "rigid", "exclude_pairs"},
+    "empty dict": {"static", "kinematic", "rigid", "packages", "exclude_pairs"},
     "bool": FLAGS,
     "numpy bool": FLAGS,
     "0-d float array": {"radius"},
@@ -96,6 +97,8 @@ EXCEPTIONS = REQUIRED | {("render_step", "t_max"), ("draw_step", "t_max")}
 
 
 def is_taken(name, call, argument):
+    if call == "Joint" and argument in ("name", "parent", "child"):
+        return name in ("text", "text with a null")
     if (name, call, argument) == ("None", "to_pyvista", "result"):
         return True
     if (call, argument) in EXCEPTIONS and name in ("None", "negative zero"):
@@ -212,6 +215,8 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.Planes,
         ccd.Proximities,
         ccd.ProximityOptions,
+        ccd.Robot,
+        ccd.PoseSequence,
         viz.Picture,
     }
     outputs |= {ccd.PairResult, ccd.CCDStatus, ccd.LaunchFlag, ccd.PairKind, datasets.SimulationStep, ccd.CollisionMesh}

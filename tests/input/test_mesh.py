@@ -177,7 +177,7 @@ def test_mesh_is_frozen():
     with pytest.raises(AttributeError):
         del mesh.faces
     arrays = [value for field in fields(mesh) if isinstance(value := getattr(mesh, field.name), np.ndarray)]
-    assert len(arrays) == 15
+    assert len(arrays) == 16
     for array in arrays:
         with pytest.raises(ValueError):
             array[...] = 0

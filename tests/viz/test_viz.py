@@ -602,3 +602,74 @@ def test_a_half_space_is_seen_in_the_picture(tmp_path):
         panels = _draw(tmp_path, mesh, start, start - [0, 0, 1.2])
         darkness[name] = (panels[0] < 250).any(axis=2).mean()
     assert darkness["ground"] > 2 * darkness["nothing"]
+
+
+# --- bodies that turn ---
+
+
+def _turning_bar():
+    """A bar that turns by 4 radians about z while it rises, and a ball in its way: mesh, motion, result."""
+    bar, ball = trimesh.creation.box((2.0, 0.2, 0.2)), trimesh.creation.icosphere(subdivisions=2, radius=0.35)
+    mesh = ccd.CollisionMesh.from_trimesh([bar, ball], names=["bar", "ball"])
+    poses = [[0, 0, 0, 0, 0, 0, 1], [0.2, 1.2, 0.1, 0, 0, 0, 1]]
+    motion = ccd.RigidMotion(poses, twist=[[0, 0, 0.3, 0, 0, 4.0], [0.1, -0.4, 0, 0, 0, 0]])
+    return mesh, motion, ccd.rigid_ccd(mesh, poses, twist=[[0, 0, 0.3, 0, 0, 4.0], [0.1, -0.4, 0, 0, 0, 0]])
+
+
+def _bar_at(mesh, t):
+    """Where the vertices of the bar are."""
+    c, s = np.cos(4.0 * t), np.sin(4.0 * t)
+    return mesh.vertices[:8] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [0, 0, 0.3 * t]
+
+
+def test_bodies_that_turn_are_placed_on_their_arcs():
+    mesh, motion, result = _turning_bar()
+    step = mesh, mesh.vertices, mesh.vertices
+    assert np.array_equal(viz.contact_points(*step, result.contacts, motion=motion), result.contacts.points)
+    scene = make_scene(*step, result, motion)
+    blocks = viz.to_pyvista(*step, result, t=result.toi, motion=motion) if not REASON else None
+    if blocks is not None:
+        assert np.allclose(blocks["bar"].points, _bar_at(mesh, result.toi), atol=1e-6)
+        displacement = _bar_at(mesh, 1.0) - _bar_at(mesh, 0.0)
+        assert np.allclose(blocks["bar"].point_data["displacement"], displacement, atol=1e-12)
+    # the picture is moved and scaled, so distances between two of its times are compared
+    unit = np.linalg.norm(scene.start[1] - scene.start[0]) / np.linalg.norm(mesh.vertices[1] - mesh.vertices[0])
+    moved = (scene.positions(0.3) - scene.positions(0.0))[:8]
+    assert np.allclose(moved, unit * (_bar_at(mesh, 0.3) - _bar_at(mesh, 0.0)), atol=1e-12)
+    # the path of the bar reaches farther than its places at both ends, and all of it is in the picture
+    assert np.abs(scene.between).max() <= 1.0 + 1e-12 and np.abs(scene.between).max() > 0.99
+    arcs = scene.trails
+    assert len(arcs) > 2 and min(map(len, arcs)) > 30
+    middle = 0.5 * (scene.positions(0.0)[0] + scene.positions(0.0)[7])
+    for arc in arcs:
+        radius = np.linalg.norm((arc - middle)[:, :2], axis=1)
+        assert np.allclose(radius, radius[0], rtol=1e-12) and np.ptp(arc[:, 2]) == pytest.approx(0.3 * unit)
+
+
+def test_a_motion_is_that_of_the_rigid_bodies_alone():
+    mesh, start, end = _balls_over_box()
+    bodies = [
+        (mesh.vertices[a:b], mesh.faces[mesh.face_body == k] - a)
+        for k, (a, b) in enumerate(zip(mesh.body_vertex_range, mesh.body_vertex_range[1:], strict=False))
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[2], rigid=[0])
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0, 0, -1, 0, 0, 0.5]])
+    start, end = start.copy(), end.copy()
+    end[:162] = start[:162]
+    result = ccd.mesh_ccd(mesh, start, end, motion=motion)
+    scene = make_scene(mesh, start, end, result, motion)
+    assert np.allclose(scene.positions(0.5)[162:], 0.5 * (scene.start + scene.end)[162:], atol=1e-15)
+    with pytest.raises(ValueError, match="motion has 2 rows for 1 rigid body of the mesh"):
+        make_scene(mesh, start, end, result, _turning_bar()[1])
+    with pytest.raises(ValueError, match="motion is 7; expected a RigidMotion"):
+        make_scene(mesh, start, end, result, 7)
+
+
+@requires_drawing
+def test_a_picture_shows_the_arcs(tmp_path):
+    mesh, motion, result = _turning_bar()
+    step = mesh, mesh.vertices, mesh.vertices, result
+    image = _read(viz.render_step(*step, tmp_path / "arcs.png", size=SIZE, motion=motion))
+    first, middle, last = np.split(image[20:], 3, axis=1)
+    assert _red(middle) > 10 and _red(first) == 0
+    assert not _alike(first, middle) and not _alike(middle, last)

@@ -226,6 +226,8 @@ class ContactStore:
 
     def keep_earliest(self) -> None:
         """Keep of each pair its earliest contact, where a step was searched slice by slice."""
+        if self.total == 0:
+            return  # where no pair came near any other in any slice, there is no list
         columns = {name: getattr(self._list, name)[: self.total].numpy() for name in CONTACT_DTYPES}
         pairs = columns["primitives"]
         order = np.lexsort((columns["toi"], pairs[:, 1], pairs[:, 0], columns["kind"]))

@@ -374,9 +374,11 @@ def _is_among(keys: NDArray[np.uint64], ascending: NDArray[np.uint64]) -> NDArra
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
     """Contacts of all rounds whose vertices are all at their start positions, each pair once, as found last."""
-    contacts = joined(stopping[::-1])
-    is_stationary: NDArray[np.bool_] = is_at_start[_vertices_of(mesh, contacts)]
-    contacts = _chosen(contacts, np.flatnonzero(is_stationary.all(axis=1)))
+    stationary = []
+    for part in stopping[::-1]:
+        is_stationary: NDArray[np.bool_] = is_at_start[_vertices_of(mesh, part)]
+        stationary.append(_chosen(part, np.flatnonzero(is_stationary.all(axis=1))))
+    contacts = joined(stationary)
     return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
 
 

@@ -198,10 +198,13 @@ class Step:
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
         mesh = self.mesh
+        active = None if self.paths is None or self.paths.active.all() else self.paths.active
         if not self.topology.may_have_inactive_bodies:
-            return None
+            return active
         radius = None if self.arcs is None else self.arcs.radius.numpy()
         near = bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
+        if active is not None:
+            near &= active
         self._num_active_bodies = int((near | mesh.static).sum())
         return near
 

@@ -1,0 +1,125 @@
+"""Calls with links that joints move: a planar arm whose contacts are known, in worlds of their own."""
+
+import numpy as np
+import pytest
+
+import ccd_warp as ccd
+
+NO_FACES = np.zeros((0, 3), dtype=int)
+BLADE = np.array([[0.0, 0, -0.1], [1, 0, -0.1], [1, 0, 0.1]])
+OBSTACLE = np.array([1.3, 0.9, 0.0])
+ARM = [
+    ccd.Joint("shoulder", "base", "upper", "revolute", axis=[0, 0, 1]),
+    ccd.Joint("elbow", "upper", "lower", "revolute", axis=[0, 0, 1], origin=[1, 0, 0, 0, 0, 0, 1]),
+]
+LINKS = ["upper", "lower"]
+NEIGHBOURS_APART = ~np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]], dtype=bool)
+
+
+def arm_and_point(count, **options):
+    """Two links of length 1, thin triangles, and a point beside them, in so many worlds."""
+    bodies = [(BLADE, [[0, 1, 2]])] * 2 + [(OBSTACLE[None], NO_FACES)]
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies, rigid=[0, 1], static=[2], codimensional_points=True, body_pairs=NEIGHBOURS_APART, **options
+    )
+    return mesh if count == 1 else mesh.replicate(count)
+
+
+def edges(count, seed=0):
+    rng = np.random.default_rng(seed)
+    q0 = rng.uniform(-0.5, 0.5, (count, 2))
+    return q0, q0 + rng.uniform(-2, 2, (count, 2))
+
+
+def side_of_point(q, link):
+    """By how much the obstacle is beside the line of a link, and whether it is along it."""
+    angle = q[0] if link == 0 else q[0] + q[1]
+    base = np.zeros(2) if link == 0 else np.array([np.cos(q[0]), np.sin(q[0])])
+    d = np.array([np.cos(angle), np.sin(angle)])
+    z = OBSTACLE[:2] - base
+    return z[0] * d[1] - z[1] * d[0], 0 <= z @ d <= 1
+
+
+def first_contact(q0, q1, samples=20_000):
+    """When the first link sweeps the point, by samples and bisection; inf if none does."""
+    first = np.inf
+    for link in (0, 1):
+        values = [side_of_point(q0 + t * (q1 - q0), link) for t in np.linspace(0, 1, samples)]
+        for k in range(1, samples):
+            if values[k - 1][0] * values[k][0] <= 0 and values[k][1]:
+                low, high = (k - 1) / (samples - 1), k / (samples - 1)
+                for _ in range(60):
+                    middle = 0.5 * (low + high)
+                    at_middle = side_of_point(q0 + middle * (q1 - q0), link)[0]
+                    low, high = (middle, high) if at_middle * values[k - 1][0] > 0 else (low, middle)
+                first = min(first, high)
+                break
+    return first
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return np.array([first_contact(a, b) for a, b in zip(*edges(24), strict=True)])
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_arm_that_sweeps_a_point(truth, precision):
+    motion = ccd.JointMotion(ARM, *edges(24), links=LINKS)
+    mesh = arm_and_point(24)
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, precision=precision, device="cpu")
+    touches = np.isfinite(truth)
+    assert 5 < touches.sum() < 20
+    assert (np.isfinite(result.world_toi) == touches).all()
+    early = truth[touches] - result.world_toi[touches]
+    assert early.min() > -1e-14  # the bisection's own error
+    assert np.median(early) < 1e-12
+    assert result.toi == result.world_toi.min()
+    assert (result.contacts.toi >= result.world_toi[result.contacts.world]).all()
+    assert np.abs(result.contacts.points - OBSTACLE).max() < 1e-9
+    for world in np.flatnonzero(touches):
+        assert result.contacts.world[result.world_contact[world]] == world
+    assert (result.world_contact[~touches] == -1).all()
+
+
+def test_one_arm_alone_has_the_toi_that_it_has_among_others(truth):
+    q0, q1 = edges(24)
+    k = int(np.flatnonzero(np.isfinite(truth))[0])
+    mesh = arm_and_point(1)
+    motion = ccd.JointMotion(ARM, q0[k], q1[k], links=LINKS)
+    arguments = (mesh, mesh.vertices, mesh.vertices)
+    toi = ccd.collision_free_step(*arguments, motion=motion, device="cpu")
+    assert toi == pytest.approx(truth[k], abs=1e-11)
+    assert toi <= truth[k] + 1e-14
+    assert not ccd.is_step_collision_free(*arguments, motion=motion, device="cpu")
+    assert ccd.is_step_collision_free(*arguments, motion=motion.shortened(0.999 * toi), device="cpu")
+    assert ccd.is_step_collision_free(*arguments, motion=motion, t_max=0.999 * toi, device="cpu")
+
+
+def test_distance_is_kept_on_the_way(truth):
+    motion = ccd.JointMotion(ARM, *edges(24), links=LINKS)
+    mesh = arm_and_point(24)
+    options = {"motion": motion, "minimum_distance": 0.01, "device": "cpu"}
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **options)
+    touches = np.isfinite(truth)
+    assert (result.world_toi[touches] < truth[touches]).all()
+    assert (result.contacts.gap < 1e-9).all()
+
+
+def test_links_of_one_arm_do_not_collide_where_their_joint_is():
+    """They touch at the elbow all the time; the mesh says that they are neighbours."""
+    mesh = arm_and_point(1)
+    motion = ccd.JointMotion(ARM, [0.0, -1.0], [0.2, -0.5], links=LINKS)
+    assert ccd.is_step_collision_free(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu")
+
+
+def test_bad_joints_are_refused_by_name():
+    mesh = arm_and_point(2)
+    arguments = (mesh, mesh.vertices, mesh.vertices)
+    motion = ccd.JointMotion(ARM, [0.0, 0.0], [1.0, 1.0], links=LINKS)
+    with pytest.raises(ValueError, match="1 worlds; expected 2 like the mesh"):
+        ccd.mesh_ccd(*arguments, motion=motion, device="cpu")
+    with pytest.raises(ValueError, match="method is 'bisection'"):
+        ccd.mesh_ccd(*arguments, motion=motion, method="bisection", device="cpu")
+    three = ccd.JointMotion(ARM, *edges(2))
+    with pytest.raises(ValueError, match="6 rows for 4 rigid bodies"):
+        ccd.mesh_ccd(*arguments, motion=three, device="cpu")
