@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._display import counted, listed
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_float64
+from ccd_warp._input.poses import read_values
 from ccd_warp._joint_motion import JointMotion
 from ccd_warp._joints import Joint
 from ccd_warp._mesh import CollisionMesh
@@ -117,7 +118,7 @@ class Robot:
         """
         n = self.num_coordinates
         expected = f"shape (..., {n}), the numbers of the joints {listed(self.coordinates)}"
-        array = as_any_array(q, name, expected)
+        array = as_any_array(read_values(q, name), name, expected)
         if array.ndim == 0 or array.shape[-1] != n:
             raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
         given = as_float64(array if array.ndim > 1 else array[None], name, q if array.ndim > 1 else [q])

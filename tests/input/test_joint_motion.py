@@ -78,6 +78,16 @@ def test_worlds_and_waypoints():
     near(fan.poses_t0, np.repeat(fan.poses_t0[:1], 3, axis=0))
 
 
+def test_configurations_of_other_libraries_are_read():
+    import warp as wp
+
+    q = np.array([[0.0, 1.0], [0.5, 2.0]], dtype=np.float32)
+    motion = ccd.JointMotion(arm(), wp.array(q, device="cpu"), wp.array(q[0], dtype=wp.float32, device="cpu"))
+    near(motion.poses_t0, ccd.JointMotion(arm(), q.tolist(), [0, 1]).poses_t0)
+    cubic = ccd.JointMotion.from_cubics(arm(), wp.array(np.repeat(q, 2, axis=0), device="cpu"))
+    near(cubic.configuration(1.0), [1.0, 6.0])
+
+
 def test_cubics():
     c = np.array([[0.0, 1.0], [0.0, 2.0], [3.0, 0.0], [-2.0, 0.0]])  # 3t² − 2t³, from rest to rest
     motion = ccd.JointMotion.from_cubics(arm(), c)
