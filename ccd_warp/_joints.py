@@ -174,7 +174,7 @@ class JointTree:
         if not names:
             raise ValueError("links is empty; expected names of links")
         for name in names:
-            if name not in self.index:
+            if not isinstance(name, str) or name not in self.index:
                 raise ValueError(f"links has {shown(name)}; expected names of links: {listed(self.links)}")
         check_distinct("links", names)
         return [self.index[name] for name in names]

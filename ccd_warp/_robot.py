@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted, listed
-from ccd_warp._input.arguments import shown
+from ccd_warp._input.arguments import check_items, shown
 from ccd_warp._input.arrays import as_any_array, as_float64
 from ccd_warp._input.poses import read_values
 from ccd_warp._joint_motion import JointMotion
@@ -70,11 +70,13 @@ class Robot:
         Raises:
             ValueError: If a name is unknown or not unique, or as :meth:`CollisionMesh.from_arrays` does.
         """
+        if obstacles is not None and not isinstance(obstacles, Mapping):
+            raise ValueError(f"obstacles is {shown(obstacles)}; expected vertices and faces by name")
         others = dict(obstacles or {})
         names = [*self.names, *others]
         may = ~np.eye(len(names), dtype=bool)
-        for pair in [*self.neighbours, *exclude]:
-            if not isinstance(pair, (tuple, list)) or len(pair) != 2 or not set(pair) <= set(names):
+        for pair in [*self.neighbours, *check_items("exclude", exclude, "pairs of names")]:
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2 or not all(name in names for name in pair):
                 raise ValueError(f"exclude has {shown(pair)}; expected two names out of {listed(names)}")
             a, b = (names.index(name) for name in pair)
             may[a, b] = may[b, a] = False

@@ -141,6 +141,7 @@ def test_joints_that_form_no_tree_are_refused():
     rejected("joints is empty", [], [], [])
     rejected("an item of joints is 3; expected a Joint", [3], [], [])
     rejected("links has 'arm'; expected names of links: carriage", arm(), [0, 0], [1, 1], links=["hand", "arm"])
+    rejected("links has [3]; expected names of links", arm(), [0, 0], [1, 1], links=[[3]])
     rejected("links has 2 of the name 'hand'", arm(), [0, 0], [1, 1], links=["hand", "hand"])
 
 
