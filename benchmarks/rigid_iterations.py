@@ -66,7 +66,7 @@ def iterations_of(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
     ends = np.linspace(0.0, 1.0, max(1, int(np.ceil(turn / _SLICE))) + 1)
     stop = wp.zeros(1, dtype=wp.int32, device="cpu")
     kind = VERTEX_FACE if pairs.kind == "vertex-face" else EDGE_EDGE
-    sizes = [len(body) for body in pairs.bodies]
+    sizes = [len(body) for body in pairs.parts]
     bodies = 2 * np.arange(count)[:, None] + np.repeat([0, 1], sizes)
     for begin, end in itertools.pairwise(ends):
         turns = Turns()

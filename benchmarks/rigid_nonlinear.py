@@ -40,7 +40,7 @@ class Arc(ipctk.NonlinearTrajectory):
 def trajectories(pairs: Pairs, k: int) -> list[Arc]:
     """Those of the four points of a pair."""
     found = []
-    for b, body in enumerate(pairs.bodies):
+    for b, body in enumerate(pairs.parts):
         turn, twist = matrix_of(pairs.poses[k, b, 3:]), pairs.twist[k, b]
         found += [Arc(pairs.poses[k, b, :3], twist[:3], turn @ point, twist[3:]) for point in body]
     return found

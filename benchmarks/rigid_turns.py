@@ -30,7 +30,7 @@ class Pairs:
     """Pairs of a kind and a turn: a mesh of worlds, and poses at the start with the twist of each body.
 
     Attributes:
-        bodies: Vertices of both bodies in their own frames.
+        parts: Vertices of both bodies in their own frames.
         mesh: A world of both.
         poses: Poses at t = 0, shape [n, 2, 7].
         twist: Displacement of the pivot, and rotation vector, shape [n, 2, 6].
@@ -41,10 +41,10 @@ class Pairs:
         empty = np.zeros((0, 3), dtype=int)
         line = np.array([[0, 1]])
         if kind == "vertex-face":
-            self.bodies = (_POINT, _FACE)
+            self.parts = (_POINT, _FACE)
             parts: list[Any] = [(_POINT, empty), (_FACE, np.array([[0, 1, 2]]))]
         else:
-            self.bodies = (_EDGE, _EDGE)
+            self.parts = (_EDGE, _EDGE)
             parts = [(_EDGE, empty, line), (_EDGE, empty, line)]
         self.mesh = ccd.CollisionMesh.from_arrays(parts, self_collision=False, rigid=[0, 1]).replicate(len(poses))
         self.straight = ccd.CollisionMesh.from_arrays(parts, self_collision=False).replicate(len(poses))
@@ -89,7 +89,7 @@ class Pairs:
     def positions_at(self, t: float) -> np.ndarray:
         """Positions at a time, shape [n, V, 3]."""
         parts = []
-        for k, body in enumerate(self.bodies):
+        for k, body in enumerate(self.parts):
             turned = rotations(t * self.twist[:, k, 3:]) @ _matrices(self.poses[:, k, 3:])
             place = self.poses[:, k, :3] + t * self.twist[:, k, :3]
             parts.append(body @ turned.transpose(0, 2, 1) + place[:, None])

@@ -2,6 +2,9 @@
 
 What is added to the distance is the sagitta along the normal n: the acceleration along it is at most |V|·|ω×n|. So a
 body that turns about the normal, as what spins on the ground does, has straight motion toward the plane.
+
+With ``holds`` a vertex that starts within its distance keeps what it had, as on straight paths, but slice by slice: what
+it has at the begin of a slice is no less than what it kept before. In the solid it may leave, and go no deeper.
 """
 
 import warp as wp
@@ -24,7 +27,34 @@ _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 # The unit normal is rounded, by less than this; so a product with it may be off by as much of the whole vector.
 _UNIT = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
+# What a held vertex keeps is less by these multiples of the rounding of its distance, and of that of its arc.
+_HELD_VALUE = wp.constant(wp.float64(64.0 * UNIT_ROUNDOFF[wp.float64]))
+_HELD_ERRORS = wp.constant(wp.float64(4.0))
 _SQUARE = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
+
+
+@wp.func
+def held_distance(
+    x: wp.vec3d, p: wp.vec3d, radius: wp.float64, error: wp.float64, planes: Planes, k: int, query: PlaneQuery
+) -> wp.float64:
+    """What a vertex keeps that starts the slice within its distance, and parts and slides; below 0 in the solid.
+
+    It is its distance there, less what rounding may take; a slide does not lose it. Of other vertices it is all of the
+    distance that is asked for.
+    """
+    d = x - p
+    n = planes.normal[k]
+    size = planes.sum[k]
+    if query.is_euclidean != 0:
+        size = planes.length[k]
+    a = n[0] * d[0]
+    b = n[1] * d[1]
+    c = n[2] * d[2]
+    margin = _HELD_VALUE * (wp.abs(a) + wp.abs(b) + wp.abs(c)) + _HELD_ERRORS * error * size
+    kept = (a + b + c - margin) / size
+    if kept < query.distance + radius:
+        return kept
+    return query.distance + radius
 
 
 @wp.func
@@ -51,6 +81,13 @@ def meeting_on_arc(
     amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along
     if not along > _ZERO:
         amplitude = _ZERO
+    is_inside = bool(False)
+    if query.holds != 0:
+        held = held_distance(x0, p0, radius, error, planes, k, query)
+        if held < query.distance + radius:
+            is_inside = held < _ZERO
+            query.distance = held
+            radius = _ZERO
     query.t_max = _ONE
     query.holds = 0
     query.start_gap_fraction = _ZERO
@@ -73,6 +110,6 @@ def meeting_on_arc(
         t = reached(window, end, is_free, wp.where(is_free, _ONE, meeting.toi))
         is_open = wp.where(is_free, end < _ONE, bulge > error) and windows < _MOST_WINDOWS
         if not is_open and (not is_free or end < _ONE):
-            meeting.toi = in_step(t, turns)
+            meeting.toi = wp.where(is_inside, turns.t_begin, in_step(t, turns))
         window = next_window(window, t, is_free)
     return meeting

@@ -44,7 +44,7 @@ def test_pairs_and_dice_are_where_a_motion_has_them():
     for each in (pairs, pairs.spinning(1.0)):
         poses = each.motion.at(0.0)
         placed = each.positions_at(0.0)
-        for k, body in enumerate(each.bodies):
+        for k, body in enumerate(each.parts):
             turns = np.stack([rigid_scenes.matrix_of(pose[3:]) for pose in poses[:, k]])
             here = body @ turns.transpose(0, 2, 1) + poses[:, k, None, :3]
             assert np.allclose(placed[:, 2 * k : 2 * k + 2], here, atol=1e-12)

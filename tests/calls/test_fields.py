@@ -56,6 +56,7 @@ READ = {
     "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",
     "benchmarks/gpu_check/calls.py": "bounds primitives",
+    "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/choosing.md": "distance touching",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",

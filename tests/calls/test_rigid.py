@@ -110,6 +110,21 @@ def test_cube_that_falls_and_tumbles_lands_on_an_edge(turn):
         assert (result.contacts.kind == int(ccd.PairKind.VERTEX_PLANE)).all()
 
 
+@pytest.mark.parametrize("gap", [0.01, 0.005, 0.0, -0.1])
+@pytest.mark.parametrize(("linear", "angular"), [([0, 0, 1], [0, 0, 0.3]), ([0.2, 0, 0], [0, 0, 3.0])])
+def test_face_within_its_distance_of_a_ground_leaves_it_and_spins_on_it(gap, linear, angular):
+    face = [[0.0, 0, 0], [1, 0, 0.5], [0, 1, 0.5]]
+    mesh = ccd.CollisionMesh.from_arrays([(face, [[0, 1, 2]]), GROUND], rigid=[0])
+    step = (mesh, mesh.vertices, mesh.vertices)
+    options = {"minimum_distance": 0.01, "device": "cpu"}
+    motion = ccd.RigidMotion([[0, 0, gap, 0, 0, 0, 1]], twist=[[*linear, *angular]])
+    assert ccd.collision_free_step(*step, motion=motion, **options) == 1.0
+    down = ccd.RigidMotion([[0, 0, gap, 0, 0, 0, 1]], twist=[[0, 0, -0.1, *angular]])
+    assert ccd.collision_free_step(*step, motion=down, **options) <= 1e-9
+    found = ccd.line_search(*step, motion=motion, **options)
+    assert found.fraction == 1.0
+
+
 def tumbling_boxes(**options):
     """A static box, three that turn, a sheet that bends, and a ground; and their motion."""
     box = trimesh.creation.box((1, 1, 1))

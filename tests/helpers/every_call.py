@@ -109,6 +109,7 @@ def every_call(folder):
         "result": RESULT,
         "camera": None,
         "colour": "body",
+        "motion": None,
     }
     return {
         "vertex_face_ccd": (ccd.vertex_face_ccd, _points(0, 1, 2, 3)),
@@ -226,8 +227,8 @@ def every_call(folder):
         "draw_step": (viz.draw_step, picture | {"size": (900, 300), "t_max": 1.0}),
         "show_step": (viz.show_step, picture),
         "Picture.save": (PICTURE.save, {"path": folder / "a.png"}),
-        "to_pyvista": (viz.to_pyvista, FRAMES | {"result": RESULT, "t": 0.0}),
-        "contact_points": (viz.contact_points, FRAMES | {"contacts": RESULT.contacts}),
+        "to_pyvista": (viz.to_pyvista, FRAMES | {"result": RESULT, "t": 0.0, "motion": None}),
+        "contact_points": (viz.contact_points, FRAMES | {"contacts": RESULT.contacts, "motion": None}),
         "Queries": (
             datasets.Queries,
             {name: getattr(QUERIES, name) for name in inspect.signature(datasets.Queries).parameters},
