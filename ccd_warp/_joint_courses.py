@@ -10,7 +10,7 @@ Arrays have the worlds last, as [3, W] and [4, W], so that all steps run over co
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,15 @@ from ccd_warp._rotations import normalized, norms, rotation_vectors, scaled
 
 Array = NDArray[np.float64]
 EPS = 2.0**-52
-# Errors of one joint, in radians and relative: of its origin and axis, normalised to 2 eps each, of three products of
-# quaternions of 4 eps, each twice as an angle, of the sine and cosine and of the norm.
-TURN_ERROR = 48.0 * EPS
-POLYNOMIAL_ERROR = 8.0 * EPS  # of the sum of the magnitudes of all coefficients, the rounding of q1 − q0 included
-_ROTATION_ERROR = 16.0 * EPS  # of a vector turned by a quaternion, relative
+# Errors of rotations in radians, twice those of their quaternions: one of unit length, normalised to 2 eps; a product
+# of two, of which each component is a sum of four terms, rounded three times; the sine and cosine of half an angle,
+# times an axis to 2 eps; the norm taken out of a link's. A joint's frame that is not turned has none of the first two.
+UNIT_ERROR, PRODUCT_ERROR, ANGLE_ERROR, NORM_ERROR = 4.0 * EPS, 6.0 * EPS, 8.0 * EPS, 4.0 * EPS
+# A polynomial of degree 1 and 3, relative to the sum of the magnitudes of its coefficients: two roundings a degree, and
+# that of q1 − q0. The angle between the quaternions of a free joint is itself to 4 eps.
+POLYNOMIAL_ERROR = {2: 2.0 * EPS, 4: 4.0 * EPS}
+_FREE_ERROR = 4.0 * EPS
+_ROTATION_ERROR = 10.0 * EPS  # of a vector turned by a quaternion, and of a sum of it, relative
 
 
 class JointCourse(NamedTuple):
@@ -187,16 +191,23 @@ def poses(courses: list[JointCourse], order: list[int], t: Array) -> tuple[list[
 
 def turn_error(course: JointCourse) -> Array | float:
     """By how much rounding turns a link against its parent at most, in radians: one a world."""
-    if course.angle is None:
-        return TURN_ERROR
-    return TURN_ERROR + POLYNOMIAL_ERROR * np.abs(course.angle).sum(axis=0)
+    error: Any = NORM_ERROR
+    if course.turn[:3].any():
+        error += UNIT_ERROR + PRODUCT_ERROR
+    if course.angle is not None:
+        size = np.abs(course.angle).sum(axis=0)
+        error = error + ANGLE_ERROR + PRODUCT_ERROR + POLYNOMIAL_ERROR[len(course.angle)] * size
+        if course.after is not None:
+            error = error + _FREE_ERROR * size
+    if course.after is not None:
+        error = error + (UNIT_ERROR + PRODUCT_ERROR)
+    return error
 
 
 def offset_error(course: JointCourse, reach: Array) -> Array:
     """By how much rounding moves a link in its parent's frame at most, whose origin is within a reach."""
     error: Array = _ROTATION_ERROR * reach
     if course.slide is not None:
-        error = error + (_ROTATION_ERROR + POLYNOMIAL_ERROR) * np.sqrt(
-            (np.abs(course.slide).sum(axis=0) ** 2).sum(axis=0)
-        )
+        size = np.sqrt((np.abs(course.slide).sum(axis=0) ** 2).sum(axis=0))
+        error = error + (_ROTATION_ERROR + 2.0 * EPS + POLYNOMIAL_ERROR[len(course.slide)]) * size
     return error

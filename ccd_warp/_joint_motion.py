@@ -13,7 +13,7 @@ from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64
-from ccd_warp._input.poses import checked_fractions, read_only
+from ccd_warp._input.poses import checked_fractions, read_only, read_values
 from ccd_warp._joint_bounds import Window, motions
 from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
@@ -112,7 +112,7 @@ class JointMotion:
         tree = JointTree(joints)
         n = tree.num_coordinates
         expected = f"shape (4, {n}), or (W, 4, {n}) with worlds"
-        array = as_array(coefficients, "coefficients", expected)
+        array = as_array(read_values(coefficients, "coefficients"), "coefficients", expected)
         if array.ndim not in (2, 3) or array.shape[-2:] != (4, n):
             raise ValueError(f"coefficients has shape {array.shape}; expected {expected}")
         array = as_float64(array, "coefficients", coefficients)

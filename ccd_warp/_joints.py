@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._display import counted, listed
 from ccd_warp._input.arguments import check_choice, check_instance, check_items, shown
 from ccd_warp._input.arrays import as_any_array, as_float64
-from ccd_warp._input.poses import checked_poses
+from ccd_warp._input.poses import checked_poses, read_values
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "free")
 COORDINATES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "free": 7}
@@ -174,7 +174,7 @@ class JointTree:
         if not names:
             raise ValueError("links is empty; expected names of links")
         for name in names:
-            if name not in self.index:
+            if not isinstance(name, str) or name not in self.index:
                 raise ValueError(f"links has {shown(name)}; expected names of links: {listed(self.links)}")
         check_distinct("links", names)
         return [self.index[name] for name in names]
@@ -187,7 +187,7 @@ class JointTree:
         """
         n = self.num_coordinates
         expected = f"shape ({n},), one number a coordinate of the joints, or (W, {n}) with worlds"
-        array = as_any_array(values, name, expected)
+        array = as_any_array(read_values(values, name), name, expected)
         if array.ndim not in (1, 2) or array.shape[-1] != n:
             raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
         given = [values] if array.ndim == 1 else values

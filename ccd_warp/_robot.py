@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted, listed
-from ccd_warp._input.arguments import shown
+from ccd_warp._input.arguments import check_items, shown
 from ccd_warp._input.arrays import as_any_array, as_float64
+from ccd_warp._input.poses import read_values
 from ccd_warp._joint_motion import JointMotion
 from ccd_warp._joints import Joint
 from ccd_warp._mesh import CollisionMesh
@@ -69,11 +70,13 @@ class Robot:
         Raises:
             ValueError: If a name is unknown or not unique, or as :meth:`CollisionMesh.from_arrays` does.
         """
+        if obstacles is not None and not isinstance(obstacles, Mapping):
+            raise ValueError(f"obstacles is {shown(obstacles)}; expected vertices and faces by name")
         others = dict(obstacles or {})
         names = [*self.names, *others]
         may = ~np.eye(len(names), dtype=bool)
-        for pair in [*self.neighbours, *exclude]:
-            if not isinstance(pair, (tuple, list)) or len(pair) != 2 or not set(pair) <= set(names):
+        for pair in [*self.neighbours, *check_items("exclude", exclude, "pairs of names")]:
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2 or not all(name in names for name in pair):
                 raise ValueError(f"exclude has {shown(pair)}; expected two names out of {listed(names)}")
             a, b = (names.index(name) for name in pair)
             may[a, b] = may[b, a] = False
@@ -117,7 +120,7 @@ class Robot:
         """
         n = self.num_coordinates
         expected = f"shape (..., {n}), the numbers of the joints {listed(self.coordinates)}"
-        array = as_any_array(q, name, expected)
+        array = as_any_array(read_values(q, name), name, expected)
         if array.ndim == 0 or array.shape[-1] != n:
             raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
         given = as_float64(array if array.ndim > 1 else array[None], name, q if array.ndim > 1 else [q])

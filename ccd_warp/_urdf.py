@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ccd_warp._display import listed
 from ccd_warp._files.mesh import read_mesh
 from ccd_warp._files.opened import PLAIN_BYTES
-from ccd_warp._input.arguments import check_path
+from ccd_warp._input.arguments import check_path, shown
 from ccd_warp._joints import Joint, JointTree
 from ccd_warp._robot import Body, Robot
 
@@ -54,6 +54,8 @@ def read_urdf(
     except ImportError as error:
         raise ImportError("read_urdf needs yourdfpy; install with: pip install 'ccd-warp[urdf]'") from error
     file = check_path("path", path)
+    if packages is not None and not isinstance(packages, Mapping):
+        raise ValueError(f"packages is {shown(packages)}; expected folders by the names of packages")
     folders = {name: check_path(f"packages[{name!r}]", folder) for name, folder in (packages or {}).items()}
     try:
         # the parser of robots would go on after what is no XML; names of other programs' elements may be of any space

@@ -43,7 +43,7 @@ def checked_rows(
     Raises:
         ValueError: If the array has none of the shapes, or a number is not finite.
     """
-    array = as_array(_read(values, name), name, expected)
+    array = as_array(read_values(values, name), name, expected)
     for tail in tails:
         leading = array.shape[: array.ndim - len(tail)]
         if len(leading) in (1, 2) and array.shape[len(leading) :] == tail:
@@ -97,7 +97,7 @@ def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
     count = leading[-1]
     shapes = [(3,), (count, 3), (*leading, 3)][: 1 + len(leading)]
     expected = f"shape {' or '.join(map(str, shapes))}, in the bodies' frames"
-    array = as_array(_read(values, "pivot"), "pivot", expected)
+    array = as_array(read_values(values, "pivot"), "pivot", expected)
     if array.shape not in shapes:
         raise ValueError(f"pivot has shape {array.shape}; expected {expected}")
     given = [values] if array.ndim == 1 and array is not values else values
@@ -115,7 +115,7 @@ def checked_fractions(values: Any, leading: tuple[int, ...], kind: str = "body")
     """
     shapes = [leading[-1:], leading][: len(leading)]
     expected = f"a fraction in [0, 1], or such fractions of shape {' or '.join(map(str, shapes))}"
-    array = as_any_array(_read(values, "t"), "t", expected)
+    array = as_any_array(read_values(values, "t"), "t", expected)
     if array.ndim == 0:
         return np.full(math.prod(leading), check_real("t", values, expected, lambda t: 0.0 <= t <= 1.0))
     if array.shape not in shapes:
@@ -158,7 +158,7 @@ def check_ends(
         )
 
 
-def _read(values: Any, name: str) -> Any:
+def read_values(values: Any, name: str) -> Any:
     """What NumPy can read, from any library and device."""
     if is_device_array(values):
         from ccd_warp._input.interop import as_warp

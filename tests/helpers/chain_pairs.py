@@ -95,7 +95,17 @@ def gaps(pairs: ChainPairs, t: np.ndarray) -> np.ndarray:
 
 
 def random_chain_pairs(
-    kind: str, seed: int, n: int, *, turn: float = 0.5, other: int = 0, slides: bool = False, distance: float = 0.0
+    kind: str,
+    seed: int,
+    n: int,
+    *,
+    turn: float = 0.5,
+    other: int = 0,
+    slides: bool = False,
+    distance: float = 0.0,
+    relative: float = 1.0,
+    far: float = 0.0,
+    time: float | None = None,
 ) -> ChainPairs:
     """Pairs of the last link of an arm with another one, of which a good half touches.
 
@@ -105,6 +115,9 @@ def random_chain_pairs(
         other: The other link, by the number of joints before it.
         slides: Whether the fourth joint slides.
         distance: That counts as contact.
+        relative: How much of `turn` the joints between both links turn by.
+        far: How far from the origin the arm stands.
+        time: When the links are near each other; by default at any time.
     """
     rng = np.random.default_rng([seed, list(COUNTS).index(kind)])
     joints = ["revolute"] * NUM_JOINTS
@@ -113,22 +126,23 @@ def random_chain_pairs(
     place = directions(rng, NUM_JOINTS) * rng.uniform(0.05, 0.4, (NUM_JOINTS, 1))
     origins = np.concatenate([place, rng.standard_normal((NUM_JOINTS, 4))], axis=1)
     origins[rng.random(NUM_JOINTS) < 0.5, 3:] = [0, 0, 0, 1]
+    origins[0, :3] += far * directions(rng)
     axes = np.where(
         rng.random((NUM_JOINTS, 1)) < 0.5, np.eye(3)[rng.integers(0, 3, NUM_JOINTS)], directions(rng, NUM_JOINTS)
     )
     q0 = rng.uniform(-np.pi, np.pi, (n, NUM_JOINTS))
-    q1 = q0 + rng.uniform(-turn, turn, (n, NUM_JOINTS))
+    q1 = q0 + rng.uniform(-turn, turn, (n, NUM_JOINTS)) * np.where(np.arange(NUM_JOINTS) < other, 1.0, relative)
     sides = [rng.standard_normal((n, count, 3)) * 10 ** rng.uniform(-1.3, -0.3, (n, 1, 1)) for count in COUNTS[kind]]
     pairs = ChainPairs(kind, *sides, tuple(joints), origins, axes, q0, q1, NUM_JOINTS, other, distance)
     # at some time, a place on B is near one on A: B is moved in its own frame, whose directions at that time are those
     # in which it sees three points at distance one
-    time = rng.random((n, 1))
-    away = np.where(rng.random((n, 1)) < 0.6, 0.0, rng.uniform(0.05, 0.5, (n, 1))) + distance * rng.uniform(
+    near = rng.random((n, 1)) if time is None else np.full((n, 1), time)
+    away = np.where(rng.random((n, 1)) < 0.6, 0.0, rng.uniform(0.05, 0.5, (n, 1)) * relative) + distance * rng.uniform(
         0, 1.3, (n, 1)
     )
     at_a, at_b = (weights(kind, side, rng, n) for side in (0, 1))
-    frame = positions(replace(pairs, points_b=np.broadcast_to([[0, 0, 0], *np.eye(3)], (n, 4, 3))), 1, time)[:, 0]
-    seen = (at_a[:, :, None] * positions(pairs, 0, time)[:, 0]).sum(axis=1) + directions(rng, n) * away - frame[:, 0]
+    frame = positions(replace(pairs, points_b=np.broadcast_to([[0, 0, 0], *np.eye(3)], (n, 4, 3))), 1, near)[:, 0]
+    seen = (at_a[:, :, None] * positions(pairs, 0, near)[:, 0]).sum(axis=1) + directions(rng, n) * away - frame[:, 0]
     local = np.einsum("nij,nj->ni", frame[:, 1:] - frame[:, :1], seen)
     shift = local - (at_b[:, :, None] * pairs.points_b).sum(axis=1)
     return replace(pairs, points_b=(pairs.points_b + shift[:, None]).astype(np.float64))
@@ -143,3 +157,19 @@ def chain_sets(each: int) -> dict[str, ChainPairs]:
             kind, len(sets), each, turn=turn, other=other, slides=turn == 0.5, distance=0.01 if turn == 2.0 else 0.0
         )
     return sets
+
+
+def hostile_chain_sets(each: int) -> dict[str, ChainPairs]:
+    """Arms that hardly move, turn many times, or stand far away, links that move as one, contact at the end."""
+    families = {
+        "hardly moving": {"turn": 1e-6},
+        "many turns": {"turn": 20.0},
+        "far away": {"far": 1e6},
+        "as one": {"turn": 2.0, "other": 4, "relative": 1e-6},
+        "contact at the end": {"time": 1.0},
+    }
+    return {
+        f"{kind}, {name}": random_chain_pairs(kind, 100 + k, each, **options)
+        for k, (name, options) in enumerate(families.items())
+        for kind in ("vertex-face", "edge-edge")
+    }

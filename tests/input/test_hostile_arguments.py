@@ -78,7 +78,7 @@ TAKEN = {
     "fraction": REALS,
     "longdouble": REALS,
     "float16": REALS,
-    "empty list": {"static", "kinematic", "rigid", "packages", "faces of body 0", "edges of body 0"},
+    "empty list": {"static", "kinematic", "rigid", "faces of body 0", "edges of body 0"},
     "nested empty list": {"faces of body 0", "edges of body 0"},
     "empty dict": {"static", "kinematic", "rigid", "packages", "exclude_pairs"},
     "bool": FLAGS,

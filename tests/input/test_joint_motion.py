@@ -78,6 +78,16 @@ def test_worlds_and_waypoints():
     near(fan.poses_t0, np.repeat(fan.poses_t0[:1], 3, axis=0))
 
 
+def test_configurations_of_other_libraries_are_read():
+    import warp as wp
+
+    q = np.array([[0.0, 1.0], [0.5, 2.0]], dtype=np.float32)
+    motion = ccd.JointMotion(arm(), wp.array(q, device="cpu"), wp.array(q[0], dtype=wp.float32, device="cpu"))
+    near(motion.poses_t0, ccd.JointMotion(arm(), q.tolist(), [0, 1]).poses_t0)
+    cubic = ccd.JointMotion.from_cubics(arm(), wp.array(np.repeat(q, 2, axis=0), device="cpu"))
+    near(cubic.configuration(1.0), [1.0, 6.0])
+
+
 def test_cubics():
     c = np.array([[0.0, 1.0], [0.0, 2.0], [3.0, 0.0], [-2.0, 0.0]])  # 3t² − 2t³, from rest to rest
     motion = ccd.JointMotion.from_cubics(arm(), c)
@@ -131,6 +141,7 @@ def test_joints_that_form_no_tree_are_refused():
     rejected("joints is empty", [], [], [])
     rejected("an item of joints is 3; expected a Joint", [3], [], [])
     rejected("links has 'arm'; expected names of links: carriage", arm(), [0, 0], [1, 1], links=["hand", "arm"])
+    rejected("links has [3]; expected names of links", arm(), [0, 0], [1, 1], links=[[3]])
     rejected("links has 2 of the name 'hand'", arm(), [0, 0], [1, 1], links=["hand", "hand"])
 
 

@@ -99,6 +99,8 @@ def test_neighbours_are_not_tested_against_each_other(file):
     assert not may[0, 1] and not may[4, 5] and may[3, 4] and may[1, 6]
     with pytest.raises(ValueError, match=r"exclude has \('left', 'foot'\); expected two names out of base, arm"):
         robot.mesh(exclude=[("left", "foot")])
+    with pytest.raises(ValueError, match="obstacles is 3; expected vertices and faces by name"):
+        robot.mesh(3)
 
 
 @needs_parser
