@@ -130,6 +130,7 @@ def solve_on_arcs(
         used += outcome.iterations
         if is_framed:
             outcome.gap = frames.longest_turned * outcome.gap
+        outcome.gap += wp.max(chords) + error
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
         is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))

@@ -206,10 +206,15 @@ def largest_difference(a: Points, b: Points) -> simd.Lanes:
 
 
 @simd.func
-def error_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
-    """By how much the rounding of all points may bring a pair closer, along any axis (rounding, step 17)."""
+def motion_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
+    """Largest coordinate of the motions of the points over the slice, and of their velocities that turn."""
     v = simd.greatest(simd.magnitude(arcs.v0), simd.magnitude(arcs.v1))
     v = simd.greatest(v, simd.greatest(simd.magnitude(arcs.v2), simd.magnitude(arcs.v3)))
-    motion = simd.greatest(largest_difference(a, b), simd.greatest(v.x, simd.greatest(v.y, v.z)))
+    return simd.greatest(largest_difference(a, b), simd.greatest(v.x, simd.greatest(v.y, v.z)))
+
+
+@simd.func
+def error_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
+    """By how much the rounding of all points may bring a pair closer, along any axis (rounding, step 17)."""
     size = simd.greatest(largest_coordinate(a), largest_coordinate(b))
-    return arcs.slack + (point_error * size + motion_error * motion)
+    return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))

@@ -4,7 +4,7 @@ import warp as wp
 
 from ..parameters import real, width
 from ..template import specialised
-from .arcs import amplitude, error_of, points_at, sagitta
+from .arcs import amplitude, error_of, motion_of, points_at, sagitta
 from .frames import are_alike, chosen, framed_window, longest_turned, may_turn
 from .lane_solver import LaneAnswer, solve_full
 from .pair_options import LaneOptions
@@ -26,6 +26,8 @@ _NONE = wp.constant(wp.uint32(0))
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
 eighth = wp.constant(wp.float64(0.125))
+# More than how fast two points of a pair part or approach, as a multiple of the largest motion of its corners.
+speed_share = wp.constant(wp.float64(8.0))
 held_errors = wp.constant(wp.float64(4.0))
 unbounded = wp.constant(wp.float64(float("inf")))
 # What a corner is off by in the precision of the iteration.
@@ -84,6 +86,14 @@ def advance_windows(
     window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
     window.last = nothing
     own.t_end = real(1.0)
+    # the last contact of chords that was within the tolerance
+    near = _NONE
+    near_u = nothing
+    near_v = nothing
+    near_gap = nothing
+    near_t = nothing
+    speed = speed_share * motion_of(a, b, own.arcs)
+    tolerance = simd.spread(options.tolerance * options.length_scale)
     answer = LaneAnswer()
     answer.iterations = used
     open = lanes
@@ -106,24 +116,33 @@ def advance_windows(
         found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
         is_open = simd.mask_of(open)
         is_free = simd.mask_of(found.free)
-        is_sharp = is_below(chords, sharpness(error, kind, at_begin))
-        touches = open & found.contact & simd.bits_of(is_sharp)
+        sharp = simd.bits_of(is_below(chords, sharpness(error, kind, at_begin)))
+        t = reached(window, end, is_free, found.t)
+        # a sharp window in which nothing but rounding is left of the motion may end in no contact, where the one before
+        # did: its point is one of this contact, with a gap that has changed by the motion since then
+        touches = open & sharp & (found.contact | (near & ~found.free))
+        is_near = simd.mask_of(open & found.contact)
+        gap = simd.select(is_framed, longest_turned * found.gap, found.gap)
+        most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
+        near_u = simd.select(is_near, found.u, near_u)
+        near_v = simd.select(is_near, found.v, near_v)
+        near_gap = simd.select(is_near, gap + (most + error), near_gap)
+        near_t = simd.select(is_near, t, near_t)
         is_contact = simd.mask_of(touches)
         answer.contact = answer.contact | touches
         answer.free = answer.free | (open & found.free & simd.bits_of(simd.is_at_most(one, end)))
-        answer.u = simd.select(is_contact, found.u, answer.u)
-        answer.v = simd.select(is_contact, found.v, answer.v)
-        gap = simd.select(is_framed, longest_turned * found.gap, found.gap)
-        answer.gap = simd.select(is_contact, gap, answer.gap)
+        answer.u = simd.select(is_contact, near_u, answer.u)
+        answer.v = simd.select(is_contact, near_v, answer.v)
+        answer.gap = simd.select(is_contact, near_gap + speed * (t - near_t), answer.gap)
+        near = (near & ~(open & found.free)) | (open & found.contact & simd.bits_of(simd.is_at_most(most, tolerance)))
         answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
-        following = next_window(window, reached(window, end, is_free, found.t), is_free)
+        following = next_window(window, t, is_free)
         window.begin = simd.select(is_open, following.begin, window.begin)
         window.h = simd.select(is_open, following.h, window.h)
         window.last = simd.select(is_open, following.last, window.last)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
-        settled = answer.free | answer.contact | (~found.free & simd.bits_of(is_sharp))
-        t = in_step(window.begin, options.turns)
-        open = open & ~settled & simd.bits_of(simd.is_less(t, bound))
+        settled = answer.free | answer.contact | (~found.free & sharp)
+        open = open & ~settled & simd.bits_of(simd.is_less(in_step(window.begin, options.turns), bound))
         windows += 1
     answer.t = in_step(simd.least(window.begin, one), options.turns)
     return answer
