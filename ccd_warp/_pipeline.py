@@ -210,13 +210,18 @@ class CollisionPipeline:
             return motion
         check_instance("motion", motion, RigidMotion)
         assert isinstance(motion, RigidMotion)
-        self._check_clipping()
+        self._check_arc_options()
         return MeshPaths.of(self.mesh, motion._body_paths)
 
-    def _check_clipping(self) -> None:
-        """Check that pairs are solved by clips of time, as on arcs."""
-        if not self._options.is_clipping:
-            raise ValueError(f"method is {shown(self._options.method)}; expected 'clipping' where motion is given")
+    def _check_arc_options(self) -> None:
+        """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
+        options = self._options
+        if not options.is_clipping:
+            raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
+        if options.start_gap_share > 0.0:
+            raise ValueError(
+                f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
+            )
 
     def _run(
         self,
@@ -633,7 +638,7 @@ class CollisionPipeline:
         from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
 
         mesh = self.mesh
-        self._check_clipping()
+        self._check_arc_options()
         start, end = mesh.frames(vertices_t0, vertices_t1)
         self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
         result: MeshResult | None = None

@@ -21,6 +21,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _MOST_WINDOWS = wp.constant(1000)
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
+_TWO = wp.constant(wp.float64(2.0))
 _EIGHTH_UP = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
 # Of a coordinate, on all axes together.
 _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
@@ -113,5 +114,6 @@ def meeting_on_arc(
         is_open = wp.where(is_free, end < _ONE, bulge > error) and windows < _MOST_WINDOWS
         if not is_open and (not is_free or end < _ONE):
             meeting.toi = wp.where(is_inside, turns.t_begin, in_step(t, turns))
+            meeting.gap += _TWO * (bulge + error)
         window = next_window(window, t, is_free)
     return meeting

@@ -26,6 +26,7 @@ lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
 points_at = arcs.points_at
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
+two = wp.constant(wp.float64(2.0))
 half = wp.constant(wp.float64(0.5))
 eighth = wp.constant(wp.float64(0.125))
 
@@ -128,9 +129,10 @@ def solve_on_arcs(
         own.sagitta = lane_windows.enlarged(chords, error)
         outcome = solver.solve(kind, solver.normalise(kind, at_begin, at_end, own), own, real(0.0), 0, cap - used)
         used += outcome.iterations
+        if outcome.status != STATUS_NO_COLLISION:
+            outcome.gap += two * wp.max(own.sagitta)
         if is_framed:
             outcome.gap = frames.longest_turned * outcome.gap
-        outcome.gap += wp.max(chords) + error
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
         is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))

@@ -25,6 +25,7 @@ _LATER_WINDOWS = wp.constant(6)
 _NONE = wp.constant(wp.uint32(0))
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
+two = wp.constant(wp.float64(2.0))
 eighth = wp.constant(wp.float64(0.125))
 # More than how fast two points of a pair part or approach, as a multiple of the largest motion of its corners.
 speed_share = wp.constant(wp.float64(8.0))
@@ -122,11 +123,13 @@ def advance_windows(
         # did: its point is one of this contact, with a gap that has changed by the motion since then
         touches = open & sharp & (found.contact | (near & ~found.free))
         is_near = simd.mask_of(open & found.contact)
-        gap = simd.select(is_framed, longest_turned * found.gap, found.gap)
+        # the arcs may be as far from the chords on the other side
+        gap = found.gap + two * simd.greatest(own.sagitta.x, simd.greatest(own.sagitta.y, own.sagitta.z))
+        gap = simd.select(is_framed, longest_turned * gap, gap)
         most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
         near_u = simd.select(is_near, found.u, near_u)
         near_v = simd.select(is_near, found.v, near_v)
-        near_gap = simd.select(is_near, gap + (most + error), near_gap)
+        near_gap = simd.select(is_near, gap, near_gap)
         near_t = simd.select(is_near, t, near_t)
         is_contact = simd.mask_of(touches)
         answer.contact = answer.contact | touches

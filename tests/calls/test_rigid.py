@@ -99,6 +99,23 @@ def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance
     assert toi <= distance / motion
 
 
+def test_gap_of_a_blade_that_meets_points_is_that_of_the_arc_not_of_its_chord():
+    """The distance of a point is its radius times the sine of the angle that is left of many turns."""
+    angles = np.linspace(0.3, 6.0, 24)
+    mesh, at_rest = blade_and_points([at_angle(angle) for angle in angles], static=range(1, 25))
+    twist = [[0, 0, 0, 0, 0, 40.0], *np.zeros((24, 6))]
+    result = ccd.rigid_ccd(mesh, [AT_REST, *at_rest], twist=twist, device="cpu")
+    contacts = result.contacts[result.contacts.kind == int(ccd.PairKind.VERTEX_FACE)]
+    assert len(contacts) == 24
+    places = mesh.body_vertex_range[:-1].tolist()
+    of_point = [at_rest[places.index(v) - 1] for v in contacts.primitives[:, 0]]
+    x, y, _, *_ = np.array(of_point, dtype=np.longdouble).T
+    turned = np.longdouble(40.0) * contacts.toi.astype(np.longdouble)
+    distance = np.cos(turned) * y - np.sin(turned) * x
+    assert (np.abs(distance) <= contacts.gap).all()
+    assert contacts.gap.max() < 1e-10
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(
@@ -339,6 +356,7 @@ def test_bad_motions_are_refused_by_name():
         ("body 0, which is static", (mesh, mesh.vertices, end), {"motion": moves_static}),
         ("another row for vertex 9", (mesh, mesh.vertices, moved), {"motion": motion}),
         ("method is 'bisection'", (mesh, mesh.vertices, end), {"motion": motion, "method": "bisection"}),
+        ("start_gap_fraction is 0.5", (mesh, mesh.vertices, end), {"motion": motion, "start_gap_fraction": 0.5}),
         ("motion is", (mesh, mesh.vertices, end), {"motion": motion.poses_t0}),
     ):
         with pytest.raises((ValueError, TypeError), match=words):
