@@ -32,7 +32,7 @@ def whole_mesh(mesh):
     with_points[mesh.vertex_body[mesh.codimensional_points]] = True
     with_inner = np.zeros(mesh.num_bodies, dtype=bool)
     with_inner[mesh.vertex_body[mesh.inner_vertices]] = True
-    state = {name: getattr(mesh, name) for name in ("vertices", "body_vertex_range", "static", "kinematic")}
+    state = {name: getattr(mesh, name) for name in ("vertices", "body_vertex_range", "static", "kinematic", "rigid")}
     state |= {
         name: getattr(mesh, name)
         for name in ("self_collision", "body_pairs", "exclusion_rings", "vertex_world", "names", "radius", "planes")

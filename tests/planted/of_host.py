@@ -64,7 +64,7 @@ PLANTED = [
     Fault(
         "vertices on arcs without rounding",
         "kernels/pair/arcs.py",
-        "return arcs.slack + (point_error * size + motion_error * motion)",
+        "return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))",
         "return point_error * size",
         ("kernels/pair/test_arcs.py::test_hostile_pairs",),
     ),
