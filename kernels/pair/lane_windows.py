@@ -126,7 +126,6 @@ def advance_windows(
         # the arcs may be as far from the chords on the other side
         gap = found.gap + two * simd.greatest(own.sagitta.x, simd.greatest(own.sagitta.y, own.sagitta.z))
         gap = simd.select(is_framed, longest_turned * gap, gap)
-        most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
         near_u = simd.select(is_near, found.u, near_u)
         near_v = simd.select(is_near, found.v, near_v)
         near_gap = simd.select(is_near, gap, near_gap)
@@ -137,7 +136,7 @@ def advance_windows(
         answer.u = simd.select(is_contact, near_u, answer.u)
         answer.v = simd.select(is_contact, near_v, answer.v)
         answer.gap = simd.select(is_contact, near_gap + speed * (t - near_t), answer.gap)
-        near = (near & ~(open & found.free)) | (open & found.contact & simd.bits_of(simd.is_at_most(most, tolerance)))
+        near = (near & ~(open & found.free)) | (open & found.contact & simd.bits_of(simd.is_at_most(gap, tolerance)))
         answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
         following = next_window(window, t, is_free)
         window.begin = simd.select(is_open, following.begin, window.begin)

@@ -19,6 +19,29 @@ _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
+_FOUR = wp.constant(wp.float64(4.0))
+# 2/π, and π/2 in parts of 33 bits (fdlibm, `e_rem_pio2.c`), so that products with whole numbers below 2^20 are exact.
+_QUARTERS = wp.constant(wp.float64(0.63661977236758134308))
+_QUARTER_1 = wp.constant(wp.float64(1.57079632673412561417))
+_QUARTER_2 = wp.constant(wp.float64(6.07710050630396597660e-11))
+_QUARTER_3 = wp.constant(wp.float64(2.02226624879595063154e-21))
+# Coefficients of the power series of sine and cosine in the square.
+_SINE_1 = wp.constant(wp.float64(-1.0 / 6.0))
+_SINE_2 = wp.constant(wp.float64(1.0 / 120.0))
+_SINE_3 = wp.constant(wp.float64(-1.0 / 5040.0))
+_SINE_4 = wp.constant(wp.float64(1.0 / 362880.0))
+_SINE_5 = wp.constant(wp.float64(-1.0 / 39916800.0))
+_SINE_6 = wp.constant(wp.float64(1.0 / 6227020800.0))
+_SINE_7 = wp.constant(wp.float64(-1.0 / 1307674368000.0))
+_SINE_8 = wp.constant(wp.float64(1.0 / 355687428096000.0))
+_COSINE_1 = wp.constant(wp.float64(-1.0 / 2.0))
+_COSINE_2 = wp.constant(wp.float64(1.0 / 24.0))
+_COSINE_3 = wp.constant(wp.float64(-1.0 / 720.0))
+_COSINE_4 = wp.constant(wp.float64(1.0 / 40320.0))
+_COSINE_5 = wp.constant(wp.float64(-1.0 / 3628800.0))
+_COSINE_6 = wp.constant(wp.float64(1.0 / 479001600.0))
+_COSINE_7 = wp.constant(wp.float64(-1.0 / 87178291200.0))
+_COSINE_8 = wp.constant(wp.float64(1.0 / 20922789888000.0))
 # A turn whose square may underflow, as far as sine and cosine go none.
 _NO_TURN = wp.constant(wp.float64(1.0e-100))
 # The sagitta of the whole slice is an eighth of |ω|·|V|.
@@ -74,6 +97,31 @@ def product(p: wp.vec4d, q: wp.vec4d) -> wp.vec4d:
 
 
 @wp.func
+def sine_and_cosine(a: wp.float64) -> wp.vec2d:
+    """sin a and cos a, of the same bits on all devices, within 4u for 0 <= a below 10^6.
+
+    The angle is reduced by quarters of a turn, of which the first part is subtracted exactly.
+    """
+    n = wp.floor(a * _QUARTERS + _HALF)
+    x = ((a - n * _QUARTER_1) - n * _QUARTER_2) - n * _QUARTER_3
+    w = x * x
+    p = _SINE_5 + w * (_SINE_6 + w * (_SINE_7 + w * _SINE_8))
+    p = w * (_SINE_1 + w * (_SINE_2 + w * (_SINE_3 + w * (_SINE_4 + w * p))))
+    q = _COSINE_5 + w * (_COSINE_6 + w * (_COSINE_7 + w * _COSINE_8))
+    q = w * (_COSINE_1 + w * (_COSINE_2 + w * (_COSINE_3 + w * (_COSINE_4 + w * q))))
+    s = x + x * p
+    c = _ONE + q
+    quarter = wp.int32(n - _FOUR * wp.floor(n / _FOUR))
+    if quarter == 1:
+        return wp.vec2d(c, -s)
+    if quarter == 2:
+        return wp.vec2d(-s, -c)
+    if quarter == 3:
+        return wp.vec2d(-c, s)
+    return wp.vec2d(s, c)
+
+
+@wp.func
 def place_at(paths: BodyPaths, body: int, t: wp.float64) -> Place:
     """Where a body is at a time of the step."""
     omega = paths.omega[body]
@@ -82,8 +130,9 @@ def place_at(paths: BodyPaths, body: int, t: wp.float64) -> Place:
     s = _HALF * t
     c = _ONE
     if angle > _NO_TURN:
-        s = wp.sin(_HALF * t * angle) / angle
-        c = wp.cos(_HALF * t * angle)
+        of_half = sine_and_cosine(_HALF * t * angle)
+        s = of_half[0] / angle
+        c = of_half[1]
     turn = wp.vec4d(s * omega[0], s * omega[1], s * omega[2], c)
     place = Place()
     place.rotation = product(turn, paths.rotation[body])

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import json
 
 import numpy as np
 import trimesh
@@ -179,6 +180,7 @@ def every_call(folder):
             ccd.RigidMotion.from_scalar_first,
             POSES | {"path": "linear", "pivot": None, "twist": None},
         ),
+        "RigidMotion.shortened": (ccd.RigidMotion(**POSES).shortened, {"t": 0.5}),
         "RigidMotion.at": (ccd.RigidMotion(**POSES).at, {"t": 0.5}),
         "AffineMotion": (ccd.AffineMotion, {"affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE}),
         "positions_t0": (ccd.AffineMotion(AFFINE, AFFINE).positions_t0, {"points": CABLE, "body": np.array([0, 1, 1])}),
@@ -248,7 +250,7 @@ def every_call(folder):
         "read_urdf": (ccd.read_urdf, {"path": folder / "arm.urdf", "base": None, "packages": None}),
         "read_poses": (
             ccd.read_poses,
-            {"mesh_path": start, "poses_path": folder / "poses.csv", "path": "linear", "static": [], "kinematic": []}
+            {"mesh_path": start, "poses_path": folder / "poses.json", "path": "linear", "static": [], "kinematic": []}
             | {"max_bytes": 10**6},
         ),
         "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
@@ -294,7 +296,8 @@ def written(folder):
     datasets.write_step(folder / "0.ply", folder / "1.ply", STEP)
     datasets.write_truth(folder / "truth.json", np.array([True]))
     datasets.write_boxes(folder / "boxes.json", np.array([[0, 1]]))
-    (folder / "poses.csv").write_text("t,body,px,py,pz,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
+    pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
+    (folder / "poses.json").write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
     (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
     return every_call(folder)
 

@@ -97,6 +97,8 @@ EXCEPTIONS = REQUIRED | {("render_step", "t_max"), ("draw_step", "t_max")}
 
 
 def is_taken(name, call, argument):
+    if (call, argument) == ("rigid_ccd", "start_gap_fraction"):
+        return name == "None"
     if call == "Joint" and argument in ("name", "parent", "child"):
         return name in ("text", "text with a null")
     if (name, call, argument) == ("None", "to_pyvista", "result"):
