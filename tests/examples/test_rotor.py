@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import loaded_example
 
-NUM_GRAINS, NUM_FRAMES = 400, 20
+NUM_GRAINS, NUM_FRAMES = 300, 14
 
 
 @pytest.fixture(scope="module")
