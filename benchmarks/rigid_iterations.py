@@ -75,9 +75,9 @@ def iterations_of(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
         start, last = pairs.positions_at(begin), pairs.positions_at(end)
         pivots = pairs.poses[..., :3] + begin * pairs.twist[..., :3]
         velocity = np.cross(np.repeat(spin, sizes, axis=1), start - np.repeat(pivots, sizes, axis=1))
-        turns.spin = wp.array(spin.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
+        turns.omega = wp.array(pairs.twist[..., 3:].reshape(-1, 3), dtype=wp.vec3d, device="cpu")
         turns.velocity = wp.array(velocity.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
-        turns.slack = wp.full(2 * count, 1e-14 * (1.0 + turn), dtype=wp.float64, device="cpu")
+        turns.slack = wp.full(velocity.size // 3, 1e-14 * (1.0 + turn), dtype=wp.float64, device="cpu")
         turns.vertex_body = wp.array(bodies.ravel(), dtype=wp.int32, device="cpu")
         options = HostOptions().for_kernel(None, stop=stop, turns=turns)
         positions = [wp.array(x.reshape(-1, 3), dtype=wp.vec3d, device="cpu") for x in (start, last)]

@@ -74,6 +74,14 @@ def test_samples_see_what_is_wrong(steps, toi, change, seen):
     assert tuple(min(n, 1) for n in (found.missed, found.late, found.apart)) == seen
 
 
+def test_steps_of_a_pair_are_counted_and_grow_with_its_turn():
+    from ccd_warp.benchmarks import rigid_iterations  # compiles the solver of a pair
+
+    few, many = rigid_iterations.measure("edge-edge", 24, (1e-3, 2.0))
+    assert few["hit"]["pairs"] > 0 < few["free"]["pairs"]
+    assert 1 <= few["free"]["mean"] < many["free"]["mean"]
+
+
 def test_faults_of_others_are_counted():
     truth = np.array([0.2, 0.4, 0.5, np.inf, np.inf])
     assert rigid.judged(np.array([0.3, np.inf, np.inf, 0.1, np.inf]), truth) == {
