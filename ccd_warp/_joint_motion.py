@@ -19,9 +19,10 @@ from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
 from ccd_warp._joints import Joint, JointTree
 from ccd_warp._motion import RigidMotion
+from ccd_warp._read_only import ReadOnly
 
 
-class JointMotion:
+class JointMotion(ReadOnly):
     """How the links of a mechanism, such as a robot's arm, move while its joints do.
 
     Joints (:class:`Joint`) carry links on links in a tree, whose root stands at the origin of the world, as the base
@@ -282,41 +283,9 @@ class JointMotion:
         window = self._window(t_begin, t_end)
         return slices(self._courses, self._tree.order, self._rows, window, reaches, centres)
 
-    def _seen_from(self, name: str) -> JointMotion:
-        """The motion of a link, which rests then, and of all that it carries, in its own frame.
-
-        Only the joints between two links turn them against each other, so bounds of slices are smaller there: links
-        far out on an arm that hardly move against each other have hardly any.
-        """
-        tree = self._tree
-        seen = {tree.index[name]}
-        for link in tree.order:
-            if tree.parent_of(link) in seen:
-                seen.add(link)
-        kept = [k for k, joint in enumerate(tree.joints) if tree.index[joint.parent] in seen]
-        motion = copy(self)
-        motion._tree = JointTree(tree.joints[k] for k in kept)
-        columns = [column for k in kept for column in range(tree.columns[k].start, tree.columns[k].stop)]
-        motion._coefficients = read_only(np.ascontiguousarray(self._coefficients[:, :, columns]))
-        root = self._courses[tree.order[0]]
-        motion._courses = []
-        for link in motion._tree.links:
-            parent = motion._tree.parent_of(motion._tree.index[link])
-            course = root if parent < 0 else self._courses[tree.index[link]]._replace(parent=parent)
-            motion._courses.append(course)
-        motion._rows = motion._tree.rows([tree.links[k] for k in self._rows if k in seen])
-        motion._place_ends()
-        return motion
-
     def _window(self, t_begin: ArrayLike, t_end: ArrayLike) -> Window:
         begin, end = (np.broadcast_to(np.asarray(t, np.float64), self.num_worlds) for t in (t_begin, t_end))
         return Window.of(begin, end)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        for array in (self._coefficients, self._poses_t0, self._poses_t1):
-            read_only(array)
 
     def __repr__(self) -> str:
         joints = counted(sum(joint.kind != "fixed" for joint in self.joints), "moving joint", "moving joints")

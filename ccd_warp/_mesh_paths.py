@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._body_paths import BodyPaths, _arcs
+from ccd_warp._body_paths import BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.names import body_label
-from ccd_warp._rotations import rotated
+from ccd_warp._rotations import arcs, rotated
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
@@ -73,11 +73,6 @@ class MeshPaths(BodyPaths):
                 f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
             )
 
-    def shortened(self, fraction: NDArray[np.float64]) -> MeshPaths:
-        """The paths up to a fraction of the step for each body, shape [B]."""
-        changed = {name: getattr(self, name) * fraction[:, None] for name in ("omega", "velocity", "turning")}
-        return replace(self, **changed)
-
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
     ) -> NDArray[np.float64]:
@@ -104,8 +99,8 @@ class MeshPaths(BodyPaths):
         rows, times = body[rigid], _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
         arms = rotated(self.rotation[rows], start[rigid] - self.pivot[rows])
-        arms = arms + _arcs(omega, arms, times)
-        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, times)
+        arms = arms + arcs(omega, arms, times)
+        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
         return v
 
 

@@ -190,15 +190,23 @@ class HostPlan(Plan):
         for name, value in values.items():
             self._recording.bind(name, value)
 
-    def meet_planes(self, record: Callable[[Stages, Recording], None] | None = None) -> int:
-        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs."""
+    def meet_planes(
+        self, record: Callable[[Stages, Recording], None] | None = None, *, is_repeated: bool = False
+    ) -> int:
+        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs.
+
+        One that ``is_repeated``, since there was no room for all pairs, is not counted again.
+        """
         sink = self._sink
         self._clear_counts()
         self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink)))
         kind = PairKind.VERTEX_PLANE
-        self._num_met_by_planes = int(self.counts()[kind, FOUND])
-        self.num_searches[kind], self.num_candidates[kind] = 1, self._num_met_by_planes
-        return self._num_met_by_planes
+        found = int(self.counts()[kind, FOUND])
+        if not is_repeated:
+            self._num_met_by_planes = found
+            self.num_searches[kind] += 1
+            self.num_candidates[kind] += found
+        return found
 
     def fill_boxes(
         self, positions: Positions, t_end: float, inflation: float, active: wp.array, *, goes_on: bool = False

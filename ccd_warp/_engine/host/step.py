@@ -479,7 +479,7 @@ class Step:
             batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
         if plan.has_planes:
             with self.timed("planes"):
-                survivors[PairKind.VERTEX_PLANE] = self._meet_planes(plan)
+                survivors[PairKind.VERTEX_PLANE] += self._meet_planes(plan)
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
         has_shared = False
         for batch in self.timed_batches(batches):
@@ -509,13 +509,12 @@ class Step:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
         store = self.workspace.contacts
         plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
-        expected = store.num_with_planes
-        while True:
-            plan.bind(contacts=store.begin_batch(expected))
-            found = plan.meet_planes()
-            if found <= expected:
-                break
-            expected = store.num_with_planes = found
+        plan.bind(contacts=store.begin_batch(store.num_with_planes))
+        found = plan.meet_planes()
+        if found > store.num_with_planes:
+            store.num_with_planes = found
+            plan.bind(contacts=store.begin_batch(found))
+            plan.meet_planes(is_repeated=True)
         store.end_batch(found)
         return found
 
