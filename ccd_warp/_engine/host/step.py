@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -110,7 +111,7 @@ class Step:
             self.slices = [*slices_of(paths, options.t_max)]
             self.arcs = workspace.arcs
             self.arcs.begin(paths)
-            self._given: list[wp.array] = [
+            self._given_on_device: list[wp.array] = [
                 wp.array(x, dtype=wp.vec3d, device=self.topology.device, copy=False) for x in positions
             ]
 
@@ -136,7 +137,7 @@ class Step:
             if part is None or part.t_begin == 0.0:
                 plan.begin_counts()
             if part is not None and self.arcs is not None:
-                self.arcs.place(part, self.execution, *self._given)
+                self.arcs.place(part, self.execution, *self._given_on_device)
                 t_end, self.positions = 1.0, self.arcs.positions()
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
@@ -152,12 +153,12 @@ class Step:
 
     def bind_options(self, plan: HostPlan, part: "Slice | None") -> None:
         """Let the kernels have the options, and how bodies turn in a slice."""
-        workspace, arguments = self.workspace, (self.options, self.length_scale)
+        packed = partial(self.workspace.packed, self.options, self.length_scale, is_held=self.is_held)
         if part is None or self.arcs is None:
-            plan.bind(options=workspace.packed(*arguments, is_held=self.is_held))
+            plan.bind(options=packed())
         else:
             turns = self.arcs.turns(part)
-            plan.bind(options=workspace.packed_on_arcs(*arguments, turns, is_held=self.is_held), turns=turns)
+            plan.bind(options=packed(turns=turns), turns=turns)
 
     def _reaches_far(self) -> bool:
         """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
