@@ -252,7 +252,7 @@ def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows
     found = records(tmp_path)["queries"]
     assert found.status == STOPPED and found.rows == [{"n": 1}] and found.over == {"first"}
     assert found.why == "it took more than 1 s, and was ended in second" and found.late == {"second"}
-    assert not is_running((tmp_path / "child").read_text())
+    assert wait_until(lambda: not is_running((tmp_path / "child").read_text()))
     assert "was ended in second" in (tmp_path / "gpu_check.md").read_text()
     # the case has another try, and no third one
     run_in(tmp_path, chosen, monkeypatch, kind=CUDA, seconds=1.0, is_apart=True)
