@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
 from ccd_warp._input.poses import checked_rows, read_only, shown_bodies
 from ccd_warp._read_only import ReadOnly
+from ccd_warp._texts import text_completed_by
 
 
 class AffineMotion(ReadOnly):
@@ -74,8 +75,9 @@ class AffineMotion(ReadOnly):
         """
         return self._positions(self._affine_t0, points, body)
 
+    @text_completed_by(positions_t0)
     def positions_t1(self, points: ArrayLike, body: ArrayLike) -> NDArray[np.float64]:
-        """Places in the world at t = 1; for the arguments see :meth:`positions_t0`."""
+        """Places in the world at t = 1 of points of the bodies' frames."""
         return self._positions(self._affine_t1, points, body)
 
     def _ends(

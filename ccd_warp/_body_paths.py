@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -116,6 +116,15 @@ class BodyPaths(ReadOnly):
             velocity,
             none.copy() if turning is None else turning,
         )
+
+    @property
+    def largest_turn(self) -> float:
+        """The largest angle by which a body turns in the step, radians."""
+        return float(np.linalg.norm(self.omega, axis=1).max(initial=0.0))
+
+    def rows(self, index: NDArray[np.integer]) -> BodyPaths:
+        """The paths of some bodies, or of some of them several times."""
+        return BodyPaths(*(getattr(self, each.name)[index] for each in fields(BodyPaths)))
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N]."""

@@ -241,6 +241,29 @@ class JointMotion(ReadOnly):
         motion._place_ends()
         return motion
 
+    @property
+    def _paths_at_start(self) -> BodyPaths:
+        """Paths of all links, on which they stay where they are at the start."""
+        return self._slices(0.0, 0.0, np.zeros(self.num_links))[0]
+
+    def _of_worlds(self, worlds: NDArray[np.integer]) -> JointMotion:
+        """The motion in some worlds."""
+        motion = copy(self)
+        motion._worlds = (len(worlds),)
+        motion._coefficients = read_only(self._coefficients[:, worlds])
+        motion._courses = [
+            course._replace(
+                axis=course.axis if course.axis is None or course.axis.shape[1] == 1 else course.axis[:, worlds],
+                angle=None if course.angle is None else course.angle[:, worlds],
+                slide=None if course.slide is None else course.slide[:, :, worlds],
+                after=None if course.after is None else course.after[:, worlds],
+            )
+            for course in self._courses
+        ]
+        rows = (worlds[:, None] * self.num_links + np.arange(self.num_links)).ravel()
+        motion._poses_t0, motion._poses_t1 = (read_only(poses[rows]) for poses in (self._poses_t0, self._poses_t1))
+        return motion
+
     def _times(self, t: ArrayLike) -> NDArray[np.float64]:
         """Fractions of the step, one a world."""
         return checked_fractions(t, (self.num_worlds,), "world")

@@ -467,6 +467,14 @@ class CollisionMesh(ReadOnly):
         arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
         return type(self)(**arguments)
 
+    def _copies(self, count: int) -> CollisionMesh:
+        """This mesh in so many worlds; the last one made stays, with what calls attach to it."""
+        copies = vars(self).get("_last_copies")
+        if copies is None or copies[0] != count:
+            copies = count, self.replicate(count)
+            vars(self)["_last_copies"] = copies
+        return copies[1]
+
     @lazy_property
     def _all_rigid(self) -> CollisionMesh:
         """This mesh with all bodies rigid that have vertices of their own."""

@@ -25,11 +25,13 @@ class MeshPaths(BodyPaths):
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
         excess: How far points of each body may be from the path, a length, shape [B].
         active: Bodies that are searched, bool, shape [B].
+        turn: Angle for whose slices the step is cut, no less than that of any body; None for the largest of them.
     """
 
     is_rigid: NDArray[np.bool_]
     excess: NDArray[np.float64]
     active: NDArray[np.bool_]
+    turn: float | None = None
 
     @classmethod
     def of(cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None) -> MeshPaths:
@@ -42,13 +44,8 @@ class MeshPaths(BodyPaths):
             raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
         bodies = np.flatnonzero(mesh.rigid)
         check_rows(mesh, bodies, len(given))
-        moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
-        for row in np.flatnonzero(moves & mesh.static[bodies])[:1].tolist():
-            raise ValueError(
-                f"motion moves {body_label(int(bodies[row]), mesh.names)}, which is static; expected equal poses at "
-                f"both ends, or kinematic in place of static for a body that moves as it is told"
-            )
-        rows: dict[str, NDArray[Any]] = {}
+        check_rest(mesh, bodies, given)
+        rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
             of_rigid = getattr(given, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
@@ -121,7 +118,26 @@ def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> 
             "rigid_ccd, for which all bodies are"
         )
     if num_rows != len(bodies):
+        count, left = divmod(num_rows, len(bodies))
+        worlds = "" if left or count < 2 else f", or for {count} worlds mesh.replicate({count})"
         raise ValueError(
             f"motion has {counted(num_rows, 'row', 'rows')} for "
-            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
+            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+        )
+
+
+def check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+    """Check that paths of these bodies, of one world after another, leave the static ones where they are.
+
+    Raises:
+        ValueError: If one moves.
+    """
+    moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
+    num_worlds = len(given) // len(bodies)
+    for row in np.flatnonzero(moves & np.tile(mesh.static[bodies], num_worlds))[:1].tolist():
+        world, k = divmod(row, len(bodies))
+        where = f" in world {world}" if num_worlds > 1 else ""
+        raise ValueError(
+            f"motion moves {body_label(int(bodies[k]), mesh.names)}{where}, which is static; expected equal poses at "
+            f"both ends, or kinematic in place of static for a body that moves as it is told"
         )

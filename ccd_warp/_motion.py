@@ -62,7 +62,8 @@ class RigidMotion(ReadOnly):
             1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, or ``twist`` contradicts
             ``poses_t1``. It names the argument and the body.
 
-    A motion does not change; its arrays are read-only.
+    A motion of W worlds for a mesh of one moves copies of the mesh, of which only a batch is ever made: arrays of a
+    result then have an axis of worlds in front. A motion does not change; its arrays are read-only.
 
     Guarantee: calls that take a motion are never late for exactly these trajectories, of the quaternions as they are
     given, normalised without rounding; for matrices, of the quaternions of ``poses_t0`` and ``poses_t1``.
@@ -209,6 +210,15 @@ class RigidMotion(ReadOnly):
         ends = np.where((times == 1.0)[:, None], self._poses_t1, motion._at(np.ones(len(times))))
         motion._poses_t1 = read_only(np.where((times == 0.0)[:, None], self._poses_t0, ends))
         return motion
+
+    @property
+    def _paths_at_start(self) -> BodyPaths:
+        """Paths of all bodies, which are at the start where the motion has them."""
+        return self._body_paths
+
+    def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
+        """The paths of the bodies of some worlds, one world's after another's."""
+        return self._body_paths.rows((worlds[:, None] * self.num_bodies + np.arange(self.num_bodies)).ravel())
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses at a fraction for each body, shape [N, 7]."""

@@ -292,8 +292,9 @@ def rigid_ccd(
     Args:
         mesh: The bodies, as built for any other call; ``rigid`` of the mesh plays no part here.
         poses_t0: Poses at t = 0, position and quaternion **x y z w**, one for each body that has vertices, static ones
-            included, [B, 7], or matrices, [B, 4, 4]; of the worlds of :meth:`CollisionMesh.replicate` [W, B, 7].
-            :class:`ccd_warp.RigidMotion` says what else it takes, as of the following.
+            included, [B, 7], or matrices, [B, 4, 4]; of W worlds of one mesh, or of those of
+            :meth:`CollisionMesh.replicate`, [W, B, 7]. :class:`ccd_warp.RigidMotion` says what else it takes, as of
+            the following.
         poses_t1: Poses at t = 1; those of static bodies are the same.
         path: "linear" or "screw".
         pivot: Points about which the bodies turn, in their own frames.

@@ -49,6 +49,7 @@ from ccd_warp._runtime.progress import Progress
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
+    from ccd_warp._motion_worlds import MotionWorlds
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -621,11 +622,41 @@ class CollisionPipeline:
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        if isinstance(motion, JointMotion):
-            result = self._on_joints(vertices_t0, vertices_t1, motion)
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            result = worlds.result()
+            self.counts, self.timings = result.counts, result.timings
         else:
-            result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+            result = self._contacts(vertices_t0, vertices_t1, motion)
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
+
+    def _contacts(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> MeshResult:
+        """The contacts of a step, of a mechanism in the worlds that are searched alone."""
+        if isinstance(motion, JointMotion):
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
+        return self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+
+    def _worlds_of(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
+    ) -> MotionWorlds | None:
+        """The worlds of a motion of several, for a mesh of one; None for any other motion."""
+        if not isinstance(motion, RigidMotion | JointMotion) or motion.num_worlds == 1 or self.mesh.num_worlds > 1:
+            return None
+        from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
+
+        self._check_arc_options()
+        if check_start:
+            raise ValueError(
+                f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
+                f"mesh.replicate({motion.num_worlds}), or False"
+            )
+        return MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
 
     def _joints_at(self, motion: JointMotion, t: float) -> MeshPaths:
         """Paths on which links stay where joints have them at a time."""
@@ -633,7 +664,13 @@ class CollisionPipeline:
             raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
         return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
 
-    def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
+    def _on_joints(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: JointMotion,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> MeshResult:
         """The first contacts of each world where joints move links."""
         from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
 
@@ -643,7 +680,7 @@ class CollisionPipeline:
         self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
         result: MeshResult | None = None
         of_pass = replace(self._options, t_max=1.0)
-        search = JointSearch(mesh, start, end, motion, self._options.t_max)
+        search = JointSearch(mesh, start, end, motion, self._options.t_max, is_searched)
 
         def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
             nonlocal result
@@ -654,7 +691,7 @@ class CollisionPipeline:
         assert result is not None
         return search.result(result)
 
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None) -> ArrayLike:
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
         if motion is None:
             return vertices_t0
@@ -686,17 +723,26 @@ class CollisionPipeline:
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        toi = min(self._least_toi(vertices_t0, vertices_t1, motion), self._options.t_max)
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            least = worlds.least_toi(CollisionPipeline._least_toi, is_enough=lambda toi: toi <= 0.0)
+        else:
+            least = self._least_toi(vertices_t0, vertices_t1, motion)
+        toi = min(least, self._options.t_max)
         if check_start:
             self._checked_start(vertices_t0, motion)
         return toi
 
     def _least_toi(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | JointMotion | None = None
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None = None,
+        is_searched: NDArray[np.bool_] | None = None,
     ) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
         if isinstance(motion, JointMotion):
-            return self._on_joints(vertices_t0, vertices_t1, motion).toi
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
@@ -743,13 +789,26 @@ class CollisionPipeline:
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        if isinstance(motion, JointMotion):
-            least = self._on_joints(vertices_t0, vertices_t1, motion).toi
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            least = worlds.least_toi(CollisionPipeline._any_toi, is_enough=np.isfinite)
         else:
-            least = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+            least = self._any_toi(vertices_t0, vertices_t1, motion)
         if not check_start:
             return least == np.inf
         return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
+
+    def _any_toi(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None = None,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> float:
+        """A toi of a step, inf if it is free."""
+        if isinstance(motion, JointMotion):
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
 
     def line_search(
         self,

@@ -95,7 +95,9 @@ class MeshResult(Outcome):
         vertex_contact: Index of the contact that gives the toi of a vertex, the first where several share it, -1 where
             there is none, int32, shape [V].
         body_contact: Index of the contact that gives the toi of a body, -1 where there is none, int32, shape [B].
-        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
+        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one,
+            unless its ``motion`` has W. Arrays of vertices and of bodies then have shapes [W, V] and [W, B], and
+            contacts are those of one world after those of another.
         world_contact: Index of the contact that gives the toi of a world, as of a vertex, int32, shape [W].
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         hidden_gaps: Where pairs have the status ``ROUNDING_LIMIT``, a sentence on how many they are and on the vertex

@@ -42,8 +42,8 @@ class Slice:
 
 def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
     """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
-    turn = float(np.linalg.norm(paths.omega, axis=1).max(initial=0.0)) * t_max
-    count = np.ceil(turn / TURN_OF_A_SLICE - _ROUNDING)
+    turn = paths.largest_turn if paths.turn is None else paths.turn
+    count = np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING)
     return Slice.all(max(1, int(count)), t_max)
 
 

@@ -52,8 +52,12 @@ class JointSearch:
         end: NDArray[np.float64],
         motion: "JointMotion",
         t_max: float,
+        is_searched: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Begin a search; ``start`` and ``end`` are the positions of all vertices, of links in their own frames."""
+        """Begin a search; ``start`` and ``end`` are the positions of all vertices, of links in their own frames.
+
+        Of worlds that are not searched, as ``is_searched`` says, nothing is known.
+        """
         self._mesh, self._given, self._motion, self._t_max = mesh, (start, end), motion, t_max
         links = np.flatnonzero(mesh.rigid)
         self._world_of_body = np.zeros(mesh.num_bodies, dtype=np.intp)
@@ -68,7 +72,7 @@ class JointSearch:
         self._begin = np.zeros(num_worlds)
         self._length = t_max / self._slices
         self._last = np.zeros(num_worlds)  # of the last window that ended in a contact
-        self._is_open = np.ones(num_worlds, dtype=bool)
+        self._is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
         self._found: list[Contacts] = []
 
     def run(self, solve: Solve) -> None:
@@ -135,9 +139,9 @@ class JointSearch:
         contacts = contacts[order]
         of_vertices, of_bodies = pair_vertices(mesh, contacts), pair_bodies(mesh, contacts)
         of_worlds = mesh.vertex_world[of_vertices[:, :1]]
-        vertex = _firsts(contacts.toi, of_vertices, mesh.num_vertices)
-        body = _firsts(contacts.toi, of_bodies, mesh.num_bodies)
-        world = _firsts(contacts.toi, of_worlds, mesh.num_worlds)
+        vertex = firsts(contacts.toi, of_vertices, mesh.num_vertices)
+        body = firsts(contacts.toi, of_bodies, mesh.num_bodies)
+        world = firsts(contacts.toi, of_worlds, mesh.num_worlds)
         return replace(
             last,
             toi=float(self.world_toi.min()),
@@ -152,9 +156,7 @@ class JointSearch:
         )
 
 
-def _firsts(
-    toi: NDArray[np.float64], owners: NDArray[Any], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The least toi of each owner, and the first contact that has it, -1 for none."""
     least, first = np.full(count, np.inf), np.full(count, len(toi), dtype=np.int32)
     for column in owners.T:

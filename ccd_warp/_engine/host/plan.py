@@ -119,7 +119,7 @@ class HostPlan(Plan):
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         of_pairs = self.memory.slots()
-        names = [*_POSITIONS, *_FIELDS, "turns"]
+        names = [*_POSITIONS, *_FIELDS, "turns", "searched"]
         names += [slot.name for slots in boxes.values() for slot in slots]
         names += [slot.name for slots in of_pairs.values() for slot in slots.values()]
         self._recording = Recording(execution, dict.fromkeys(names) | {"contacts": ContactList()})
@@ -199,7 +199,7 @@ class HostPlan(Plan):
         """
         sink = self._sink
         self._clear_counts()
-        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink)))
+        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink, Slot("searched"))))
         kind = PairKind.VERTEX_PLANE
         found = int(self.counts()[kind, FOUND])
         if not is_repeated:

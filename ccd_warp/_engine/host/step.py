@@ -340,7 +340,7 @@ class Step:
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
         if plan.has_planes:
             with self.timed("planes"):
-                plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
+                self._bind_planes(plan)
                 plan.set_least(best)
                 plan.meet_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
@@ -506,10 +506,18 @@ class Step:
                 plan.solve(is_second=True)
                 store.end_batch()
 
+    def _bind_planes(self, plan: HostPlan) -> None:
+        """Let the kernel have what vertices and half-spaces are asked for, and the bodies that are searched."""
+        query = self.workspace.plane_query(self.options, self.length_scale, holds=self.holds)
+        searched = None
+        if self.paths is not None and not self.paths.active.all():
+            searched = self.topology.array(self.paths.active, wp.int32)
+        plan.bind(plane_query=query, searched=searched)
+
     def _meet_planes(self, plan: HostPlan) -> int:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
         store = self.workspace.contacts
-        plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
+        self._bind_planes(plan)
         plan.bind(contacts=store.begin_batch(store.num_with_planes))
         found = plan.meet_planes()
         if found > store.num_with_planes:
