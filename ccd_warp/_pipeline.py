@@ -390,6 +390,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         num_rounds: int = DEFAULT_NUM_ROUNDS,
+        motion: RigidMotion | None = None,
     ) -> LaunchResult:
         """Shorten a step on the device until it is certain to be free of collisions, without waiting for the result.
 
@@ -422,10 +423,13 @@ class CollisionPipeline:
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
             num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
+            motion: How the rigid bodies turn, as in :meth:`launch`. Each goes on its path, shortened as a whole, and
+                stays rigid; their rows of ``vertices_t1`` are not written. Such a launch is no part of a graph.
 
         Returns:
             The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
-            this pass had to stop is finite. The flags cover all passes, but for that of contacts.
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts. With a motion,
+            ``body_fraction`` and ``motion`` say where the rigid bodies are at the end.
 
         Raises:
             ValueError: As in :meth:`launch`, or if an option is out of its range.
@@ -438,14 +442,16 @@ class CollisionPipeline:
         vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
         the start (as in :func:`ccd_warp.line_search`), whatever the flags; but for pairs of which what is kinematic
         alone moves, and then ``LaunchFlag.STRUCK`` is set, or a flag for what was not checked. Proof: the final pass
-        checked exactly these rounded positions, and where its toi was not inf free vertices do not move.
+        checked exactly these rounded positions, and where its toi was not inf free vertices do not move. A rigid body
+        moves on the path of ``motion`` up to its fraction; a pair stays if, in float64, all its vertices do.
         """
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
             per, safety = validated_line_search(per, safety)
             num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS, least=3)
             check_step_is_whole(self._options.t_max)
-        return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
+        search = LineSearch.of(per, num_rounds)
+        return self._launch(vertices_t0, vertices_t1, motion, line_search=search, safety=safety)
 
     def _launch_on_arcs(
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, **arguments: Any
@@ -453,6 +459,14 @@ class CollisionPipeline:
         """Launch on the device step of bodies that turn, which the first such launch makes."""
         from ccd_warp._engine.device.arc_step import DeviceArcStep  # few programs need it
 
+        if isinstance(motion, JointMotion | AffineMotion):
+            instead = (
+                "a call on the host, such as line_search, which takes joints"
+                if isinstance(motion, JointMotion)
+                else "vertices_t0 and vertices_t1 at motion.positions_t0 and motion.positions_t1, between which they "
+                "move straight, and no motion"
+            )
+            raise ValueError(f"motion is {shown(motion)}; expected a RigidMotion for a launch, or {instead}")
         paths, mesh = self._paths_of(motion), self.mesh
         step, self._arc_step = self._arc_step, None
         if step is None:
@@ -461,7 +475,7 @@ class CollisionPipeline:
             layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
             step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
-        step.launch_on_paths(prepared, paths)
+        step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
         return step.result
 
@@ -470,6 +484,9 @@ class CollisionPipeline:
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         with self._lock:
+            name_t1 = arguments.get("name_t1", "vertices_t1")
+            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
+            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             if motion is not None:
                 return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
             if self._device_step is None:
@@ -478,9 +495,6 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
-            name_t1 = arguments.get("name_t1", "vertices_t1")
-            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
-            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
