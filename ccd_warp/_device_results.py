@@ -56,9 +56,9 @@ class LaunchResult(OnDevice):
 
     @property
     def motion(self) -> RigidMotion | None:
-        """The motion of the last launch up to the end of the step, as in :class:`ccd_warp.LineSearchResult`.
+        """The motion of the last launch up to the end of the step; None without one. Reading it waits for the device.
 
-        Its ``poses_t1`` are the poses of the rigid bodies there. Reading it waits for the device. None without a motion.
+        Its ``poses_t1`` are the poses of the rigid bodies there, as those of a :class:`ccd_warp.LineSearchResult`.
         """
         return None if self.body_fraction is None else self._step.ended_motion()
 

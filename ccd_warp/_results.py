@@ -149,7 +149,7 @@ class HostLaunchResult(Outcome):
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
         num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
         num_contacts: Number of contacts found, including those beyond the capacity.
-        body_fraction: The fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
+        body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
         motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.
     """
 

@@ -134,11 +134,6 @@ class DeviceArcStep(DeviceLineSearch):
         recording.launch(kernels.shorten_paths, len(self._least), inputs=[share, self._whole], outputs=outputs)
 
     @property
-    def _grown_radius(self) -> wp.array:
-        """The radii of vertices that hold their arcs."""
-        return self._arcs.radius
-
-    @property
     def _body_kept(self) -> wp.array:
         """Bodies whose rows a line search does not write, int32, shape [B]: they stand in the bodies' own frames."""
         return self._rows_kept

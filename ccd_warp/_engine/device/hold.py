@@ -46,12 +46,10 @@ class DeviceHold:
         contacts: DeviceContacts,
         flag: StopFlag,
         radius: wp.array | None,
-        grown_radius: wp.array | None = None,
+        *,
+        on_arcs: bool = False,
     ) -> None:
-        """Allocate what a line search needs; stages, contacts, flag and radii are those of its step.
-
-        ``grown_radius`` are the radii that hold the arcs of bodies that turn, too; None where none does.
-        """
+        """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
         mesh, device = topology.mesh, topology.device
         self._topology, self._contacts = topology, contacts
         self._hold: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
@@ -61,18 +59,17 @@ class DeviceHold:
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         distance = hold_distance(mesh, options, mesh.radius)
-        norm = norm_of(mesh, options, may_change=True, is_held=True, on_arcs=grown_radius is not None)
+        norm = norm_of(mesh, options, may_change=True, is_held=True, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
         self._narrow_phase = narrow_phase_on(device, exact.real, norm)
         self._options = partial(exact.for_kernel, length_scale, stop=flag.array, radius=radii, hold=self._hold)
-        searched = radii if grown_radius is None else grown_radius
         # boxes of static bodies stay as they are, and those of the others make up for it
         inflation = next_above(stages.inflation + (distance - separation))
         self._of_start: dict[str, Any] = {
             "inflation": inflation,
-            "search_options": search_options(1.0, inflation, distance, norm, flag, (searched, stages.box_radius)),
+            "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
             "reach": reach_of(radii, distance, flag.array),
         }
 

@@ -67,7 +67,7 @@ class DeviceLineSearch(DeviceStep):
             from ccd_warp._engine.device.hold import DeviceHold  # few programs need it
 
             arguments = self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
-            self._hold = DeviceHold(*arguments, self._grown_radius)
+            self._hold = DeviceHold(*arguments, on_arcs=self.on_arcs)
         # which bodies a pass searches; the last, as without it all of this is made again
         self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
 
@@ -84,7 +84,7 @@ class DeviceLineSearch(DeviceStep):
             return
         if self._touched is None:
             self._begin()
-        topology, mesh = self.topology, self._mesh
+        mesh = self._mesh
         self._by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(mesh))
         recording.launch(
             device_step.set_active, mesh.num_bodies, inputs=[1], outputs=[self._touched, self._is_any_touched]
@@ -122,11 +122,6 @@ class DeviceLineSearch(DeviceStep):
             inputs=[moving, Slot("vertices_t0"), *by_vertex, per, share, self._body_kept, self._stages.step.minima],
             outputs=[Slot("vertices_t1")],
         )
-
-    @property
-    def _grown_radius(self) -> wp.array | None:
-        """The radii of vertices that hold their arcs; None where no body turns."""
-        return None
 
     @property
     def _body_kept(self) -> wp.array:
