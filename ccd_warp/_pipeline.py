@@ -17,7 +17,7 @@ from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
-from ccd_warp._engine.host.candidates import Candidates, validated_inflation
+from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -36,6 +36,7 @@ from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
+from ccd_warp._input.names import body_label
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
@@ -49,6 +50,7 @@ from ccd_warp._runtime.progress import Progress
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
+    from ccd_warp._engine.host.joint_search import JointSearch
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -588,7 +590,13 @@ class CollisionPipeline:
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+        if not isinstance(motion, JointMotion):
+            return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+        windows = self._joint_search(vertices_t0, vertices_t1, motion).windows()
+        found = [
+            self._on_step(begin, end, lambda step: step.candidates(inflation), paths) for begin, end, paths in windows
+        ]
+        return found[0] if len(found) == 1 else union(found)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
@@ -641,23 +649,26 @@ class CollisionPipeline:
             result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
-    def _joints_at(self, motion: JointMotion, t: float) -> MeshPaths:
-        """Paths on which links stay where joints have them at a time."""
+    def _joints_at(self, motion: JointMotion, t: ArrayLike) -> MeshPaths:
+        """Paths on which links stay where joints have them at a time, one for all worlds or one a world."""
         if motion.num_worlds != self.mesh.num_worlds:
             raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
         return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
 
-    def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
-        """The first contacts of each world where joints move links."""
+    def _joint_search(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> JointSearch:
+        """A search where joints move links, to begin."""
         from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
 
-        mesh = self.mesh
         self._check_arc_options()
-        start, end = mesh.frames(vertices_t0, vertices_t1)
-        self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
+        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
+        return JointSearch(self.mesh, start, end, motion, self._options.t_max)
+
+    def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
+        """The first contacts of each world where joints move links."""
         result: MeshResult | None = None
         of_pass = replace(self._options, t_max=1.0)
-        search = JointSearch(mesh, start, end, motion, self._options.t_max)
+        search = self._joint_search(vertices_t0, vertices_t1, motion)
 
         def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
             nonlocal result
@@ -787,15 +798,43 @@ class CollisionPipeline:
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
             found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver, **arguments)
+        elif isinstance(motion, JointMotion):
+            found = self._search_on_joints(vertices_t0, vertices_t1, motion, arguments)
         else:
             found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+
+    def _search_on_joints(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion, arguments: dict[str, Any]
+    ) -> LineSearchResult:
+        """A line search in which joints move links, and a world has one time."""
+        from ccd_warp._engine.host.link_course import LinkCourse, LinkEnd  # few programs need it
+
+        mesh = self.mesh
+        if arguments["per"] not in ("scene", "world"):
+            raise ValueError(
+                f"line_search: per is {shown(arguments['per'])}; expected 'scene' or 'world' where motion is a "
+                f"JointMotion, as the links of a world share its time"
+            )
+        for body in np.flatnonzero(mesh.kinematic)[:1].tolist():
+            raise ValueError(
+                f"line_search: {body_label(body, mesh.names)} is kinematic; expected no such body where motion is a "
+                f"JointMotion, as a world ends at its first contact"
+            )
+        start, end = mesh.frames(vertices_t0, vertices_t1)
+        course = LinkCourse(mesh, start, end, motion, lambda t: self._joints_at(motion, t))
+
+        def contacts(_: Any, end: LinkEnd, *holds: Any) -> MeshResult:
+            return self._on_joints(start, end.vertices, end.motion)
+
+        found = search_step(mesh, start, end, Solver(contacts, contacts, None, self._holds), course=course, **arguments)
+        return replace(found, motion=course.shortened(found.vertex_fraction))
 
     def _search_on_arcs(
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion,
+        motion: RigidMotion,
         arguments: dict[str, Any],
     ) -> LineSearchResult:
         """A line search in which bodies turn."""
@@ -803,7 +842,6 @@ class CollisionPipeline:
 
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths_of(motion)
-        assert isinstance(motion, RigidMotion)  # as its paths are known
         paths.check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 

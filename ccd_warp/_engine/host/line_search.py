@@ -11,6 +11,7 @@ from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
+from ccd_warp._joint_motion import JointMotion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies, pair_vertices
@@ -61,7 +62,8 @@ class LineSearchResult:
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
-            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
+            bodies there, and ``vertices`` has their vertices in the world. With joints its ``configuration(1)`` is that
+            of the joints there. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -72,7 +74,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: RigidMotion | None = None
+    motion: RigidMotion | JointMotion | None = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
