@@ -360,7 +360,8 @@ class CollisionPipeline:
             motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
                 ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
                 arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
-                for each 0.2 radians; ``to_host()`` keeps the first.
+                for each 0.2 radians; ``to_host()`` keeps the first. Joints are for calls on the host, and an
+                :class:`ccd_warp.AffineMotion` for rows that it has moved.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
@@ -424,7 +425,8 @@ class CollisionPipeline:
                 Those of static and kinematic bodies are not written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
-            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
+            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3. In a pile that falls
+                one body stops another, each in a pass: fewer passes than it is high stop the whole world.
             motion: How the rigid bodies turn, as in :meth:`launch`. Each goes on its path, shortened as a whole, and
                 stays rigid; their rows of ``vertices_t1`` are not written. Such a launch is no part of a graph.
 
