@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contact, Contacts, Outcome, first_contacts
 from ccd_warp._display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._intersections import Intersections, crossing_at_start
+from ccd_warp._motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
 
@@ -150,6 +151,8 @@ class HostLaunchResult(Outcome):
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
         num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
         num_contacts: Number of contacts found, including those beyond the capacity.
+        body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
+        motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.
     """
 
     toi: float
@@ -161,6 +164,8 @@ class HostLaunchResult(Outcome):
     world_flags: NDArray[np.int32]
     num_pairs: dict[PairKind, int]
     num_contacts: int
+    body_fraction: NDArray[np.float64] | None = None
+    motion: RigidMotion | None = None
 
     @lazy_property
     def vertex_contact(self) -> NDArray[np.int32]:

@@ -195,10 +195,11 @@ def place_vertices(
         error = slack_of(paths, body, arm, x) + paths.excess[body]
     else:
         error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
-        if t_begin > _ZERO:
-            a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
-        if t_end < _ONE:
-            b = (_ONE - t_end) * x + t_end * vertices_t1[i]
+        if not (x == b):  # what stays is not moved by rounding
+            if t_begin > _ZERO:
+                a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
+            if t_end < _ONE:
+                b = (_ONE - t_end) * x + t_end * vertices_t1[i]
     error += _UNDERFLOW
     bulge += error
     slack[i] = error

@@ -6,7 +6,7 @@ the toi found, where its next window begins, and is shorter, as the windows of a
 touches where a window ends in contacts whose excess is of the size of rounding.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
+from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
+from ccd_warp._engine.host.line_search import moved
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._pairs import pair_bodies, pair_vertices
@@ -75,6 +76,13 @@ class JointSearch:
         self._is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
         self._found: list[Contacts] = []
 
+    def windows(self) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], MeshPaths]]:
+        """Windows of the step, the same for all worlds: positions at both ends, and paths; they are those of a pass."""
+        for part in Slice.all(int(self._slices.max()), self._t_max):
+            begin, end = (np.full(self._mesh.num_worlds, t) for t in (part.t_begin, part.t_end))
+            given, excess = self._motion._slices(begin, end, self._reach, self._centre)
+            yield self._positions(begin), self._positions(end), MeshPaths.of(self._mesh, given, excess)
+
     def run(self, solve: Solve) -> None:
         """Make passes until all worlds are settled."""
         most = int(self._slices.max()) + _MOST_PASSES
@@ -111,10 +119,7 @@ class JointSearch:
     def _positions(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """The positions at a time of each world; links stay in their own frames."""
         start, end = self._given
-        if start is end:
-            return start
-        times = t[self._mesh.vertex_world][:, None]
-        return (1.0 - times) * start + times * end
+        return start if start is end else moved(start, end, t[self._mesh.vertex_world])
 
     def _keep(
         self, contacts: Contacts, touches: NDArray[np.bool_], begin: NDArray[np.float64], length: NDArray[np.float64]
