@@ -101,6 +101,14 @@ class MeshPaths(BodyPaths):
         return v
 
 
+def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
+    f = fraction[..., None]
+    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
+    # rounding.
+    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
+
+
 def _times(t: Any, count: int) -> NDArray[np.float64]:
     """One time for all, or one for each, shape [count, 1]."""
     return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
-from ccd_warp._engine.host.line_search import moved
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._mesh_paths import MeshPaths, moved
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import CCDStatus

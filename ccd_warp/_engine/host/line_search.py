@@ -12,6 +12,7 @@ from ccd_warp._contacts import Contacts
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_paths import moved
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
@@ -401,14 +402,6 @@ def _least(
     np.minimum.at(of_group, group, least)
     of_group = everywhere.least(of_group)
     return of_group[group]
-
-
-def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
-    f = fraction[..., None]
-    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
-    # rounding.
-    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def _chosen(contacts: Contacts, chosen: NDArray[Any]) -> Contacts:
