@@ -60,6 +60,7 @@ READ = {
     "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/choosing.md": "distance touching",
+    "docs/rigid.md": "body_fraction",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
