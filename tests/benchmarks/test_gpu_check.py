@@ -220,7 +220,7 @@ def is_running(pid):
         return False
 
 
-def wait_until(condition, seconds=20.0):
+def wait_until(condition, seconds=300.0):
     """Wait until something is so; whether it is."""
     end = time.perf_counter() + seconds
     while not condition() and time.perf_counter() < end:
@@ -242,7 +242,7 @@ def test_stage_whose_process_hangs_is_ended_with_its_children_and_keeps_its_rows
 
         def wait(self, timeout=None):
             if timeout is not None:
-                assert wait_until(lambda: file.read_text().count('"begun"') > self.begun, 120.0)
+                assert wait_until(lambda: file.read_text().count('"begun"') > self.begun)
             return super().wait(timeout)
 
     monkeypatch.setattr(runner.subprocess, "Popen", Started)
@@ -265,7 +265,7 @@ def test_check_that_is_killed_takes_its_children_with_it_and_goes_on_in_the_case
     command = [sys.executable, "-P", "-c", _CHECK.format(program=_HANGS), *arguments]
     check = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     file = tmp_path / "gpu_check.jsonl"
-    assert wait_until(lambda: file.exists() and '"second"' in file.read_text(), 60.0)
+    assert wait_until(lambda: file.exists() and '"second"' in file.read_text())
     child = (tmp_path / "child").read_text()
     check.kill()
     check.wait()
@@ -601,6 +601,7 @@ print(*loaded)
 """
 
 
+@pytest.mark.long  # processes that make every module of CUDA
 def test_cubins_made_without_a_gpu_are_what_warp_loads_on_one(tmp_path):
     """Warp's own `Module.load` on a stand-in for a GPU finds the file, and compiles nothing."""
     name = "contact_points float32 2"
