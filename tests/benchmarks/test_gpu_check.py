@@ -688,7 +688,7 @@ def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, c
         ["unshare", "-rn"] if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode == 0 else []
     )
     environment = os.environ | {"PYTHONPATH": str(site), "PYTHON": str(tmp_path / "python")}
-    arguments = ["--output", str(tmp_path / "out"), "--device", "cpu", "--apart", "--only", "machine"]
+    arguments = ["--output", str(tmp_path / "out"), "--device", "cpu", "--only", "machine"]
     run = [*alone, "sh", str(into / "gpu_check.sh"), *arguments]
     done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -217,7 +217,9 @@ def digest_of_lanes():
 
 # Plain numbers, and vectors of 256 bits compiled for a processor without AVX-512. The default of this machine is the
 # other side of the comparison.
-@pytest.mark.parametrize(("lanes", "flags"), [("1", None), ("4", "-target-cpu haswell")])
+@pytest.mark.parametrize(
+    ("lanes", "flags"), [("1", None), pytest.param("4", "-target-cpu haswell", marks=pytest.mark.long)]
+)
 def test_the_width_of_lanes_changes_no_bit(lanes, flags):
     from ccd_warp._runtime.lanes import cpu_lanes
 
