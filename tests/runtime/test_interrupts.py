@@ -279,9 +279,9 @@ def report(signals):
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="signals of POSIX")
-@pytest.mark.parametrize("count", [25, pytest.param(100, marks=pytest.mark.long)])
-def test_interrupted_cell_is_answered_soon_and_can_be_run_again(count):
-    signals, ended, errors = in_own_process(count, 4, 100_000, 10, timeout=600)
+@pytest.mark.parametrize(("count", "num_faces"), [(25, 40_000), pytest.param(100, 100_000, marks=pytest.mark.long)])
+def test_interrupted_cell_is_answered_soon_and_can_be_run_again(count, num_faces):
+    signals, ended, errors = in_own_process(count, 4, num_faces, 10, timeout=600)
     print(report(signals))
     assert ended == 0, f"the process ended with {ended} after {len(signals)} signals: {errors[-2000:]}"
     assert len(signals) >= count
