@@ -80,10 +80,11 @@ def test_the_cloth_of_the_example_has_the_same_positions_on_every_number_of_rank
 
 
 @needs_ranks
-def test_an_error_of_one_rank_is_that_of_all_and_nobody_hangs():
-    done = run_ranks(3, FOLDER / "mpi_faults.py", "together")
+@pytest.mark.parametrize("num_ranks", [2, pytest.param(3, marks=pytest.mark.long)])
+def test_an_error_of_one_rank_is_that_of_all_and_nobody_hangs(num_ranks):
+    done = run_ranks(num_ranks, FOLDER / "mpi_faults.py", "together")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("has seen the errors of the others") == 3
+    assert done.stdout.count("has seen the errors of the others") == num_ranks
 
 
 @needs_ranks
