@@ -654,6 +654,7 @@ def unpacked(arguments, capsys):
     return status, said.out + said.err
 
 
+@pytest.mark.long  # each run has parts that are missing or damaged, and a rehearsal
 def test_parts_that_come_one_by_one_are_put_together_and_run(packed, tmp_path, capsys):
     parts = sorted(path for path in packed.iterdir() if path.suffix.removeprefix(".").isdigit())
     assert {path.stem for path in parts} == {"packages", "check"} and len(parts) > 3

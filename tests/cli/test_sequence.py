@@ -268,7 +268,7 @@ def test_every_step_gives_what_run_gives_for_its_frames(ball):
     assert float(row["toi"]) == json.loads((ball / "run.json").read_text())["toi"]
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
+@pytest.mark.parametrize("suffix", [".gif", pytest.param(".mp4", marks=pytest.mark.long), ".png"])
 def test_pictures_of_a_sequence(ball, suffix):
     pytest.importorskip("pyvista", reason="the extra viz is not installed")
     if suffix == ".mp4":
