@@ -17,6 +17,7 @@ from ccd_warp._input.poses import checked_fractions, read_only, read_values
 from ccd_warp._joint_bounds import Window, motions
 from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
+from ccd_warp._joint_sweeps import Sweeps, relative_sweeps, sweeps
 from ccd_warp._joints import Joint, JointTree
 from ccd_warp._motion import RigidMotion
 
@@ -281,6 +282,39 @@ class JointMotion:
         reaches = np.asarray(reach, dtype=np.float64)
         window = self._window(t_begin, t_end)
         return slices(self._courses, self._tree.order, self._rows, window, reaches, centres)
+
+    def _sweeps(self, t_begin: ArrayLike, t_end: ArrayLike) -> Sweeps:
+        """Where links are in the middle of a slice of each world, and how far their points go from there in it."""
+        return sweeps(self._courses, self._tree.order, self._rows, self._window(t_begin, t_end))
+
+    def _relative_sweeps(
+        self, pairs: list[tuple[int, int]], t_begin: ArrayLike, t_end: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """How far points of pairs of rows go against each other in a slice of each world (`relative_sweeps`)."""
+        links = [(self._rows[a], self._rows[b]) for a, b in pairs]
+        return relative_sweeps(self._courses, links, self._window(t_begin, t_end))
+
+    def _of_worlds(self, worlds: NDArray[np.intp]) -> JointMotion:
+        """The motion of some of the worlds, each any number of times."""
+        motion = copy(self)
+        motion._worlds = (len(worlds),)
+        motion._coefficients = read_only(self._coefficients[:, worlds])
+
+        def chosen(values: NDArray[np.float64] | None) -> Any:
+            if values is None or (values.shape[-1] == 1 and self.num_worlds > 1):
+                return values
+            return np.ascontiguousarray(values[..., worlds])
+
+        motion._courses = [
+            course._replace(
+                axis=chosen(course.axis),
+                angle=chosen(course.angle),
+                slide=chosen(course.slide),
+                after=chosen(course.after),
+            )
+            for course in self._courses
+        ]
+        return motion
 
     def _seen_from(self, name: str) -> JointMotion:
         """The motion of a link, which rests then, and of all that it carries, in its own frame.

@@ -635,24 +635,39 @@ class CollisionPipeline:
 
     def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
         """The first contacts of each world where joints move links."""
-        from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
+        from ccd_warp._engine.host.joint_search import JointSearch, Links, Solve, result_of  # few programs need them
+        from ccd_warp._engine.host.near_search import NearSearch
+        from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
 
         mesh = self.mesh
         self._check_arc_options()
         start, end = mesh.frames(vertices_t0, vertices_t1)
         self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
-        result: MeshResult | None = None
-        of_pass = replace(self._options, t_max=1.0)
-        search = JointSearch(mesh, start, end, motion, self._options.t_max)
+        length_scale = length_scale_of(mesh, self._options)
+        of_pass = replace(self._options, t_max=1.0, length_scale=length_scale)
+        # radii may be others on the device than those of the mesh
+        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
+        world = world_alone(mesh, start) if start is end and is_plain else None
+        if world is not None:
+            near = NearSearch(mesh, world, motion, self._options.t_max, possible_kinds(mesh, self._options))
 
-        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
-            nonlocal result
-            result = self._on_step(begin, end, Step.contacts, paths, of_pass)
+            def solver(parts: PartMesh) -> Solve:
+                workspace = Workspace(parts.mesh, self._topology.device)
+                workspace.topology.vertex_rank = parts.rank
+                return lambda x, y, paths: Step(workspace, (x, y), of_pass, paths=paths).contacts()
+
+            near.run(solver, 2.0 * self._options.separation(length_scale))
+            result = near.result()
+            self.counts, self.timings = result.counts, result.timings
             return result
 
+        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
+            return self._on_step(begin, end, Step.contacts, paths, of_pass)
+
+        span = np.zeros(mesh.num_worlds), np.full(mesh.num_worlds, self._options.t_max)
+        search = JointSearch(mesh, start, end, Links.of(mesh, start, motion), span, self._options.t_max)
         search.run(solve)
-        assert result is not None
-        return search.result(result)
+        return result_of(mesh, search.world_toi, search.found, self.counts, self.timings)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
