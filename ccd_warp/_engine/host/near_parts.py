@@ -1,6 +1,6 @@
 """Which parts of bodies may touch in slices of a motion of joints, by spheres and boxes, before a vertex is placed.
 
-The faces of a body are halved until a part has a few dozen of them; a part has a sphere in the frame of its link, which
+The faces of a body are halved until a part has a dozen of them; a part has a sphere in the frame of its link, which
 goes with it, or stands in a box. Two parts cannot touch in a slice if in the middle of it they are farther apart than
 their points can come nearer in half of it (`_joint_sweeps`). Bodies are tested as wholes, then in groups of parts, then
 part by part, each only where the test before says that they may touch.
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from ccd_warp._joint_motion import JointMotion
     from ccd_warp._mesh import CollisionMesh
 
-# Primitives of a part at most, and parts of a group.
-PART, GROUP = 48, 8
+# Primitives of a part at most, and parts of a group on the levels between bodies and parts.
+PART, GROUPS = 12, (32, 4)
 _UP = 1.0 + 64.0 * EPS
 _ERROR = 64.0 * EPS  # of places and distances, relative to the coordinates of both
-_MOST_AT_ONCE = 1 << 21  # tests of pairs, so that arrays stay small
+_MOST_AT_ONCE = 1 << 15  # tests of pairs of bodies, so that arrays stay in the cache
 
 
 class Parts(NamedTuple):
@@ -53,7 +53,7 @@ class NearParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
     Attributes:
-        levels: Bodies, groups and parts.
+        levels: Bodies, groups of parts, and parts.
         mesh: The mesh.
         primitives: Vertices of all primitives in the order of the parts, one of fewer than three repeated, [n, 3].
         kind: 0 of a face, 1 of a codimensional edge, 2 of a codimensional point, shape [n].
@@ -96,17 +96,12 @@ class NearParts:
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
         time of a slice, on the trajectories of the motion in the mathematics of real numbers, are in such a pair.
         """
-        found: list[list[NDArray[np.intp]]] = [[], [], []]
-        each = max(1, _MOST_AT_ONCE // max(1, len(self.pairs)))
-        for k in range(0, len(world), each):
-            chunk = slice(k, k + each)
-            slices = _Slices(self, motion._of_worlds(world[chunk]), begin[chunk], end[chunk], reach)
-            for into, values in zip(found, slices.near(), strict=True):
-                into.append(values)
-            found[0][-1] += k
-        if not found[0]:
+        if len(world) == 0 or len(self.pairs) == 0:
             return (np.zeros(0, np.intp),) * 3
-        row, a, b = (np.concatenate(x) for x in found)
+        slices = _Slices(self, motion._of_worlds(world), begin, end, reach)
+        each = max(1, _MOST_AT_ONCE // len(self.pairs))
+        found = [slices.near(np.arange(k, min(k + each, len(world)))) for k in range(0, len(world), each)]
+        row, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
         return row, a, b
 
 
@@ -114,21 +109,22 @@ class _Slices:
     """Slices of the step: where links are in the middle of each, and how far they go."""
 
     def __init__(self, parts: NearParts, motion: JointMotion, begin: Any, end: Any, reach: float) -> None:
-        self._parts, self._reach, self._count = parts, reach, len(begin)
+        self._parts, self._reach = parts, reach
         self._sweeps = motion._sweeps(begin, end)
         moves = ~parts.mesh.static[parts.pairs[:, 1]]
         self._relative = np.full(len(parts.pairs), -1)
         self._relative[moves] = np.arange(int(moves.sum()))
-        links = [(parts.link_of[a], parts.link_of[b]) for a, b in parts.pairs[moves].tolist()]
+        links = [(int(parts.link_of[a]), int(parts.link_of[b])) for a, b in parts.pairs[moves].tolist()]
         self._against = motion._relative_sweeps(links, begin, end)
 
-    def near(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        pairs = self._parts.pairs
-        row, pair = (x.ravel() for x in np.indices((self._count, len(pairs))))
-        a, b = pairs[pair].T
-        for k, level in enumerate(self._parts.levels):
+    def near(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """The pairs of parts in some slices."""
+        parts = self._parts
+        row, pair = np.repeat(rows, len(parts.pairs)), np.tile(np.arange(len(parts.pairs)), len(rows))
+        a, b = parts.pairs[pair].T
+        for k, level in enumerate(parts.levels):
             if k:
-                row, pair, a, b = _children(self._parts.levels[k - 1], row, pair, a, b)
+                row, pair, a, b = _children(parts.levels[k - 1], row, pair, a, b)
             may = self._may_touch(level, row, pair, a, b)
             row, pair, a, b = (x[may] for x in (row, pair, a, b))
         return row, a, b
@@ -156,6 +152,14 @@ class _Slices:
 
     def _placed(self, level: Parts, row: Any, part: Any) -> NDArray[np.float64]:
         """Centres of parts in the world, in the middle of slices, shape [3, n]."""
+        if len(row) == 0:
+            return np.zeros((3, 0))
+        first, items = int(row.min()), int(part.max()) + 1
+        num_rows = int(row.max()) + 1 - first
+        if num_rows * items < len(row):  # each is in several pairs: all of them once
+            everything = np.arange(num_rows * items)
+            placed = self._placed(level, everything // items + first, everything % items)
+            return placed[:, (row - first) * items + part]
         link = self._parts.link_of[level.body[part]]
         rotation, position = self._sweeps.rotation[link, :, row].T, self._sweeps.position[link, :, row].T
         return position + rotated(rotation, level.centre[part].T)
@@ -220,16 +224,19 @@ def _levels(
     counts: NDArray[np.intp],
 ) -> list[Parts]:
     """Bodies, groups of parts, and parts, each with its sphere."""
-    bodies, num_groups = np.arange(mesh.num_bodies), -(-counts // GROUP)
-    first_part, first_group = (np.append(0, np.cumsum(x)) for x in (counts, num_groups))
-    of_groups = [np.arange(first, last, GROUP) for first, last in pairwise(first_part.tolist())]
-    groups = np.concatenate([*of_groups, first_part[-1:]])
-    levels = (
-        (bodies, begins[first_part], first_group),
-        (np.repeat(bodies, num_groups), begins[groups], groups),
-        (np.repeat(bodies, counts), begins, begins),
-    )
-    return [_with_spheres(mesh, vertices, primitives, *level) for level in levels]
+    bodies = np.arange(mesh.num_bodies)
+    parts = np.append(0, np.cumsum(counts))  # the first of each body
+    # of each level: the body of each item, and at which part it begins
+    items = [(bodies, parts)]
+    for size in GROUPS:
+        of_bodies = [np.arange(first, last, size) for first, last in pairwise(parts.tolist())]
+        items.append((np.repeat(bodies, [len(x) for x in of_bodies]), np.concatenate([*of_bodies, parts[-1:]])))
+    items.append((np.repeat(bodies, counts), np.arange(parts[-1] + 1)))
+    levels = []
+    for (body, here), (_, below) in pairwise([*items, items[-1]]):
+        first = np.searchsorted(below, here)
+        levels.append(_with_spheres(mesh, vertices, primitives, body, begins[here], first))
+    return [*levels[:-1], levels[-1]._replace(first=begins)]
 
 
 def _with_spheres(
