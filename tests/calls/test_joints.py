@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import ccd_warp as ccd
-from ccd_warp._engine.host import part_mesh
+from ccd_warp._engine.host import near_search, part_mesh
 
 NO_FACES = np.zeros((0, 3), dtype=int)
 BLADE = np.array([[0.0, 0, -0.1], [1, 0, -0.1], [1, 0, 0.1]])
@@ -155,6 +155,9 @@ def blocks():
 def test_parts_alone_touch_as_whole_bodies_do(blocks, options, monkeypatch):
     one, ends = blocks
     mesh, motion = one.replicate(12), ccd.JointMotion(ARM, *ends, links=LINKS)
+    if not options:  # in several meshes of parts
+        for name, few in (("_MOST_ROWS", 1000), ("_MOST_SLICES", 4), ("_FEW_SLICES", 1)):
+            monkeypatch.setattr(near_search, name, few)
     results = []
     for world_alone in (part_mesh.world_alone, lambda *_: None):
         monkeypatch.setattr(part_mesh, "world_alone", world_alone)

@@ -142,10 +142,16 @@ class JointSearch:
         self.is_open = np.ones(num_worlds, dtype=bool)
         self.found: list[Contacts] = []
 
-    def run(self, solve: Solve) -> None:
-        """Make passes until all worlds are settled."""
+    def go_on(self, search: "JointSearch", worlds: NDArray[np.intp]) -> None:
+        """Let the worlds be at the windows that some worlds of another search are at."""
+        for name in ("_begin", "_end", "_longest", "_length", "_last"):
+            setattr(self, name, getattr(search, name)[worlds].copy())
+        self.num_passes = search.num_passes
+
+    def run(self, solve: Solve, *, leave: int = 0) -> None:
+        """Make passes until all worlds are settled, or no more than some are left."""
         most = int(self._slices.max(initial=0.0)) + _MOST_PASSES
-        while self.is_open.any():
+        while self.is_open.sum() > leave:
             self.make_pass(solve, is_last=self.num_passes + 1 >= most)
 
     def make_pass(self, solve: Solve, *, is_last: bool = False) -> MeshResult:

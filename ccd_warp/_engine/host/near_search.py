@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 # Primitives, and slices, of a mesh of parts: enough to fill a pass, and not much memory.
 _MOST_ROWS, _MOST_SLICES = 1 << 18, 1 << 10
+_FEW_SLICES = 32  # of which it does not pay to leave out those that are settled
 
 
 class NearSearch:
@@ -133,18 +134,26 @@ class NearSearch:
         rows: dict[int, NDArray[np.intp]],
         solver: Callable[[PartMesh], Solve],
     ) -> Array:
-        """The toi in each of some slices, with these primitives alone, inf where it is free."""
+        """The toi in each of some slices, with these primitives alone, inf where it is free.
+
+        When half of them are settled the others have a mesh of their own.
+        """
         toi = np.full(len(slices), np.inf)
         for k in range(0, len(slices), _MOST_SLICES):
             chosen = slices[k : k + _MOST_SLICES]
             own = [rows[each] for each in chosen.tolist()]
-            of_slice = np.repeat(np.arange(len(chosen)), [len(x) for x in own])
-            parts = PartMesh.of(self._parts, len(chosen), of_slice, np.concatenate(own))
-            search, solve = self._search(parts, chosen, solver)
-            search.run(solve)
-            toi[k : k + _MOST_SLICES] = search.world_toi
-            of_world = self._of[chosen]
-            self._found += [parts.in_worlds(each, self._mesh, self._world, of_world) for each in search.found]
+            left, before = np.arange(len(chosen)), None
+            while len(left):
+                of_slice = np.repeat(np.arange(len(left)), [len(own[j]) for j in left.tolist()])
+                parts = PartMesh.of(self._parts, len(left), of_slice, np.concatenate([own[j] for j in left.tolist()]))
+                search, solve = self._search(parts, chosen[left], solver)
+                if before is not None:
+                    search.go_on(before, np.flatnonzero(before.is_open))
+                search.run(solve, leave=len(left) // 2 if len(left) > _FEW_SLICES else 0)
+                toi[k + left] = search.world_toi
+                of_world = self._of[chosen[left]]
+                self._found += [parts.in_worlds(each, self._mesh, self._world, of_world) for each in search.found]
+                left, before = left[search.is_open], search
         return toi
 
     def _search(
