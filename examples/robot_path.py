@@ -143,7 +143,7 @@ def draw(file: Path, roadmap: Roadmap, path: list[int]) -> None:
         of_tool = roadmap.mesh.vertex_body == roadmap.num_links - 1
         tip = np.stack([roadmap.positions(motion, t)[:, of_tool].mean(axis=1) for t in np.linspace(0, 1, 20)], axis=1)
         plotter.add_mesh(pyvista.lines_from_points(tip.reshape(-1, 3)), color="#b03030", line_width=5)
-        plotter.camera_position = [(-2.3, -2.5, 2.1), (0.35, 0.05, 0.6), (0.0, 0.0, 1.0)]
+        plotter.camera_position = [(-1.0, -3.0, 2.2), (0.35, 0.05, 0.6), (0.0, 0.0, 1.0)]
         plotter.background_color = "white"
         plotter.screenshot(file)
         plotter.close()

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from ccd_warp._joint_courses import EPS, rotated
 
 if TYPE_CHECKING:
-    from ccd_warp._joint_motion import JointMotion
     from ccd_warp._mesh import CollisionMesh
 
 # Primitives of a part at most, and parts of a group on the levels between bodies and parts.
@@ -75,7 +74,7 @@ class NearParts:
 
     def near(
         self,
-        motion: JointMotion,
+        motion: Any,
         world: NDArray[np.intp],
         begin: NDArray[np.float64],
         end: NDArray[np.float64],
@@ -84,7 +83,7 @@ class NearParts:
         """Pairs of parts that may come within a distance in slices of the step.
 
         Args:
-            motion: The motion, whose rows are the rigid bodies.
+            motion: The ``JointMotion``, whose rows are the rigid bodies.
             world: World of each slice, shape [n].
             begin: Its begin.
             end: Its end.
@@ -108,7 +107,7 @@ class NearParts:
 class _Slices:
     """Slices of the step: where links are in the middle of each, and how far they go."""
 
-    def __init__(self, parts: NearParts, motion: JointMotion, begin: Any, end: Any, reach: float) -> None:
+    def __init__(self, parts: NearParts, motion: Any, begin: Any, end: Any, reach: float) -> None:
         self._parts, self._reach = parts, reach
         self._sweeps = motion._sweeps(begin, end)
         moves = ~parts.mesh.static[parts.pairs[:, 1]]
