@@ -647,7 +647,8 @@ class CollisionPipeline:
         of_pass = replace(self._options, t_max=1.0, length_scale=length_scale)
         # radii may be others on the device than those of the mesh
         is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
-        world = world_alone(mesh, start) if start is end and is_plain else None
+        is_plain = is_plain and (start is end or np.array_equal(start, end))
+        world = world_alone(mesh, start) if is_plain else None
         if world is not None:
             near = NearSearch(mesh, world, motion, self._options.t_max, possible_kinds(mesh, self._options))
 

@@ -193,6 +193,24 @@ def test_relative_velocity_of_contacts_is_that_in_the_whole_step(blocks):
         np.testing.assert_allclose(contact.relative_velocity, sign * velocity, atol=1e-3)
 
 
+def test_a_link_that_stands_is_where_its_joint_has_it(truth):
+    """The obstacle is a link on a fixed joint, whose vertex is the origin of its own frame."""
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(BLADE, [[0, 1, 2]]), (BLADE, [[0, 1, 2]]), (np.zeros((1, 3)), NO_FACES)],
+        rigid=[0, 1, 2],
+        static=[2],
+        codimensional_points=True,
+        body_pairs=NEIGHBOURS_APART,
+    ).replicate(24)
+    joints = [*ARM, ccd.Joint("mount", "base", "post", "fixed", origin=[*OBSTACLE, 0, 0, 0, 1])]
+    motion = ccd.JointMotion(joints, *edges(24), links=[*LINKS, "post"])
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices.copy(), motion=motion, device="cpu")
+    assert "near parts" in result.timings
+    assert (np.isfinite(result.world_toi) == np.isfinite(truth)).all()
+    touches = np.isfinite(truth)
+    np.testing.assert_allclose(result.world_toi[touches], truth[touches], atol=1e-11)
+
+
 def test_worlds_that_differ_are_searched_as_a_whole():
     """Links of other sizes in the second world, and an obstacle elsewhere."""
     far = ccd.CollisionMesh.from_arrays(

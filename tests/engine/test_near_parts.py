@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import ccd_warp as ccd
+from ccd_warp._engine.host import near_parts
 from ccd_warp._engine.host.near_parts import NearParts
 
 HEIGHT = (0, 0, 0.3, 0, 0, 0, 1)
@@ -41,11 +42,12 @@ def scene():
 
 
 @pytest.mark.parametrize("reach", [0.05, 0.2])
-def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene, reach):
+def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene, reach, monkeypatch):
     mesh, motion = scene
     parts = NearParts(mesh, mesh.vertices)
     leaves = parts.levels[-1]
     assert np.bincount(leaves.body)[0] > 8  # so that there are groups of them
+    monkeypatch.setattr(near_parts, "_MOST_SLICES", 5)
     rng = np.random.default_rng(5)
     begin = rng.uniform(0, 0.7, SLICES)
     end = begin + rng.uniform(0.01, 0.3, SLICES)

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 PART, GROUPS = 12, (32, 4)
 _UP = 1.0 + 64.0 * EPS
 _ERROR = 64.0 * EPS  # of places and distances, relative to the coordinates of both
-_MOST_AT_ONCE = 1 << 15  # tests of pairs of bodies, so that arrays stay in the cache
+# Slices whose links are placed at once, and tests of pairs of bodies: so few that arrays stay in the cache.
+_MOST_SLICES, _MOST_AT_ONCE = 1 << 12, 1 << 15
 
 
 class Parts(NamedTuple):
@@ -34,7 +35,7 @@ class Parts(NamedTuple):
         centre: Centre of a sphere around it, in the frame of its body, shape [P, 3].
         arm: Length of that, shape [P].
         radius: Radius of the sphere, with that of the vertices, shape [P].
-        half: Half the sides of the box around the same centre, of bodies that stand; 0 of others, shape [P, 3].
+        half: Half the sides of the box around the same centre, of bodies that are no links; 0 of links, shape [P, 3].
         rest: What is around the box, the radius of the vertices, or around the centre, shape [P].
         first: The first of its parts on the next level, shape [P + 1]; of the last level the first of its primitives.
     """
@@ -58,7 +59,7 @@ class NearParts:
         kind: 0 of a face, 1 of a codimensional edge, 2 of a codimensional point, shape [n].
         number: The number of each among those of its kind, shape [n].
         link_of: The row of a motion that a rigid body is, shape [B].
-        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first one moves.
+        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is a link.
     """
 
     def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
@@ -97,9 +98,15 @@ class NearParts:
         """
         if len(world) == 0 or len(self.pairs) == 0:
             return (np.zeros(0, np.intp),) * 3
-        slices = _Slices(self, motion._of_worlds(world), begin, end, reach)
+        found = []
         each = max(1, _MOST_AT_ONCE // len(self.pairs))
-        found = [slices.near(np.arange(k, min(k + each, len(world)))) for k in range(0, len(world), each)]
+        for first in range(0, len(world), _MOST_SLICES):
+            some = slice(first, first + _MOST_SLICES)
+            slices = _Slices(self, motion._of_worlds(world[some]), begin[some], end[some], reach)
+            count = len(world[some])
+            with np.errstate(all="ignore"):  # what is no number is near
+                parts = [slices.near(np.arange(k, min(k + each, count))) for k in range(0, count, each)]
+            found += [(row + first, a, b) for row, a, b in parts]
         row, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
         return row, a, b
 
@@ -110,7 +117,7 @@ class _Slices:
     def __init__(self, parts: NearParts, motion: Any, begin: Any, end: Any, reach: float) -> None:
         self._parts, self._reach = parts, reach
         self._sweeps = motion._sweeps(begin, end)
-        moves = ~parts.mesh.static[parts.pairs[:, 1]]
+        moves = parts.mesh.rigid[parts.pairs[:, 1]]
         self._relative = np.full(len(parts.pairs), -1)
         self._relative[moves] = np.arange(int(moves.sum()))
         links = [(int(parts.link_of[a]), int(parts.link_of[b])) for a, b in parts.pairs[moves].tolist()]
@@ -175,7 +182,7 @@ def _children(level: Parts, row: Any, pair: Any, a: Any, b: Any) -> tuple[NDArra
 
 
 def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
-    """Pairs of bodies with vertices that may collide, of which the first moves."""
+    """Pairs of bodies with vertices that may collide, of which the first is a link; some links stand where they are."""
     filled = np.zeros(mesh.num_bodies, dtype=bool)
     filled[mesh.vertex_body] = True
     may = np.triu(np.ones((mesh.num_bodies, mesh.num_bodies), dtype=bool), 1)
@@ -183,7 +190,7 @@ def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
         may &= mesh.body_pairs
     may &= filled & filled[:, None] & ~(mesh.static & mesh.static[:, None])
     pairs = np.argwhere(may)
-    swapped = mesh.static[pairs[:, 0]]
+    swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]
     return pairs
 
@@ -254,7 +261,7 @@ def _with_spheres(
     part = np.append(np.repeat(np.arange(len(body)), 3 * np.diff(begins)), 0)
     radius = _reduced(np.maximum, np.linalg.norm(places - centre[part], axis=1), begins) * _UP
     thick = np.zeros(len(body)) if mesh.radius is None else _reduced(np.maximum, mesh.radius[corners], begins)
-    stands = mesh.static[body]
+    stands = ~mesh.rigid[body]
     half = np.where(stands[:, None], np.maximum(upper - centre, centre - lower) * _UP, 0.0)
     rest = np.where(stands, thick, radius + thick)
     return Parts(body, centre, np.linalg.norm(centre, axis=1) * _UP, radius + thick, half, rest, first)
