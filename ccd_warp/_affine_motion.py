@@ -9,9 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
 from ccd_warp._input.poses import checked_rows, read_only, shown_bodies
+from ccd_warp._read_only import ReadOnly
+from ccd_warp._texts import text_completed_by
 
 
-class AffineMotion:
+class AffineMotion(ReadOnly):
     """How bodies move in a step whose vertices are affine functions of their places, as in affine body dynamics.
 
     A body's vertices X stand in its own frame and are at A X + b, with A and b at both ends of the step. In between
@@ -73,19 +75,9 @@ class AffineMotion:
         """
         return self._positions(self._affine_t0, points, body)
 
+    @text_completed_by(positions_t0)
     def positions_t1(self, points: ArrayLike, body: ArrayLike) -> NDArray[np.float64]:
-        """Places in the world at t = 1 of points of the bodies' frames.
-
-        Args:
-            points: In the bodies' frames, shape [n, 3].
-            body: Body of each point, integers in [0, B), shape [n].
-
-        Returns:
-            Positions, float64, shape [n, 3], or [W, n, 3] with worlds.
-
-        Raises:
-            ValueError: If shapes do not fit, a point is not finite, or there is no such body.
-        """
+        """Places in the world at t = 1 of points of the bodies' frames."""
         return self._positions(self._affine_t1, points, body)
 
     def _ends(
@@ -109,12 +101,6 @@ class AffineMotion:
         chosen = maps.reshape(-1, self.num_bodies, 3, 4)[:, bodies]
         found = (chosen[..., :3] * places[:, None]).sum(axis=-1) + chosen[..., 3]
         return found.reshape(*self._leading[:-1], -1, 3)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        read_only(self._affine_t0)
-        read_only(self._affine_t1)
 
     def __repr__(self) -> str:
         return f"AffineMotion({shown_bodies(self._leading)})"

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rotations import arc_factors, cross, normalized, norms, rotated, rotation_vectors
+from ccd_warp._read_only import ReadOnly
+from ccd_warp._rotations import arc_factors, arcs, cross, normalized, norms, rotated, rotation_vectors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BodyPaths:
+class BodyPaths(ReadOnly):
     """How each body moves from t = 0 to t = 1: one row a body, those of one world after those of another.
 
     A point X of the body's frame is at
@@ -55,13 +56,7 @@ class BodyPaths:
     turning: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            array.flags.writeable = False
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        self.__post_init__()
+        self.__setstate__(vars(self))
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -89,7 +84,7 @@ class BodyPaths:
             # the inverse of across = σ1(1) turning + σ2(1) omega × turning
             return cls._from(poses_t0, omega, None, along, ratio * across - 0.5 * cross(omega, across))
         arm = rotated(normalized(poses_t0[:, 3:]), pivot)
-        return cls._from(poses_t0, omega, pivot, displacement + _arcs(omega, arm, np.ones(len(arm))), None)
+        return cls._from(poses_t0, omega, pivot, displacement + arcs(omega, arm, np.ones(len(arm))), None)
 
     @classmethod
     def along(
@@ -122,6 +117,20 @@ class BodyPaths:
             none.copy() if turning is None else turning,
         )
 
+    @property
+    def largest_turn(self) -> float:
+        """The largest angle by which a body turns in the step, radians."""
+        return float(np.linalg.norm(self.omega, axis=1).max(initial=0.0))
+
+    def rows(self, index: NDArray[np.integer]) -> BodyPaths:
+        """The paths of some bodies, or of some of them several times."""
+        return BodyPaths(*(getattr(self, each.name)[index] for each in fields(BodyPaths)))
+
+    def shortened(self, fraction: NDArray[np.float64]) -> Self:
+        """The paths up to a fraction of the step for each body, shape [N]."""
+        changed = {name: getattr(self, name) * fraction[:, None] for name in ("omega", "velocity", "turning")}
+        return replace(self, **changed)
+
     def positions(
         self, points: NDArray[np.float64], body_of_point: NDArray[np.integer], t: float | NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -144,14 +153,7 @@ class BodyPaths:
         omega, turning = self.omega[rows], self.turning[rows]
         first, second = arc_factors(omega, times)
         turned = first * turning + second * cross(omega, turning)
-        return self.velocity[rows] * times[:, None] + turned + _arcs(omega, arms, times)
-
-
-def _arcs(omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small."""
-    first, second = arc_factors(omega, t)
-    across = cross(omega, arms)
-    return first * across + second * cross(omega, across)
+        return self.velocity[rows] * times[:, None] + turned + arcs(omega, arms, times)
 
 
 def _parts(vectors: NDArray[np.float64], omega: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

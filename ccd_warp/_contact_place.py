@@ -23,7 +23,7 @@ _FEW_VERTICES = 1 << 12
 # Turn between two of the times that stand for an arc, in radians, and the most of these times.
 TURN, _MOST_TIMES = 0.1, 500
 # What contacts have by their place.
-_PLACED = ("points", "relative_velocity")
+_PLACED = ("points", "relative_velocity", "world")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class MovingVertices:
     @property
     def times(self) -> NDArray[np.float64]:
         """Times between which every vertex moves nearly straight, from 0 to 1."""
-        turn = 0.0 if self.paths is None else float(np.linalg.norm(self.paths.omega, axis=1).max(initial=0.0))
+        turn = 0.0 if self.paths is None else self.paths.largest_turn
         return np.linspace(0.0, 1.0, 2 + min(int(turn / TURN), _MOST_TIMES))
 
     def copied(self, contacts: Contacts) -> "MovingVertices":
@@ -110,6 +110,7 @@ class ContactPlace:
         points: Points of the contacts, once they are computed.
         relative_velocity: Their relative velocities, once they are computed.
         vertices: Vertices of the contacts, once they are computed.
+        world: Their worlds, once they are computed.
     """
 
     mesh: CollisionMesh
@@ -117,6 +118,7 @@ class ContactPlace:
     points: NDArray[np.float64] | None = None
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
+    world: NDArray[np.int32] | None = None
 
     @property
     def has_points(self) -> bool:
@@ -125,7 +127,7 @@ class ContactPlace:
 
     def chosen(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
-        columns = (self.points, self.relative_velocity, self.vertices)
+        columns = (self.points, self.relative_velocity, self.vertices, self.world)
         return ContactPlace(self.mesh, self.frames, *(None if each is None else each[index] for each in columns))
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
@@ -173,8 +175,8 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     places: list[ContactPlace | None] = [part._place for part in parts]
     if places[0] is None or not all(place is not None and place.has_points for place in places):
         return contacts
-    points, velocities = (np.concatenate([getattr(part, name) for part in parts]) for name in _PLACED)
-    return contacts._of(ContactPlace(places[0].mesh, points=points, relative_velocity=velocities))
+    placed: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _PLACED}
+    return contacts._of(ContactPlace(places[0].mesh, **placed))
 
 
 def points_at_toi(

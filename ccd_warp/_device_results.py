@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._display import counted
+from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import HostLaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
@@ -33,6 +34,9 @@ class LaunchResult(OnDevice):
         world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
             capacity, int64, shape [5].
+        body_fraction: With a ``motion``, the fraction of its path by which each rigid body goes, 1 of all other bodies,
+            float64, shape [B]: below 1 where :meth:`ccd_warp.CollisionPipeline.launch_line_search` has shortened it.
+            None without a motion.
     """
 
     toi: wp.array
@@ -43,11 +47,20 @@ class LaunchResult(OnDevice):
     flags: wp.array
     world_flags: wp.array
     num_pairs: wp.array
+    body_fraction: wp.array | None = None
     _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses
 
     def __post_init__(self) -> None:
         """Let the contacts know the step to which they belong."""
         self.contacts._of(self._step)
+
+    @property
+    def motion(self) -> RigidMotion | None:
+        """The motion of the last launch up to the end of the step; None without one. Reading it waits for the device.
+
+        Its ``poses_t1`` are the poses of the rigid bodies there, as those of a :class:`ccd_warp.LineSearchResult`.
+        """
+        return None if self.body_fraction is None else self._step.ended_motion()
 
     @text_completed_by(DeviceContacts.to_host)
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
@@ -65,6 +78,8 @@ class LaunchResult(OnDevice):
             flags=LaunchFlag(int(self.flags.numpy()[0])),
             num_pairs={kind: int(count) for kind, count in zip(PairKind, self.num_pairs.numpy(), strict=True)},
             num_contacts=int(self.contacts.count.numpy()[0]),
+            body_fraction=None if self.body_fraction is None else self.body_fraction.numpy().copy(),
+            motion=self.motion,
             **arrays,
         )
 

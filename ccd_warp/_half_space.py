@@ -3,10 +3,11 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._read_only import ReadOnly
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class HalfSpace:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Planes:
+class Planes(ReadOnly):
     """The planes of the half-spaces of a mesh, in the order of their bodies.
 
     Attributes:
@@ -53,13 +54,7 @@ class Planes:
     vertices: NDArray[np.int32]
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            array.flags.writeable = False
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        self.__post_init__()
+        self.__setstate__(vars(self))
 
     def __len__(self) -> int:
         return len(self.bodies)

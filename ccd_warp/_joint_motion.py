@@ -20,9 +20,10 @@ from ccd_warp._joint_paths import slices
 from ccd_warp._joint_sweeps import Sweeps, relative_sweeps, sweeps
 from ccd_warp._joints import Joint, JointTree
 from ccd_warp._motion import RigidMotion
+from ccd_warp._read_only import ReadOnly
 
 
-class JointMotion:
+class JointMotion(ReadOnly):
     """How the links of a mechanism, such as a robot's arm, move while its joints do.
 
     Joints (:class:`Joint`) carry links on links in a tree, whose root stands at the origin of the world, as the base
@@ -241,6 +242,29 @@ class JointMotion:
         motion._place_ends()
         return motion
 
+    @property
+    def _paths_at_start(self) -> BodyPaths:
+        """Paths of all links, on which they stay where they are at the start."""
+        return self._slices(0.0, 0.0, np.zeros(self.num_links))[0]
+
+    def _of_worlds(self, worlds: NDArray[np.integer]) -> JointMotion:
+        """The motion in some worlds."""
+        motion = copy(self)
+        motion._worlds = (len(worlds),)
+        motion._coefficients = read_only(self._coefficients[:, worlds])
+        motion._courses = [
+            course._replace(
+                axis=course.axis if course.axis is None or course.axis.shape[1] == 1 else course.axis[:, worlds],
+                angle=None if course.angle is None else course.angle[:, worlds],
+                slide=None if course.slide is None else course.slide[:, :, worlds],
+                after=None if course.after is None else course.after[:, worlds],
+            )
+            for course in self._courses
+        ]
+        rows = (worlds[:, None] * self.num_links + np.arange(self.num_links)).ravel()
+        motion._poses_t0, motion._poses_t1 = (read_only(poses[rows]) for poses in (self._poses_t0, self._poses_t1))
+        return motion
+
     def _times(self, t: ArrayLike) -> NDArray[np.float64]:
         """Fractions of the step, one a world."""
         return checked_fractions(t, (self.num_worlds,), "world")
@@ -294,63 +318,9 @@ class JointMotion:
         links = [(self._rows[a], self._rows[b]) for a, b in pairs]
         return relative_sweeps(self._courses, links, self._window(t_begin, t_end))
 
-    def _of_worlds(self, worlds: NDArray[np.intp]) -> JointMotion:
-        """The motion of some of the worlds, each any number of times."""
-        motion = copy(self)
-        motion._worlds = (len(worlds),)
-        motion._coefficients = read_only(self._coefficients[:, worlds])
-
-        def chosen(values: NDArray[np.float64] | None) -> Any:
-            if values is None or (values.shape[-1] == 1 and self.num_worlds > 1):
-                return values
-            return np.ascontiguousarray(values[..., worlds])
-
-        motion._courses = [
-            course._replace(
-                axis=chosen(course.axis),
-                angle=chosen(course.angle),
-                slide=chosen(course.slide),
-                after=chosen(course.after),
-            )
-            for course in self._courses
-        ]
-        return motion
-
-    def _seen_from(self, name: str) -> JointMotion:
-        """The motion of a link, which rests then, and of all that it carries, in its own frame.
-
-        Only the joints between two links turn them against each other, so bounds of slices are smaller there: links
-        far out on an arm that hardly move against each other have hardly any.
-        """
-        tree = self._tree
-        seen = {tree.index[name]}
-        for link in tree.order:
-            if tree.parent_of(link) in seen:
-                seen.add(link)
-        kept = [k for k, joint in enumerate(tree.joints) if tree.index[joint.parent] in seen]
-        motion = copy(self)
-        motion._tree = JointTree(tree.joints[k] for k in kept)
-        columns = [column for k in kept for column in range(tree.columns[k].start, tree.columns[k].stop)]
-        motion._coefficients = read_only(np.ascontiguousarray(self._coefficients[:, :, columns]))
-        root = self._courses[tree.order[0]]
-        motion._courses = []
-        for link in motion._tree.links:
-            parent = motion._tree.parent_of(motion._tree.index[link])
-            course = root if parent < 0 else self._courses[tree.index[link]]._replace(parent=parent)
-            motion._courses.append(course)
-        motion._rows = motion._tree.rows([tree.links[k] for k in self._rows if k in seen])
-        motion._place_ends()
-        return motion
-
     def _window(self, t_begin: ArrayLike, t_end: ArrayLike) -> Window:
         begin, end = (np.broadcast_to(np.asarray(t, np.float64), self.num_worlds) for t in (t_begin, t_end))
         return Window.of(begin, end)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        for array in (self._coefficients, self._poses_t0, self._poses_t1):
-            read_only(array)
 
     def __repr__(self) -> str:
         joints = counted(sum(joint.kind != "fixed" for joint in self.joints), "moving joint", "moving joints")

@@ -33,6 +33,7 @@ from ccd_warp._input.mesh_checks import (
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
 from ccd_warp._input.trimesh_bodies import trimesh_bodies
 from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
+from ccd_warp._read_only import ReadOnly
 from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._texts import text_completed_by
@@ -42,7 +43,7 @@ MOST_WITH_PLANES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CollisionMesh:
+class CollisionMesh(ReadOnly):
     """The vertices, unique edges and faces of all bodies that may collide, concatenated body by body.
 
     Build a mesh with :meth:`from_trimesh`, :meth:`from_arrays` or :meth:`from_volume`. It is immutable and its arrays
@@ -175,13 +176,6 @@ class CollisionMesh:
     def __getstate__(self) -> dict[str, Any]:
         """The state for a copy or a pickle: the fields, without the cache that calls attach to the mesh."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the fields and make their arrays read-only, a property that pickling loses."""
-        for value in state.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-        vars(self).update(state)
 
     def __repr__(self) -> str:
         parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
@@ -472,6 +466,14 @@ class CollisionMesh:
         arguments = replicated(self, count)
         arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
         return type(self)(**arguments)
+
+    def _copies(self, count: int) -> CollisionMesh:
+        """This mesh in so many worlds; the last one made stays, with what calls attach to it."""
+        copies = vars(self).get("_last_copies")
+        if copies is None or copies[0] != count:
+            copies = count, self.replicate(count)
+            vars(self)["_last_copies"] = copies
+        return copies[1]
 
     @lazy_property
     def _all_rigid(self) -> CollisionMesh:

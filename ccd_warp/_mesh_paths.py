@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._body_paths import BodyPaths, _arcs
+from ccd_warp._body_paths import BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.names import body_label
-from ccd_warp._rotations import rotated
+from ccd_warp._rotations import arcs, rotated
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
@@ -25,11 +25,13 @@ class MeshPaths(BodyPaths):
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
         excess: How far points of each body may be from the path, a length, shape [B].
         active: Bodies that are searched, bool, shape [B].
+        turn: Angle for whose slices the step is cut, no less than that of any body; None for the largest of them.
     """
 
     is_rigid: NDArray[np.bool_]
     excess: NDArray[np.float64]
     active: NDArray[np.bool_]
+    turn: float | None = None
 
     @classmethod
     def of(cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None) -> MeshPaths:
@@ -42,13 +44,8 @@ class MeshPaths(BodyPaths):
             raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
         bodies = np.flatnonzero(mesh.rigid)
         check_rows(mesh, bodies, len(given))
-        moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
-        for row in np.flatnonzero(moves & mesh.static[bodies])[:1].tolist():
-            raise ValueError(
-                f"motion moves {body_label(int(bodies[row]), mesh.names)}, which is static; expected equal poses at "
-                f"both ends, or kinematic in place of static for a body that moves as it is told"
-            )
-        rows: dict[str, NDArray[Any]] = {}
+        check_rest(mesh, bodies, given)
+        rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
             of_rigid = getattr(given, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
@@ -72,11 +69,6 @@ class MeshPaths(BodyPaths):
                 f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
                 f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
             )
-
-    def shortened(self, fraction: NDArray[np.float64]) -> MeshPaths:
-        """The paths up to a fraction of the step for each body, shape [B]."""
-        changed = {name: getattr(self, name) * fraction[:, None] for name in ("omega", "velocity", "turning")}
-        return replace(self, **changed)
 
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
@@ -104,9 +96,17 @@ class MeshPaths(BodyPaths):
         rows, times = body[rigid], _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
         arms = rotated(self.rotation[rows], start[rigid] - self.pivot[rows])
-        arms = arms + _arcs(omega, arms, times)
-        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + _arcs(omega, turning, times)
+        arms = arms + arcs(omega, arms, times)
+        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
         return v
+
+
+def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
+    f = fraction[..., None]
+    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
+    # rounding.
+    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def _times(t: Any, count: int) -> NDArray[np.float64]:
@@ -126,7 +126,26 @@ def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> 
             "rigid_ccd, for which all bodies are"
         )
     if num_rows != len(bodies):
+        count, left = divmod(num_rows, len(bodies))
+        worlds = "" if left or count < 2 else f", or for {count} worlds mesh.replicate({count})"
         raise ValueError(
             f"motion has {counted(num_rows, 'row', 'rows')} for "
-            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body"
+            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+        )
+
+
+def check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+    """Check that paths of these bodies, of one world after another, leave the static ones where they are.
+
+    Raises:
+        ValueError: If one moves.
+    """
+    moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
+    num_worlds = len(given) // len(bodies)
+    for row in np.flatnonzero(moves & np.tile(mesh.static[bodies], num_worlds))[:1].tolist():
+        world, k = divmod(row, len(bodies))
+        where = f" in world {world}" if num_worlds > 1 else ""
+        raise ValueError(
+            f"motion moves {body_label(int(bodies[k]), mesh.names)}{where}, which is static; expected equal poses at "
+            f"both ends, or kinematic in place of static for a body that moves as it is told"
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from copy import copy
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,10 +21,11 @@ from ccd_warp._input.poses import (
     read_only,
     shown_bodies,
 )
+from ccd_warp._read_only import ReadOnly
 from ccd_warp._rotations import normalized, norms, products, quaternions_of, rotated
 
 
-class RigidMotion:
+class RigidMotion(ReadOnly):
     """How rigid bodies move in a step: each turns at constant speed about a point that moves straight, or on a screw.
 
     The vertices of such bodies stand in the bodies' own frames and move on arcs. A pose is the position of the body's
@@ -62,7 +62,8 @@ class RigidMotion:
             1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, or ``twist`` contradicts
             ``poses_t1``. It names the argument and the body.
 
-    A motion does not change; its arrays are read-only.
+    A motion of W worlds for a mesh of one moves copies of the mesh, of which only a batch is ever made: arrays of a
+    result then have an axis of worlds in front. A motion does not change; its arrays are read-only.
 
     Guarantee: calls that take a motion are never late for exactly these trajectories, of the quaternions as they are
     given, normalised without rounding; for matrices, of the quaternions of ``poses_t0`` and ``poses_t1``.
@@ -205,11 +206,19 @@ class RigidMotion:
         """
         times = checked_fractions(t, self._leading)
         motion = copy(self)
-        scaled = {name: getattr(self._body_paths, name) * times[:, None] for name in ("omega", "velocity", "turning")}
-        motion._body_paths = replace(self._body_paths, **scaled)
+        motion._body_paths = self._body_paths.shortened(times)
         ends = np.where((times == 1.0)[:, None], self._poses_t1, motion._at(np.ones(len(times))))
         motion._poses_t1 = read_only(np.where((times == 0.0)[:, None], self._poses_t0, ends))
         return motion
+
+    @property
+    def _paths_at_start(self) -> BodyPaths:
+        """Paths of all bodies, which are at the start where the motion has them."""
+        return self._body_paths
+
+    def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
+        """The paths of the bodies of some worlds, one world's after another's."""
+        return self._body_paths.rows((worlds[:, None] * self.num_bodies + np.arange(self.num_bodies)).ravel())
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses at a fraction for each body, shape [N, 7]."""
@@ -218,12 +227,6 @@ class RigidMotion:
         quaternions = products(quaternions_of(paths.omega, times), paths.rotation)
         positions = self._poses_t0[:, :3] + paths.displacements(arms, rows, times)
         return np.hstack([positions, normalized(quaternions)])
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the arrays and make them read-only, a property that pickling loses."""
-        vars(self).update(state)
-        read_only(self._poses_t0)
-        read_only(self._poses_t1)
 
     def __repr__(self) -> str:
         turns = self.turns

@@ -70,8 +70,9 @@ def find_candidates(
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
-        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. The boxes then hold their arcs, slice by slice where
-            a body turns by more than 0.2 radians, and a pair whose boxes overlap in a slice is found.
+        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. The boxes then hold their arcs, or the paths of links
+            that joints move, slice by slice where a body turns by more than 0.2 radians, and a pair whose boxes overlap
+            in a slice is found. Pairs of several slices are in lexicographic order.
         **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
@@ -292,8 +293,9 @@ def rigid_ccd(
     Args:
         mesh: The bodies, as built for any other call; ``rigid`` of the mesh plays no part here.
         poses_t0: Poses at t = 0, position and quaternion **x y z w**, one for each body that has vertices, static ones
-            included, [B, 7], or matrices, [B, 4, 4]; of the worlds of :meth:`CollisionMesh.replicate` [W, B, 7].
-            :class:`ccd_warp.RigidMotion` says what else it takes, as of the following.
+            included, [B, 7], or matrices, [B, 4, 4]; of W worlds of one mesh, or of those of
+            :meth:`CollisionMesh.replicate`, [W, B, 7]. :class:`ccd_warp.RigidMotion` says what else it takes, as of
+            the following.
         poses_t1: Poses at t = 1; those of static bodies are the same.
         path: "linear" or "screw".
         pivot: Points about which the bodies turn, in their own frames.
@@ -425,8 +427,10 @@ def line_search(
             more. Where they do not suffice, all vertices of a world move by one fraction, or not at all, and
             ``is_limited`` is set. Bodies and vertices with toi 0 are stopped at once where fewer than 6 rounds are
             left.
-        motion: How the rigid bodies turn, as in :func:`mesh_ccd`, but for joints. They stay rigid: the vertices of each
-            share a fraction of its path, and ``motion`` of the result ends with their poses.
+        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. They stay rigid: the vertices of each share a
+            fraction of its path, and ``motion`` of the result ends with their poses. With joints all of a world shares
+            its fraction, so ``per`` is ``"scene"`` or ``"world"``, no body is kinematic, and what starts within its
+            distance touches; ``motion.configuration(1)`` of the result is where the joints end.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.

@@ -174,8 +174,7 @@ class ClosePairs(PairTable):
     @property
     def world(self) -> NDArray[np.int32]:
         """World of each pair, int32, shape [m]."""
-        world: NDArray[np.int32] = self._known_mesh().vertex_world[self.vertices[:, 0]]
-        return world
+        return self._once("world", lambda: self._known_mesh().vertex_world[self.vertices[:, 0]])
 
 
 def _weights(kind: NDArray[np.int32], parameters: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
-from ccd_warp._engine.host.candidates import Candidates, validated_inflation
+from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -36,6 +36,7 @@ from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
+from ccd_warp._input.names import body_label
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
@@ -49,6 +50,8 @@ from ccd_warp._runtime.progress import Progress
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
+    from ccd_warp._engine.host.joint_search import JointSearch
+    from ccd_warp._motion_worlds import MotionWorlds
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -358,7 +361,8 @@ class CollisionPipeline:
             motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
                 ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
                 arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
-                for each 0.2 radians; ``to_host()`` keeps the first.
+                for each 0.2 radians; ``to_host()`` keeps the first. Joints are for calls on the host, and an
+                :class:`ccd_warp.AffineMotion` for rows that it has moved.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
@@ -390,6 +394,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         num_rounds: int = DEFAULT_NUM_ROUNDS,
+        motion: RigidMotion | None = None,
     ) -> LaunchResult:
         """Shorten a step on the device until it is certain to be free of collisions, without waiting for the result.
 
@@ -421,11 +426,15 @@ class CollisionPipeline:
                 Those of static and kinematic bodies are not written.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
             safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
-            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3.
+            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3. In a pile that
+                falls one body stops another, each in a pass: fewer passes than it is high stop the whole world.
+            motion: How the rigid bodies turn, as in :meth:`launch`. Each goes on its path, shortened as a whole, and
+                stays rigid; their rows of ``vertices_t1`` are not written. Such a launch is no part of a graph.
 
         Returns:
             The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
-            this pass had to stop is finite. The flags cover all passes, but for that of contacts.
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts. With a motion,
+            ``body_fraction`` and ``motion`` say where the rigid bodies are at the end.
 
         Raises:
             ValueError: As in :meth:`launch`, or if an option is out of its range.
@@ -438,14 +447,16 @@ class CollisionPipeline:
         vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
         the start (as in :func:`ccd_warp.line_search`), whatever the flags; but for pairs of which what is kinematic
         alone moves, and then ``LaunchFlag.STRUCK`` is set, or a flag for what was not checked. Proof: the final pass
-        checked exactly these rounded positions, and where its toi was not inf free vertices do not move.
+        checked exactly these rounded positions, and where its toi was not inf free vertices do not move. A rigid body
+        moves on the path of ``motion`` up to its fraction; a pair stays if, in float64, all its vertices do.
         """
         check_writable(vertices_t1, "vertices_t1")
         with naming("launch_line_search"):
             per, safety = validated_line_search(per, safety)
             num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS, least=3)
             check_step_is_whole(self._options.t_max)
-        return self._launch(vertices_t0, vertices_t1, line_search=LineSearch.of(per, num_rounds), safety=safety)
+        search = LineSearch.of(per, num_rounds)
+        return self._launch(vertices_t0, vertices_t1, motion, line_search=search, safety=safety)
 
     def _launch_on_arcs(
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, **arguments: Any
@@ -453,6 +464,14 @@ class CollisionPipeline:
         """Launch on the device step of bodies that turn, which the first such launch makes."""
         from ccd_warp._engine.device.arc_step import DeviceArcStep  # few programs need it
 
+        if isinstance(motion, JointMotion | AffineMotion):
+            instead = (
+                "a call on the host, such as line_search, which takes joints"
+                if isinstance(motion, JointMotion)
+                else "vertices_t0 and vertices_t1 at motion.positions_t0 and motion.positions_t1, between which they "
+                "move straight, and no motion"
+            )
+            raise ValueError(f"motion is {shown(motion)}; expected a RigidMotion for a launch, or {instead}")
         paths, mesh = self._paths_of(motion), self.mesh
         step, self._arc_step = self._arc_step, None
         if step is None:
@@ -461,7 +480,7 @@ class CollisionPipeline:
             layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
             step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
-        step.launch_on_paths(prepared, paths)
+        step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
         return step.result
 
@@ -470,6 +489,9 @@ class CollisionPipeline:
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         with self._lock:
+            name_t1 = arguments.get("name_t1", "vertices_t1")
+            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
+            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             if motion is not None:
                 return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
             if self._device_step is None:
@@ -478,9 +500,6 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
-            name_t1 = arguments.get("name_t1", "vertices_t1")
-            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
-            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
@@ -574,7 +593,13 @@ class CollisionPipeline:
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+        if not isinstance(motion, JointMotion):
+            return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+        windows = self._joint_search(*self._ends_on_joints(vertices_t0, vertices_t1, motion), motion).windows()
+        found = [
+            self._on_step(begin, end, lambda step: step.candidates(inflation), paths) for begin, end, paths in windows
+        ]
+        return found[0] if len(found) == 1 else union(found)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
@@ -621,28 +646,81 @@ class CollisionPipeline:
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        if isinstance(motion, JointMotion):
-            result = self._on_joints(vertices_t0, vertices_t1, motion)
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            result = worlds.result()
+            self.counts, self.timings = result.counts, result.timings
         else:
-            result = self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+            result = self._contacts(vertices_t0, vertices_t1, motion)
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
-    def _joints_at(self, motion: JointMotion, t: float) -> MeshPaths:
-        """Paths on which links stay where joints have them at a time."""
+    def _contacts(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> MeshResult:
+        """The contacts of a step, of a mechanism in the worlds that are searched alone."""
+        if isinstance(motion, JointMotion):
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
+        return self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+
+    def _worlds_of(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
+    ) -> MotionWorlds | None:
+        """The worlds of a motion of several, for a mesh of one; None for any other motion."""
+        if not isinstance(motion, RigidMotion | JointMotion) or motion.num_worlds == 1 or self.mesh.num_worlds > 1:
+            return None
+        from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
+
+        self._check_arc_options()
+        if check_start:
+            raise ValueError(
+                f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
+                f"mesh.replicate({motion.num_worlds}), or False"
+            )
+        return MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
+
+    def _joints_at(self, motion: JointMotion, t: ArrayLike) -> MeshPaths:
+        """Paths on which links stay where joints have them at a time, one for all worlds or one a world."""
         if motion.num_worlds != self.mesh.num_worlds:
             raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
         return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
 
-    def _on_joints(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion) -> MeshResult:
-        """The first contacts of each world where joints move links."""
-        from ccd_warp._engine.host.joint_search import JointSearch, Links, Solve, result_of  # few programs need them
+    def _ends_on_joints(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at both ends where joints move links, checked."""
+        self._check_arc_options()
+        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
+        return start, end
+
+    def _joint_search(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], motion: JointMotion, **arguments: Any
+    ) -> JointSearch:
+        """A search where joints move links, to begin."""
+        from ccd_warp._engine.host.joint_search import JointSearch, Links  # few programs need it
+
+        mesh, t_max = self.mesh, self._options.t_max
+        span = np.zeros(mesh.num_worlds), np.full(mesh.num_worlds, t_max)
+        return JointSearch(mesh, start, end, Links.of(mesh, start, motion), span, t_max, **arguments)
+
+    def _on_joints(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: JointMotion,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> MeshResult:
+        """The first contacts of each world where joints move links, in all worlds or in some."""
+        from ccd_warp._engine.host.joint_search import Solve, result_of  # few programs need them
         from ccd_warp._engine.host.near_search import NearSearch
         from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
 
         mesh = self.mesh
-        self._check_arc_options()
-        start, end = mesh.frames(vertices_t0, vertices_t1)
-        self._joints_at(motion, 0.0).check_own_frames(mesh, start, end)
+        start, end = self._ends_on_joints(vertices_t0, vertices_t1, motion)
         length_scale = length_scale_of(mesh, self._options)
         of_pass = replace(self._options, t_max=1.0, length_scale=length_scale)
         # radii may be others on the device than those of the mesh
@@ -650,7 +728,8 @@ class CollisionPipeline:
         is_plain = is_plain and (start is end or np.array_equal(start, end))
         world = world_alone(mesh, start) if is_plain else None
         if world is not None:
-            near = NearSearch(mesh, world, motion, self._options.t_max, possible_kinds(mesh, self._options))
+            kinds = possible_kinds(mesh, self._options)
+            near = NearSearch(mesh, world, motion, self._options.t_max, kinds, is_searched)
 
             def solver(parts: PartMesh) -> Solve:
                 workspace = Workspace(parts.mesh, self._topology.device)
@@ -665,12 +744,11 @@ class CollisionPipeline:
         def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
             return self._on_step(begin, end, Step.contacts, paths, of_pass)
 
-        span = np.zeros(mesh.num_worlds), np.full(mesh.num_worlds, self._options.t_max)
-        search = JointSearch(mesh, start, end, Links.of(mesh, start, motion), span, self._options.t_max)
+        search = self._joint_search(start, end, motion, is_searched=is_searched)
         search.run(solve)
         return result_of(mesh, search.world_toi, search.found, self.counts, self.timings)
 
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None) -> ArrayLike:
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
         if motion is None:
             return vertices_t0
@@ -702,17 +780,26 @@ class CollisionPipeline:
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        toi = min(self._least_toi(vertices_t0, vertices_t1, motion), self._options.t_max)
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            least = worlds.least_toi(CollisionPipeline._least_toi, is_enough=lambda toi: toi <= 0.0)
+        else:
+            least = self._least_toi(vertices_t0, vertices_t1, motion)
+        toi = min(least, self._options.t_max)
         if check_start:
             self._checked_start(vertices_t0, motion)
         return toi
 
     def _least_toi(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | JointMotion | None = None
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None = None,
+        is_searched: NDArray[np.bool_] | None = None,
     ) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
         if isinstance(motion, JointMotion):
-            return self._on_joints(vertices_t0, vertices_t1, motion).toi
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
@@ -759,13 +846,26 @@ class CollisionPipeline:
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        if isinstance(motion, JointMotion):
-            least = self._on_joints(vertices_t0, vertices_t1, motion).toi
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            least = worlds.least_toi(CollisionPipeline._any_toi, is_enough=np.isfinite)
         else:
-            least = self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+            least = self._any_toi(vertices_t0, vertices_t1, motion)
         if not check_start:
             return least == np.inf
         return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
+
+    def _any_toi(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | MeshPaths | None = None,
+        is_searched: NDArray[np.bool_] | None = None,
+    ) -> float:
+        """A toi of a step, inf if it is free."""
+        if isinstance(motion, JointMotion):
+            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
 
     def line_search(
         self,
@@ -789,15 +889,43 @@ class CollisionPipeline:
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
             found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver, **arguments)
+        elif isinstance(motion, JointMotion):
+            found = self._search_on_joints(vertices_t0, vertices_t1, motion, arguments)
         else:
             found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+
+    def _search_on_joints(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion, arguments: dict[str, Any]
+    ) -> LineSearchResult:
+        """A line search in which joints move links, and a world has one time."""
+        from ccd_warp._engine.host.link_course import LinkCourse, LinkEnd  # few programs need it
+
+        mesh = self.mesh
+        if arguments["per"] not in ("scene", "world"):
+            raise ValueError(
+                f"line_search: per is {shown(arguments['per'])}; expected 'scene' or 'world' where motion is a "
+                f"JointMotion, as the links of a world share its time"
+            )
+        for body in np.flatnonzero(mesh.kinematic)[:1].tolist():
+            raise ValueError(
+                f"line_search: {body_label(body, mesh.names)} is kinematic; expected no such body where motion is a "
+                f"JointMotion, as a world ends at its first contact"
+            )
+        start, end = mesh.frames(vertices_t0, vertices_t1)
+        course = LinkCourse(mesh, start, end, motion, lambda t: self._joints_at(motion, t))
+
+        def contacts(_: Any, end: LinkEnd, *holds: Any) -> MeshResult:
+            return self._on_joints(start, end.vertices, end.motion)
+
+        found = search_step(mesh, start, end, Solver(contacts, contacts, None, self._holds), course=course, **arguments)
+        return replace(found, motion=course.shortened(found.vertex_fraction))
 
     def _search_on_arcs(
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion,
+        motion: RigidMotion,
         arguments: dict[str, Any],
     ) -> LineSearchResult:
         """A line search in which bodies turn."""
@@ -805,7 +933,6 @@ class CollisionPipeline:
 
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths_of(motion)
-        assert isinstance(motion, RigidMotion)  # as its paths are known
         paths.check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 

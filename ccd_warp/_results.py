@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contact, Contacts, Outcome, first_contacts
 from ccd_warp._display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._intersections import Intersections, crossing_at_start
+from ccd_warp._motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import CCDStatus, LaunchFlag, PairKind
 
@@ -95,7 +96,9 @@ class MeshResult(Outcome):
         vertex_contact: Index of the contact that gives the toi of a vertex, the first where several share it, -1 where
             there is none, int32, shape [V].
         body_contact: Index of the contact that gives the toi of a body, -1 where there is none, int32, shape [B].
-        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one.
+        world_toi: Earliest toi of each world, inf if none, float64, shape [W]; a mesh without given worlds has one,
+            unless its ``motion`` has W. Arrays of vertices and of bodies then have shapes [W, V] and [W, B], and
+            contacts are those of one world after those of another.
         world_contact: Index of the contact that gives the toi of a world, as of a vertex, int32, shape [W].
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         hidden_gaps: Where pairs have the status ``ROUNDING_LIMIT``, a sentence on how many they are and on the vertex
@@ -148,6 +151,8 @@ class HostLaunchResult(Outcome):
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
         num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
         num_contacts: Number of contacts found, including those beyond the capacity.
+        body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
+        motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.
     """
 
     toi: float
@@ -159,6 +164,8 @@ class HostLaunchResult(Outcome):
     world_flags: NDArray[np.int32]
     num_pairs: dict[PairKind, int]
     num_contacts: int
+    body_fraction: NDArray[np.float64] | None = None
+    motion: RigidMotion | None = None
 
     @lazy_property
     def vertex_contact(self) -> NDArray[np.int32]:

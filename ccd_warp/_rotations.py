@@ -62,6 +62,13 @@ def arc_factors(
     return first[:, None], (2.0 * half * half)[:, None]
 
 
+def arcs(omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small."""
+    first, second = arc_factors(omega, t)
+    across = cross(omega, arms)
+    return first * across + second * cross(omega, across)
+
+
 def rotation_vectors(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     """The shortest rotation vectors from the rotations of some quaternions to those of others, shape [n, 3].
 

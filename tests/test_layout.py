@@ -98,7 +98,7 @@ def test_the_longest_chain_of_imports_has_ten_levels_and_of_all_fifteen():
 # From the bottom; what is not named here is above them all.
 LAYERS = [
     ["kernels"],
-    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_rotations"],
+    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_read_only", "_rotations"],
     ["_input", "_half_space"],
     ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_pairs"]
     + [

@@ -130,6 +130,10 @@ def on_arcs(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     launched = pipeline.launch(_on_device(start, "float64", device), _on_device(end, "float64", device), motion=motion)
     tois = {"vertices": launched.vertex_toi, "bodies": launched.body_toi, "flags": launched.flags}
     found |= outputs_of(launched.contacts.to_host(), "contacts of a launch")
+    for per in ("body", "vertex"):
+        written = _on_device(end, "float64", device)
+        shortened = pipeline.launch_line_search(_on_device(start, "float64", device), written, per=per, motion=motion)
+        found |= outputs_of({"vertices": written, "bodies": shortened.body_fraction}, f"launch_line_search {per}")
     return found | outputs_of(candidates, "find_candidates") | outputs_of(tois, "launch")
 
 

@@ -18,7 +18,6 @@ from ccd_warp._engine.host.line_search import (
     Per,
     Solver,
     check_step_is_whole,
-    moved,
     search_step,
     validated_line_search,
 )
@@ -29,6 +28,7 @@ from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
+from ccd_warp._mesh_paths import moved
 from ccd_warp._pipeline import validated_distance, validated_search_radius
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind

@@ -10,7 +10,7 @@ what it has at the begin of a slice is no less than what it kept before. In the 
 import warp as wp
 
 from ..pair.arcs import bend, point_at
-from ..pair.rounding import ARC_MOTION, ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from ..pair.rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, HELD_ERRORS, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 from ..pair.turns import Turns
 from ..pair.windows import Window, in_step, next_window, reached
 from .planes import Meeting, PlaneQuery, Planes, meeting_of
@@ -22,7 +22,7 @@ _MOST_WINDOWS = wp.constant(1000)
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
-_EIGHTH_UP = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
+_EIGHTH_UP = wp.constant(wp.float64(EIGHTH_UP))
 # Of a coordinate, on all axes together.
 _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
@@ -30,7 +30,7 @@ _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float
 _UNIT = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
 # What a held vertex keeps is less by these multiples of the rounding of its distance, and of that of its arc.
 _HELD_VALUE = wp.constant(wp.float64(64.0 * UNIT_ROUNDOFF[wp.float64]))
-_HELD_ERRORS = wp.constant(wp.float64(4.0))
+_HELD_ERRORS = wp.constant(wp.float64(HELD_ERRORS))
 _SQUARE = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
 
 

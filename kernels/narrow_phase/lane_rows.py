@@ -128,20 +128,6 @@ numbers_of_snippet = f"""
     return {returned};
 """
 
-if width > 1:
-
-    @wp.func
-    def row_of(i: Index, lane: int) -> int:
-        """The row in a lane."""
-        return i[lane]
-
-else:
-
-    @wp.func
-    def row_of(i: Index, lane: int) -> int:
-        """The row in a lane."""
-        return i
-
 
 @wp.func_native(rows_of_snippet)
 def rows_of(list: Rows, first: int, count: int) -> Index:

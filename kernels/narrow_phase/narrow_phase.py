@@ -12,7 +12,7 @@ from ..boxes.lanes import lowest_bit
 from ..interrupts import is_stopped
 from ..pair.lane_solver import LaneAnswer, first_rounds, later_rounds
 from ..pair.norm import MAXIMUM_NORM, has_arcs, is_by_pair
-from ..pair.pair_options import options_of_pair, options_of_rows
+from ..pair.pair_options import options_of_pair, options_of_rows, row_in
 from ..pair.points import Points
 from ..pair.query import Options
 from ..pair.simd import fingerprint
@@ -24,7 +24,7 @@ from ..step.minima import ANY_OPEN, FOUND, OPEN, Minima
 from ..step.step import ContactList
 from ..template import specialised
 from . import lane_rows
-from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, row_of, rows_from, rows_of
+from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, rows_from, rows_of
 from .pair_outcome import (
     cap_of_round,
     finished,
@@ -233,7 +233,7 @@ def solve_pairs(
                 # a pair that is free up to the least toi cannot lower it
                 if wp.cast(t_reached, wp.int64) >= least_bits[0]:
                     continue
-            k = row_of(rows, lane)
+            k = row_in(rows, lane)
             is_contact = is_set(answer.contact, lane)
             if not is_later and not is_contact:
                 pending.rows[pending.count] = k

@@ -72,7 +72,7 @@ def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, 
 
 
 @wp.struct
-class Turns:
+class Items:
     """Which items a thread takes."""
 
     first: int  # the number of items if there is none
@@ -82,25 +82,25 @@ class Turns:
 
 
 @wp.func
-def turns_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Turns:
+def items_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Items:
     """The items of a thread: those of its warp, or its own, by which as few lanes of a warp are used as it takes.
 
     So few items are spread over all multiprocessors. The boxes of the bisection cannot be shared.
     """
     num_warps = num_solvers / _LANES
-    turns = Turns()
-    turns.are_shared = are_shared
+    items = Items()
+    items.are_shared = are_shared
     if are_shared:
-        turns.first = item_of_warp(solver, count)
-        turns.stride = num_warps
-        turns.writes = is_first(solver)
+        items.first = item_of_warp(solver, count)
+        items.stride = num_warps
+        items.writes = is_first(solver)
     else:
         lanes = wp.min(_LANES, (count + num_warps - 1) / num_warps)
         lane = solver % _LANES
-        turns.first = wp.where(lane < lanes, (solver / _LANES) * lanes + lane, count)
-        turns.stride = num_warps * lanes
-        turns.writes = True
-    return turns
+        items.first = wp.where(lane < lanes, (solver / _LANES) * lanes + lane, count)
+        items.stride = num_warps * lanes
+        items.writes = True
+    return items
 
 
 has_own = is_by_pair(norm)
@@ -169,11 +169,11 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
             last = wp.int32(counts[row, QUEUED + is_second])
-        turns = turns_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
-        following = turns.first
+        items = items_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+        following = items.first
         while following < last:
             n = following
-            following += turns.stride
+            following += items.stride
             k = n
             t = wp.float64(0.0)
             used = int(0)
@@ -192,7 +192,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if wp.static(is_bound):
                     # a pair that is free up to the least toi cannot lower it
                     is_done = is_done or wp.cast(t, wp.int64) >= least_bits[0]
-                    if turns.are_shared:
+                    if items.are_shared:
                         is_done = agreed(is_done)
                 if is_done:
                     continue
@@ -201,7 +201,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                         k = _SETTLED - 1 - k
                         a = row_points(table.points_t0, k)
                         b = row_points(table.points_t1, k)
-                        if turns.writes:
+                        if items.writes:
                             table.parameters[k] = pair_outcome.parameters_at(kind, table.toi[k], a, b, options)
                         continue
             if wp.static(is_table):
@@ -270,7 +270,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     if wp.static(is_table):
                         if outcome.status != STATUS_NO_COLLISION and skips_first:
                             queue.rows[n] = _SETTLED - 1 - k
-            if not turns.writes:
+            if not items.writes:
                 continue
             if wp.static(is_table):
                 table.toi[k] = outcome.toi

@@ -135,7 +135,7 @@ def solve_on_arcs(
             outcome.gap = frames.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
-        is_sharp = lane_windows.is_below(chords, lane_windows.sharpness(error, kind, at_begin))
+        is_sharp = wp.max(chords) <= lane_windows.sharpness(error, kind, at_begin)
         t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:

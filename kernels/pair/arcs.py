@@ -27,7 +27,7 @@ from ..parameters import norm, width
 from ..template import specialised
 from .norm import is_ball
 from .points import Points
-from .rounding import ARC_MOTION, ARC_POINTS, SAGITTA, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from .rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 
 simd = specialised("pair.simd", width=width)
 is_euclidean = is_ball(norm)
@@ -48,7 +48,7 @@ cosine_3 = wp.constant(wp.float64(-1.0 / 40320.0))
 cosine_4 = wp.constant(wp.float64(1.0 / 3628800.0))
 cosine_5 = wp.constant(wp.float64(-1.0 / 479001600.0))
 cosine_6 = wp.constant(wp.float64(1.0 / 87178291200.0))
-eighth_up = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
+eighth_up = wp.constant(wp.float64(EIGHTH_UP))
 square_underflow = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
 point_error = wp.constant(wp.float64(ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 motion_error = wp.constant(wp.float64(ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
@@ -194,7 +194,7 @@ def largest_coordinate(p: Points) -> simd.Lanes:
     """Largest magnitude of a coordinate."""
     m = simd.greatest(simd.magnitude(p.p0), simd.magnitude(p.p1))
     m = simd.greatest(m, simd.greatest(simd.magnitude(p.p2), simd.magnitude(p.p3)))
-    return simd.greatest(m.x, simd.greatest(m.y, m.z))
+    return simd.greatest_of(m)
 
 
 @simd.func
@@ -202,7 +202,7 @@ def largest_difference(a: Points, b: Points) -> simd.Lanes:
     """Largest magnitude of a coordinate of a difference of points."""
     m = simd.greatest(simd.magnitude(b.p0 - a.p0), simd.magnitude(b.p1 - a.p1))
     m = simd.greatest(m, simd.greatest(simd.magnitude(b.p2 - a.p2), simd.magnitude(b.p3 - a.p3)))
-    return simd.greatest(m.x, simd.greatest(m.y, m.z))
+    return simd.greatest_of(m)
 
 
 @simd.func
@@ -210,7 +210,7 @@ def motion_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
     """Largest coordinate of the motions of the points over the slice, and of their velocities that turn."""
     v = simd.greatest(simd.magnitude(arcs.v0), simd.magnitude(arcs.v1))
     v = simd.greatest(v, simd.greatest(simd.magnitude(arcs.v2), simd.magnitude(arcs.v3)))
-    return simd.greatest(largest_difference(a, b), simd.greatest(v.x, simd.greatest(v.y, v.z)))
+    return simd.greatest(largest_difference(a, b), simd.greatest_of(v))
 
 
 @simd.func

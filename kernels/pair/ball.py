@@ -27,6 +27,7 @@ from .simd import (
     cross,
     dot,
     greatest,
+    greatest_of,
     is_at_most,
     is_less,
     least,
@@ -59,7 +60,7 @@ def offset(d: Vec3, error: Vec3, separation: Vec3) -> Lanes:
 def with_largest_one(d: Vec3) -> Vec3:
     """A direction with its largest component at about one; no number where it vanishes, which proves nothing."""
     m = magnitude(d)
-    return (one / greatest(m.x, greatest(m.y, m.z))) * d
+    return (one / greatest_of(m)) * d
 
 
 @simd.func

@@ -18,7 +18,22 @@ from . import simd
 from .moving_clip import clip_along
 from .patch import Corners, beyond, num_sides, side_of
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import Lanes, Mask, Vec3, cross, dot, greatest, is_at_most, is_less, magnitude, minus, select, spread, vec
+from .simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    cross,
+    dot,
+    greatest,
+    greatest_of,
+    is_at_most,
+    is_less,
+    magnitude,
+    minus,
+    select,
+    spread,
+    vec,
+)
 
 zero = wp.constant(real(0.0))
 one = wp.constant(real(1.0))
@@ -133,7 +148,7 @@ def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lane
     """Lower bound of the gap along one direction, as a share of the separation along it."""
     m = magnitude(d)
     along = dot(m, separation)
-    counts = is_less(tiny_direction, greatest(m.x, greatest(m.y, m.z))) & is_less(zero, along)
+    counts = is_less(tiny_direction, greatest_of(m)) & is_less(zero, along)
     share = (beyond(d, c) - dot(m, error) * round_up) / along
     return select(counts, share, zero)
 

@@ -34,7 +34,7 @@ zero = wp.constant(wp.float64(0.0))
 two = wp.constant(wp.float64(2.0))
 quarter = wp.constant(wp.float64(0.25))
 frame_error = wp.constant(wp.float64(FRAME * UNIT_ROUNDOFF[wp.float64]))
-# The maximum norm of a vector that is turned by at most a slice.
+# How much longer a vector may be, in the maximum norm, that is turned by at most a slice.
 longest_turned = wp.constant(wp.float64(1.75))
 
 

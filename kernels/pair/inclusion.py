@@ -12,7 +12,7 @@ from ..parameters import real
 from . import simd
 from .patch import Corners
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, dot, greatest, is_at_most, is_less, least, magnitude, opposite, select
+from .simd import Lanes, Vec3, dot, greatest_of, is_at_most, is_less, least, magnitude, opposite, select
 
 minus_one = wp.constant(real(-1.0))
 two = wp.constant(real(2.0))
@@ -56,7 +56,7 @@ def clip_beyond(d: Vec3, off: Lanes, t: Lanes, t0: Corners, t1: Corners, is_tria
     if not is_triangle:
         s = least(s, clip_corner(dot(d, t0.w11), dot(d, t1.w11), off, t))
     m = magnitude(d)
-    can_prove = is_at_most(tiny_direction, greatest(m.x, greatest(m.y, m.z)))
+    can_prove = is_at_most(tiny_direction, greatest_of(m))
     return select(can_prove & is_less(t, s), s, t)
 
 

@@ -218,7 +218,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     limit = simd64.spread(LARGEST)
     delta_length = simd64.least(options.tolerance * scale, limit)
     m = simd64.greatest(largest(c0), largest(c1))
-    most = simd64.greatest(m.x, simd64.greatest(m.y, m.z))
+    most = simd64.greatest_of(m)
     if wp.static(has_own):
         # a length in each lane
         separation_length = simd64.least(options.minimum_separation, limit)

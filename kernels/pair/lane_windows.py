@@ -10,7 +10,7 @@ from .lane_solver import LaneAnswer, solve_full
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
 from .query import Options
-from .rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+from .rounding import HELD_ERRORS, PROJECTION_ROOT, UNIT_ROUNDOFF
 from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
@@ -29,7 +29,7 @@ two = wp.constant(wp.float64(2.0))
 eighth = wp.constant(wp.float64(0.125))
 # More than how fast two points of a pair part or approach, as a multiple of the largest motion of its corners.
 speed_share = wp.constant(wp.float64(8.0))
-held_errors = wp.constant(wp.float64(4.0))
+held_errors = wp.constant(wp.float64(HELD_ERRORS))
 unbounded = wp.constant(wp.float64(float("inf")))
 # What a corner is off by in the precision of the iteration.
 corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
@@ -39,13 +39,7 @@ corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 def sharpness(error: Lanes, kind: int, p: Points) -> Lanes:
     """The sagitta below which a contact of chords is one of arcs, but for rounding."""
     m = largest(corners(kind, p))
-    return error + corner_error * simd.greatest(m.x, simd.greatest(m.y, m.z))
-
-
-@simd.func
-def is_below(a: Vec3, limit: Lanes) -> simd.Mask:
-    """Whether no component is above a limit."""
-    return simd.is_at_most(simd.greatest(a.x, simd.greatest(a.y, a.z)), limit)
+    return error + corner_error * simd.greatest_of(m)
 
 
 @simd.func
@@ -108,8 +102,7 @@ def advance_windows(
         is_framed = none
         if open & shared != _NONE:
             framed = framed_window(kind, a, b, own.arcs, at_begin, at_end, window.begin, window.h)
-            most = simd.greatest(chords.x, simd.greatest(chords.y, chords.z))
-            is_framed = simd.mask_of(shared) & simd.is_less(framed.sagitta, most)
+            is_framed = simd.mask_of(shared) & simd.is_less(framed.sagitta, simd.greatest_of(chords))
             at_end = chosen(is_framed, framed.at_end, at_end)
             of_frame = simd.vec(framed.sagitta, framed.sagitta, framed.sagitta)
             chords = simd.select(is_framed, of_frame, chords)
@@ -117,14 +110,14 @@ def advance_windows(
         found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
         is_open = simd.mask_of(open)
         is_free = simd.mask_of(found.free)
-        sharp = simd.bits_of(is_below(chords, sharpness(error, kind, at_begin)))
+        sharp = simd.bits_of(simd.is_at_most(simd.greatest_of(chords), sharpness(error, kind, at_begin)))
         t = reached(window, end, is_free, found.t)
         # a sharp window in which nothing but rounding is left of the motion may end in no contact, where the one before
         # did: its point is one of this contact, with a gap that has changed by the motion since then
         touches = open & sharp & (found.contact | (near & ~found.free))
         is_near = simd.mask_of(open & found.contact)
         # the arcs may be as far from the chords on the other side
-        gap = found.gap + two * simd.greatest(own.sagitta.x, simd.greatest(own.sagitta.y, own.sagitta.z))
+        gap = found.gap + two * simd.greatest_of(own.sagitta)
         gap = simd.select(is_framed, longest_turned * gap, gap)
         near_u = simd.select(is_near, found.u, near_u)
         near_v = simd.select(is_near, found.v, near_v)

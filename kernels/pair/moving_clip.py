@@ -21,6 +21,7 @@ from .simd import (
     bits_of,
     dot,
     greatest,
+    greatest_of,
     is_at_most,
     is_less,
     least,
@@ -99,7 +100,7 @@ def clip_along(Which: Any, direction: Callable, offset: Callable) -> Any:
             fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
             fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
             m_t = magnitude(d_t)
-            can_prove = is_at_most(tiny_direction, greatest(m_t.x, greatest(m_t.y, m_t.z)))
+            can_prove = is_at_most(tiny_direction, greatest_of(m_t))
             running = running & can_prove & is_less(zero, fraction)
             is_clear = is_less(one, fraction)
             free = free | (running & is_clear & is_at_most(end, x))

@@ -351,6 +351,12 @@ def greatest(a: Vec3, b: Vec3) -> Vec3:
 
 
 @wp.func
+def greatest_of(a: Vec3) -> Lanes:
+    """The greatest component."""
+    return greatest(a.x, greatest(a.y, a.z))
+
+
+@wp.func
 def least(a: Vec3, b: Vec3) -> Vec3:
     """The lesser of each two components."""
     return vec(least(a.x, b.x), least(a.y, b.y), least(a.z, b.z))

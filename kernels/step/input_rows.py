@@ -5,7 +5,7 @@ import warp as wp
 from ..parameters import dimension, real
 from . import in_space as positions
 from .device_step import PER_BODY, PER_VERTEX, PER_WORLD
-from .minima import INVALID_INPUT, STATIC_MOVED, Minima, flag_world, is_kinematic, world_of
+from .minima import INVALID_INPUT, STATIC_MOVED, Minima, flag_world, world_of
 
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 
@@ -130,6 +130,7 @@ def shorten(
     t1_by_vertex: int,
     per: int,
     safety: wp.float64,
+    body_kept: wp.array[wp.int32],  # 1: what moves its vertices is not here; empty where there is no such body
     m: Minima,
     # in and out
     vertices_t1: wp.array[vec],
@@ -140,8 +141,9 @@ def shorten(
     """
     k = begin + wp.tid()
     v = vertices[k]
-    if is_kinematic(m, v):
-        return
+    if body_kept.shape[0] > 0:
+        if body_kept[m.vertex_body[v]] != 0:
+            return
     bits = m.scene[0]
     if per == PER_WORLD:
         bits = m.world[world_of(m, v)]

@@ -10,7 +10,7 @@ With s = sin(θt/2)/θ these are σ1 = 2s·cos(θt/2) and σ2 = 2s². The roundi
 
 import warp as wp
 
-from ..pair.rounding import INTERPOLATION, PLACE, PLACE_POSITION, RELATIVE, SAGITTA, UNIT_ROUNDOFF
+from ..pair.rounding import EIGHTH_UP, INTERPOLATION, PLACE, PLACE_POSITION, RELATIVE, UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -45,7 +45,7 @@ _COSINE_8 = wp.constant(wp.float64(1.0 / 20922789888000.0))
 # A turn whose square may underflow, as far as sine and cosine go none.
 _NO_TURN = wp.constant(wp.float64(1.0e-100))
 # The sagitta of the whole slice is an eighth of |ω|·|V|.
-_EIGHTH_UP = wp.constant(wp.float64(0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])))
+_EIGHTH_UP = wp.constant(wp.float64(EIGHTH_UP))
 _SUM_UP = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 _PLACE_POSITION = wp.constant(wp.float64(PLACE_POSITION * UNIT_ROUNDOFF[wp.float64]))
 _PLACE = wp.constant(wp.float64(PLACE * UNIT_ROUNDOFF[wp.float64]))
@@ -195,10 +195,11 @@ def place_vertices(
         error = slack_of(paths, body, arm, x) + paths.excess[body]
     else:
         error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
-        if t_begin > _ZERO:
-            a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
-        if t_end < _ONE:
-            b = (_ONE - t_end) * x + t_end * vertices_t1[i]
+        if not (x == b):  # what stays is not moved by rounding
+            if t_begin > _ZERO:
+                a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
+            if t_end < _ONE:
+                b = (_ONE - t_end) * x + t_end * vertices_t1[i]
     error += _UNDERFLOW
     bulge += error
     slack[i] = error

@@ -26,7 +26,8 @@ RESULTS = (
 )
 # Fields with a sign, a side, an order or a unit of their own; each has a test of its meaning below.
 MEANT = {
-    *("bodies", "body_contact", "bounds", "direction", "distance", "edge_parameter", "features", "fraction", "gap"),
+    *("bodies", "body_contact", "body_fraction", "bounds", "direction", "distance", "edge_parameter", "features"),
+    *("fraction", "gap"),
     *("is_crossing", "normal", "parameters", "point", "points", "primitives", "relative_velocity", "touching"),
     *("struck", "vertex_contact", "vertex_fraction", "weights", "world_contact"),
 }
@@ -55,12 +56,13 @@ READ = {
     "benchmarks/distributed_simulation.py": "bounds primitives",
     "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",
-    "benchmarks/gpu_check/calls.py": "bounds primitives",
+    "benchmarks/gpu_check/calls.py": "body_fraction bounds primitives",
     "benchmarks/rigid_arm.py": "bodies",
     "benchmarks/rigid_arm_scene.py": "bodies",
     "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/choosing.md": "distance touching",
+    "docs/rigid.md": "body_fraction",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
@@ -309,6 +311,21 @@ def test_a_line_search_says_how_far_each_vertex_goes_and_what_keeps_it():
     moved = mesh.vertices + found.vertex_fraction[:, None] * (end - mesh.vertices)
     assert np.allclose(found.vertices, moved, atol=1e-15)
     assert len(found.touching) and (found.touching.vertices == 3).any(axis=1).all()
+
+
+@meaning_of("body_fraction")
+def test_the_fraction_of_a_body_is_that_of_its_turn():
+    """A blade turns by a quarter, to a point that it would meet halfway."""
+    blade, point = [[0.5, 0, 0], [2, 0, 0], [2, 0, 0.5]], [[np.sqrt(0.5), np.sqrt(0.5), 0.1]]
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(point, NO_FACES), (blade, FACE)], codimensional_points=True, static=[0], rigid=[1]
+    )
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0, 0, 0, 0, 0, np.pi / 2]])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    found = pipeline.launch_line_search(mesh.vertices, mesh.vertices.copy(), safety=0.5, motion=motion)
+    fraction = found.to_host().body_fraction
+    assert np.allclose(fraction, [1.0, 0.25], atol=1e-12) and (found.body_fraction.numpy() == fraction).all()
+    assert np.allclose(found.motion.poses_t1, motion.at(fraction[1]), atol=1e-15)
 
 
 @meaning_of("struck")

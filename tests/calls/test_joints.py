@@ -34,28 +34,26 @@ def edges(count, seed=0):
 
 
 def side_of_point(q, link):
-    """By how much the obstacle is beside the line of a link, and whether it is along it."""
-    angle = q[0] if link == 0 else q[0] + q[1]
-    base = np.zeros(2) if link == 0 else np.array([np.cos(q[0]), np.sin(q[0])])
-    d = np.array([np.cos(angle), np.sin(angle)])
-    z = OBSTACLE[:2] - base
-    return z[0] * d[1] - z[1] * d[0], 0 <= z @ d <= 1
+    """By how much the obstacle is beside the line of a link, and whether it is along it, for [..., 2] angles."""
+    angle = q[..., 0] if link == 0 else q[..., 0] + q[..., 1]
+    d = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    z = OBSTACLE[:2] - link * np.stack([np.cos(q[..., 0]), np.sin(q[..., 0])], axis=-1)
+    along = (z * d).sum(axis=-1)
+    return z[..., 0] * d[..., 1] - z[..., 1] * d[..., 0], (along >= 0) & (along <= 1)
 
 
 def first_contact(q0, q1, samples=20_000):
     """When the first link sweeps the point, by samples and bisection; inf if none does."""
-    first = np.inf
+    first, t = np.inf, np.linspace(0, 1, samples)
     for link in (0, 1):
-        values = [side_of_point(q0 + t * (q1 - q0), link) for t in np.linspace(0, 1, samples)]
-        for k in range(1, samples):
-            if values[k - 1][0] * values[k][0] <= 0 and values[k][1]:
-                low, high = (k - 1) / (samples - 1), k / (samples - 1)
-                for _ in range(60):
-                    middle = 0.5 * (low + high)
-                    at_middle = side_of_point(q0 + middle * (q1 - q0), link)[0]
-                    low, high = (middle, high) if at_middle * values[k - 1][0] > 0 else (low, middle)
-                first = min(first, high)
-                break
+        side, is_along = side_of_point(q0 + t[:, None] * (q1 - q0), link)
+        for k in np.flatnonzero((side[:-1] * side[1:] <= 0) & is_along[1:])[:1]:
+            low, high = t[k], t[k + 1]
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                at_middle = side_of_point(q0 + middle * (q1 - q0), link)[0]
+                low, high = (middle, high) if at_middle * side[k] > 0 else (low, middle)
+            first = min(first, high)
     return first
 
 
@@ -125,6 +123,107 @@ def test_bad_joints_are_refused_by_name():
     three = ccd.JointMotion(ARM, *edges(2))
     with pytest.raises(ValueError, match="6 rows for 4 rigid bodies"):
         ccd.mesh_ccd(*arguments, motion=three, device="cpu")
+
+
+@pytest.mark.parametrize("per", ["world", "scene"])
+def test_arms_in_worlds_stop_before_the_point_in_their_way(truth, per):
+    mesh, motion = arm_and_point(24), ccd.JointMotion(ARM, *edges(24), links=LINKS)
+    arguments = (mesh, mesh.vertices, mesh.vertices)
+    found = ccd.line_search(*arguments, per=per, motion=motion, device="cpu")
+    expected = np.where(np.isfinite(truth), 0.9 * truth, 1.0)
+    expected = expected if per == "world" else np.full(24, expected.min())
+    is_link = mesh.rigid[mesh.vertex_body]
+    fraction = found.vertex_fraction[is_link].reshape(24, -1)
+    assert (np.ptp(fraction, axis=1) == 0.0).all()
+    assert fraction[:, 0] == pytest.approx(expected, abs=1e-11)
+    assert (found.motion.poses_t1 == motion.at(fraction[:, 0])).all()
+    assert found.motion.configuration(1.0) == pytest.approx(motion.configuration(fraction[:, 0]), abs=1e-15)
+    angles = np.cumsum(found.motion.configuration(1.0), axis=1)
+    ends = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=2), axis=1)
+    assert found.vertices[is_link].reshape(24, 2, 3, 3)[:, :, 1, :2] == pytest.approx(ends, abs=1e-12)
+    assert ccd.is_step_collision_free(*arguments, motion=found.motion, device="cpu")
+
+
+def test_arm_pushes_no_cloth_that_hangs_in_its_way():
+    """What is deformable shares the fraction of its world."""
+    cloth = np.array([[0.6, 1.0, -0.1], [0.9, 1.3, -0.1], [0.75, 1.15, 0.1]])
+    bodies = [(BLADE, [[0, 1, 2]])] * 2 + [(cloth, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], body_pairs=NEIGHBOURS_APART).replicate(2)
+    end = mesh.vertices.copy()
+    moves = np.flatnonzero(mesh.vertex_body % 3 == 2)
+    end[moves] += [0.0, -0.6, 0.0]
+    motion = ccd.JointMotion(ARM, np.zeros((2, 2)), [[1.5, 0.2], [0.1, -0.1]], links=LINKS)
+    found = ccd.line_search(mesh, mesh.vertices, end, per="world", motion=motion, device="cpu")
+    fraction = found.vertex_fraction.reshape(2, -1)
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, end, motion=motion, device="cpu").world_toi
+    assert 0.2 < toi[0] < 0.9 and toi[1] == np.inf and found.num_rounds == 2
+    assert (np.ptp(fraction, axis=1) == 0.0).all() and fraction[:, 0].tolist() == [0.9 * toi[0], 1.0]
+    moved = mesh.vertices + found.vertex_fraction[:, None] * (end - mesh.vertices)
+    assert found.vertices[moves] == pytest.approx(moved[moves], abs=1e-15)
+    shortened = np.where(mesh.rigid[mesh.vertex_body][:, None], mesh.vertices, found.vertices)
+    assert ccd.is_step_collision_free(mesh, mesh.vertices, shortened, motion=found.motion, device="cpu")
+
+
+def test_arm_that_touches_at_the_start_stays_and_the_others_go():
+    mesh = arm_and_point(2)
+    bend = np.arccos(0.5 * np.hypot(*OBSTACLE[:2]))  # of two links of length 1 whose tip is at the point
+    q0 = np.array([[np.arctan2(0.9, 1.3) + bend, -2 * bend], [0.0, 0.0]])
+    motion = ccd.JointMotion(ARM, q0, q0 + [[0.3, 0.1], [0.1, 0.0]], links=LINKS)
+    options = {"minimum_distance": 0.01, "device": "cpu"}
+    found = ccd.line_search(mesh, mesh.vertices, mesh.vertices, per="world", motion=motion, **options)
+    assert found.vertex_fraction[mesh.rigid[mesh.vertex_body]].tolist() == [0.0] * 6 + [1.0] * 6
+    assert (found.motion.configuration(1.0)[0] == q0[0]).all()
+    assert found.touching.world.tolist() == [0] * len(found.touching) != []
+    of_scene = ccd.line_search(mesh, mesh.vertices, mesh.vertices, motion=motion, **options)
+    assert (of_scene.vertex_fraction[mesh.rigid[mesh.vertex_body]] == 0.0).all()
+    assert (of_scene.motion.poses_t1 == motion.poses_t0).all()
+
+
+def test_candidates_of_an_arm_are_all_pairs_that_come_near_on_the_way():
+    count = 24
+    q0, q1 = edges(count)
+    motion, mesh = ccd.JointMotion(ARM, q0, q1, links=LINKS), arm_and_point(count)
+    near = 0.02
+    found = {}
+    for broad_phase in ("tree", "hash"):
+        options = {"motion": motion, "broad_phase": broad_phase, "device": "cpu"}
+        candidates = ccd.find_candidates(mesh, mesh.vertices, mesh.vertices, near, **options)
+        found[broad_phase] = {tuple(pair) for pair in candidates.vertex_face.tolist()}
+        assert len(found[broad_phase]) == len(candidates.vertex_face)
+    assert found["tree"] == found["hash"]
+    swept = set()
+    for t in np.linspace(0, 1, 200):
+        for link in (0, 1):
+            side, is_along = side_of_point(motion.configuration(t), link)
+            for world in np.flatnonzero((abs(side) <= near) & is_along).tolist():
+                swept.add((int(mesh.body_vertex_range[3 * world + 2]), 2 * world + link))
+    assert len(swept) > 3
+    assert swept <= found["tree"]
+    assert len(found["tree"]) < 1.5 * len(swept)  # boxes of the whole step hold the point for most links
+
+
+@pytest.mark.parametrize("place", [0.2, 0.99])
+def test_slider_that_is_back_at_the_end_meets_what_is_where_it_was_between(place):
+    """Its poses at both ends are the same."""
+    slide = ccd.Joint("slide", "base", "tool", "prismatic", axis=[1, 0, 0])
+    motion = ccd.JointMotion.from_cubics([slide], [[0.0], [4.0], [-4.0], [0.0]], links=["tool"])
+    face, point = [[0.0, -1, -1], [0, 1, -1], [0, 0, 1]], [[place, 0, 0]]
+    bodies = [(face, [[0, 1, 2]]), (point, NO_FACES)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], codimensional_points=True)
+    arguments = (mesh, mesh.vertices, mesh.vertices)
+    assert ccd.find_candidates(*arguments, motion=motion, device="cpu").vertex_face.tolist() == [[3, 0]]
+    found = ccd.line_search(*arguments, motion=motion, device="cpu")
+    assert found.fraction == pytest.approx(0.45 * (1.0 - np.sqrt(1.0 - place)), abs=1e-8)
+
+
+def test_line_searches_that_joints_do_not_have_are_refused():
+    mesh, motion = arm_and_point(1), ccd.JointMotion(ARM, [0.0, 0.0], [1.0, 1.0], links=LINKS)
+    with pytest.raises(ValueError, match="per is 'body'; expected 'scene' or 'world'"):
+        ccd.line_search(mesh, mesh.vertices, mesh.vertices, per="body", motion=motion, device="cpu")
+    bodies = [(BLADE, [[0, 1, 2]])] * 2 + [(OBSTACLE[None], NO_FACES)]
+    moving = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], kinematic=[2], codimensional_points=True)
+    with pytest.raises(ValueError, match="body 2 is kinematic; expected no such body"):
+        ccd.line_search(moving, moving.vertices, moving.vertices, motion=motion, device="cpu")
 
 
 @pytest.fixture(scope="module")

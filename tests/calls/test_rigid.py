@@ -116,6 +116,18 @@ def test_gap_of_a_blade_that_meets_points_is_that_of_the_arc_not_of_its_chord():
     assert contacts.gap.max() < 1e-10
 
 
+def test_pendulum_that_dips_into_a_ground_is_counted_in_all_slices():
+    """It is under the ground in the middle of the step, and far from it where the step ends."""
+    bob = (np.array([[0.0, 0, -1]]), NO_FACES)
+    mesh = ccd.CollisionMesh.from_arrays([bob, GROUND], rigid=[0], codimensional_points=True)
+    poses = [[[0, 0, 0.99, 0, np.sin(angle / 2), 0, np.cos(angle / 2)]] for angle in (-1.0, 1.0)]
+    x = mesh.vertices
+    counts = ccd.mesh_ccd(mesh, x, x, motion=ccd.RigidMotion(*poses), device="cpu").counts
+    kind = ccd.PairKind.VERTEX_PLANE
+    assert counts.num_contacts[kind] == 1 <= counts.num_after_cull[kind] == counts.num_candidates[kind]
+    assert counts.num_searches[kind] == 10  # slices of 0.2 rad
+
+
 def test_nut_on_a_screw_meets_what_its_helix_does():
     """A point at a distance from an axis that is elsewhere: a whole turn would leave it where it was."""
     mesh = ccd.CollisionMesh.from_arrays(

@@ -198,7 +198,8 @@ def every_call(folder):
         "launch of displacements": (PIPELINE.launch, {"vertices_t0": START, "displacements": END - START}),
         "launch_line_search": (
             PIPELINE.launch_line_search,
-            {"vertices_t0": START, "vertices_t1": END.copy(), "per": "scene", "safety": 0.5, "num_rounds": 4},
+            {"motion": None, "vertices_t0": START, "vertices_t1": END.copy(), "per": "scene", "safety": 0.5}
+            | {"num_rounds": 4},
         ),
         "pipeline.find_candidates": (
             PIPELINE.find_candidates,

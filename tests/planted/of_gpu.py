@@ -175,12 +175,12 @@ PLANTED = [
     Fault(
         "a warp does not agree before it works together",
         _QUEUE,
-        "                    if turns.are_shared:\n                        is_done = agreed(is_done)\n",
+        "                    if items.are_shared:\n                        is_done = agreed(is_done)\n",
         "",
         _ONE_PLACE,
     ),
     Fault(
-        "every lane of a warp writes", _QUEUE, "turns.writes = is_first(solver)", "turns.writes = True", ("needles",)
+        "every lane of a warp writes", _QUEUE, "items.writes = is_first(solver)", "items.writes = True", ("needles",)
     ),
     # --- who takes what: strides, tails, numbers of threads ---
     Fault("cull that stops one short", _CULL, "wp.min(end, count - n)", "wp.min(end, count - n - 1)", _ONE_PLACE),
@@ -215,10 +215,10 @@ PLANTED = [
         ("queue",),
     ),
     Fault(
-        "turns of whole warps",
+        "items of whole warps",
         _QUEUE,
-        "turns.stride = num_warps * lanes",
-        "turns.stride = num_warps * _LANES",
+        "items.stride = num_warps * lanes",
+        "items.stride = num_warps * _LANES",
         ("queue",),
     ),
     Fault(

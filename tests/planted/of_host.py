@@ -336,7 +336,7 @@ PLANTED = [
     Fault(
         "a pivot that swings with its body",
         "ccd_warp/_body_paths.py",
-        "displacement + _arcs(omega, arm, np.ones(len(arm)))",
+        "displacement + arcs(omega, arm, np.ones(len(arm)))",
         "displacement",
         ("input/test_motion.py::test_a_body_turns_about_its_pivot_which_moves_straight",),
     ),

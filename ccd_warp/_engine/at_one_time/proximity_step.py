@@ -100,14 +100,13 @@ class ProximityStep(StepAtOneTime):
     @staticmethod
     def _list_near_planes(plan: HostPlan, store: ProximityStore) -> int:
         """List vertices and planes, whose number is returned; repeated where they exceed what was expected."""
-        expected = _FEW
-        while True:
+        store.restart()
+        plan.bind(proximities=store.begin_batch(_FEW))
+        found = plan.meet_planes(Stages.list_near_planes)
+        if found > _FEW:
             store.restart()
-            plan.bind(proximities=store.begin_batch(expected))
-            found = plan.meet_planes(Stages.list_near_planes)
-            if found <= expected:
-                break
-            expected = found
+            plan.bind(proximities=store.begin_batch(found))
+            plan.meet_planes(Stages.list_near_planes, is_repeated=True)
         store.end_batch()
         return found
 

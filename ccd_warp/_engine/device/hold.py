@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -45,6 +46,8 @@ class DeviceHold:
         contacts: DeviceContacts,
         flag: StopFlag,
         radius: wp.array | None,
+        *,
+        on_arcs: bool = False,
     ) -> None:
         """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
         mesh, device = topology.mesh, topology.device
@@ -56,14 +59,12 @@ class DeviceHold:
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         distance = hold_distance(mesh, options, mesh.radius)
-        norm = norm_of(mesh, options, may_change=True, is_held=True)
+        norm = norm_of(mesh, options, may_change=True, is_held=True, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
-        self._of_step: dict[str, Any] = {
-            "narrow_phase": narrow_phase_on(device, exact.real, norm),
-            "options": exact.for_kernel(length_scale, stop=flag.array, radius=radii, hold=self._hold),
-        }
+        self._narrow_phase = narrow_phase_on(device, exact.real, norm)
+        self._options = partial(exact.for_kernel, length_scale, stop=flag.array, radius=radii, hold=self._hold)
         # boxes of static bodies stay as they are, and those of the others make up for it
         inflation = next_above(stages.inflation + (distance - separation))
         self._of_start: dict[str, Any] = {
@@ -74,7 +75,7 @@ class DeviceHold:
 
     def stages(self, stages: Stages) -> Stages:
         """These stages, with pairs that are held."""
-        return replace(stages, **self._of_step)
+        return replace(stages, narrow_phase=self._narrow_phase, options=self._options(turns=stages.turns))
 
     def record_begin(self, recording: Recording) -> None:
         """Record that nothing is held."""

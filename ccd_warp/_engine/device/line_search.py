@@ -66,9 +66,8 @@ class DeviceLineSearch(DeviceStep):
         if options.holds and (options.separation(length_scale_of(mesh, options)) > 0.0 or self._radius is not None):
             from ccd_warp._engine.device.hold import DeviceHold  # few programs need it
 
-            self._hold = DeviceHold(
-                self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
-            )
+            arguments = self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
+            self._hold = DeviceHold(*arguments, on_arcs=self.on_arcs)
         # which bodies a pass searches; the last, as without it all of this is made again
         self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
 
@@ -85,7 +84,7 @@ class DeviceLineSearch(DeviceStep):
             return
         if self._touched is None:
             self._begin()
-        topology, mesh = self.topology, self._mesh
+        mesh = self._mesh
         self._by_scene = int(form.line_search.per == "scene" or not _worlds_are_apart(mesh))
         recording.launch(
             device_step.set_active, mesh.num_bodies, inputs=[1], outputs=[self._touched, self._is_any_touched]
@@ -104,51 +103,54 @@ class DeviceLineSearch(DeviceStep):
             # where nothing was touched in the pass before, there is nothing else to do
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 if number > 0:
-                    self._record_pass(recording, form, is_first=False)
+                    self._record_checked(recording, form, is_first=False)
                 if number < len(passes) - 1 or has_kinematic:
                     self._record_touched(recording)
-                recording.launch(
-                    specialised("step.input_rows", real=form.real, dimension=mesh.dimension).shorten,
-                    len(topology.moving_vertices),
-                    inputs=[
-                        topology.moving_vertices,
-                        Slot("vertices_t0"),
-                        int(form.t0_by_vertex),
-                        int(form.t1_by_vertex),
-                        _PER[per],
-                        share,
-                        self._stages.step.minima,
-                    ],
-                    outputs=[Slot("vertices_t1")],
-                )
+                self._record_shorten(recording, form, _PER[per], share)
         if has_kinematic:  # which may strike what the last pass has stopped
             self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
             with recording.only_if(self._is_any_touched):
-                self._record_pass(recording, form, is_first=False)
+                self._record_checked(recording, form, is_first=False)
+
+    def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
+        """Record the launch that shortens the motion of what touches."""
+        moving = self.topology.moving_vertices
+        by_vertex = int(form.t0_by_vertex), int(form.t1_by_vertex)
+        recording.launch(
+            specialised("step.input_rows", real=form.real, dimension=self._mesh.dimension).shorten,
+            len(moving),
+            inputs=[moving, Slot("vertices_t0"), *by_vertex, per, share, self._body_kept, self._stages.step.minima],
+            outputs=[Slot("vertices_t1")],
+        )
+
+    @property
+    def _body_kept(self) -> wp.array:
+        """Bodies whose rows a line search does not write, int32, shape [B]; empty where there are none."""
+        return self.topology.body_kinematic
 
     def _record_first_pass(self, recording: Recording, form: Form, gaps_moved: float) -> None:
         """Record the first pass, and another one for what starts within its distance."""
         hold = self._hold
         if hold is None:
-            self._record_pass(recording, form, gaps_moved=gaps_moved)
+            self._record_checked(recording, form, gaps_moved=gaps_moved)
             return
         hold.record_begin(recording)
-        stages = self._record_pass(recording, form)
+        stages = self._record_checked(recording, form)
+        self._record_start(recording, form)
         hold.record_near(recording, stages)
         with recording.only_if(hold.is_near):
             self._record_touched(recording)
             self._record_next_reset(recording)
             hold.record_holds(recording, stages, lambda of_start, near: self._record_search(recording, of_start, near))
             self._record_next_reset(recording)
-            self._record_pass(recording, form, is_first=False, gaps_moved=gaps_moved)
+            self._record_checked(recording, form, is_first=False, gaps_moved=gaps_moved)
 
-    def _record_pass(
-        self, recording: Recording, form: Form, *, is_first: bool = True, gaps_moved: float = 0.0
-    ) -> Stages:
-        """Record the launches of a pass after the reset; returns their stages."""
-        stages = self._held(self._record_pairs(recording, form, self._touched, is_first))
-        self._record_narrow_phase(recording, stages, self._touched, only_moving=True, gaps_moved=gaps_moved)
-        return stages
+    def _record_checked(self, recording: Recording, form: Form, **options: Any) -> Stages:
+        """Record a pass over the bodies that the one before has touched; returns its stages."""
+        return self._record_pass(recording, form, self._touched, only_moving=True, **options)
+
+    def _record_start(self, recording: Recording, form: Form) -> None:
+        """Record what places all vertices at the start again, where a pass has moved them."""
 
     def _record_next_reset(self, recording: Recording) -> None:
         """Record the reset before a pass that is not the first."""

@@ -276,8 +276,19 @@ class DeviceStep(Plan):
     def _record_form(self, recording: Recording, form: Form) -> None:
         """Record all launches of a step."""
         self._record_reset(recording)
-        stages = self._record_pairs(recording, form, self._active)
-        self._record_narrow_phase(recording, stages, self._active)
+        self._record_pass(recording, form, self._active)
+
+    def _record_pass(
+        self, recording: Recording, form: Form, active: Any, *, is_first: bool = True, **solved: Any
+    ) -> Stages:
+        """Record the launches of a step, or of a pass of a line search, after the reset; returns their stages."""
+        stages = self._record_pairs(recording, form, active, is_first)
+        self._record_narrow_phase(recording, self._held(stages), active, **solved)
+        return stages
+
+    def _held(self, stages: Stages) -> Stages:
+        """These stages with what a line search asks of the narrow phase."""
+        return stages
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
         """Record the launch that resets the results of the last step, or of the last pass."""

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.line_search import Course, moved
+from ccd_warp._engine.host.line_search import Course
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._mesh_paths import MeshPaths, moved
 
 
 class ArcEnd(NamedTuple):

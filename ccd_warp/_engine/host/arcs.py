@@ -42,8 +42,8 @@ class Slice:
 
 def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
     """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
-    turn = float(np.linalg.norm(paths.omega, axis=1).max(initial=0.0)) * t_max
-    count = np.ceil(turn / TURN_OF_A_SLICE - _ROUNDING)
+    turn = paths.largest_turn if paths.turn is None else paths.turn
+    count = np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING)
     return Slice.all(max(1, int(count)), t_max)
 
 
@@ -55,6 +55,7 @@ class Arcs:
         box_radius: The same for its boxes.
         start: Positions at the begin of a slice.
         end: Positions at its end.
+        paths: The paths of the bodies, as the struct of the kernels.
     """
 
     def __init__(self, topology: Topology, radius: wp.array | None = None, box_radius: wp.array | None = None) -> None:
@@ -68,8 +69,17 @@ class Arcs:
         self.radius, self.box_radius, self._slack = (
             wp.zeros(mesh.num_vertices, dtype=wp.float64, device=device) for _ in range(3)
         )
-        self._arrays = {name: wp.zeros(mesh.num_bodies, dtype=dtype, device=device) for name, dtype in _COLUMNS.items()}
-        self._paths = struct_of(kernels.BodyPaths, self._arrays)
+        self._arrays = self._columns(*_COLUMNS)
+        self.paths = struct_of(kernels.BodyPaths, self._arrays)
+
+    def _columns(self, *names: str) -> dict[str, wp.array]:
+        """Arrays with a row a body, by the names of columns of a table of paths."""
+        count, device = self._topology.mesh.num_bodies, self._topology.device
+        return {name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names}
+
+    def new_paths(self, *names: str) -> Any:
+        """Another table of paths, of these columns alone."""
+        return struct_of(kernels.BodyPaths, self._columns(*names))
 
     def begin(self, paths: "MeshPaths") -> None:
         """Begin a step along these paths."""
@@ -79,7 +89,7 @@ class Arcs:
     def place(self, part: Slice, launcher: Execution | Recording, start: Any, end: Any) -> None:
         """Place vertices at both ends of a slice, given their positions at both ends of the step."""
         topology = self._topology
-        inputs = [part.t_begin, part.t_end, topology.vertex_body, self._paths, start, end, *self._radii]
+        inputs = [part.t_begin, part.t_end, topology.vertex_body, self.paths, start, end, *self._radii]
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 

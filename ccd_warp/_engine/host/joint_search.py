@@ -6,7 +6,7 @@ the toi found, where its next window begins, and is shorter, as the windows of a
 touches where a window ends in contacts whose excess is of the size of rounding.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contact_place import ContactPlace, joined, located
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
+from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._mesh_paths import MeshPaths, moved
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import Counts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
@@ -101,6 +101,7 @@ class JointSearch:
         links: Links,
         span: tuple[Array, Array],
         t_max: float,
+        is_searched: NDArray[np.bool_] | None = None,
         num_slices: Array | None = None,
         scale: float | None = None,
     ) -> None:
@@ -113,6 +114,7 @@ class JointSearch:
             links: The links.
             span: Begin and end of what is searched, times of each world.
             t_max: The latest time.
+            is_searched: Worlds that are searched, by default all; of the others nothing is known.
             num_slices: Windows of each span at first; by default slices that are short enough.
             scale: The size of the scene; by default that of the mesh.
 
@@ -139,8 +141,15 @@ class JointSearch:
         self._longest = (self._end - self._begin) / self._slices
         self._length = self._longest.copy()
         self._last = np.zeros(num_worlds)  # of the last window that ended in a contact
-        self.is_open = np.ones(num_worlds, dtype=bool)
+        self.is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
         self.found: list[Contacts] = []
+
+    def windows(self) -> Iterator[tuple[Array, Array, MeshPaths]]:
+        """Windows of the step, the same for all worlds: positions at both ends, and paths; they are those of a pass."""
+        for part in Slice.all(int(self._slices.max()), self._t_max):
+            begin, end = (np.full(self._mesh.num_worlds, t) for t in (part.t_begin, part.t_end))
+            given, excess = self._links.paths(begin, end)
+            yield self._positions(begin), self._positions(end), MeshPaths.of(self._mesh, given, excess)
 
     def go_on(self, search: "JointSearch", worlds: NDArray[np.intp]) -> None:
         """Let the worlds be at the windows that some worlds of another search are at."""
@@ -187,10 +196,7 @@ class JointSearch:
     def _positions(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """The positions at a time of each world; links stay in their own frames."""
         start, end = self._given
-        if start is end:
-            return start
-        times = t[self._mesh.vertex_world][:, None]
-        return (1.0 - times) * start + times * end
+        return start if start is end else moved(start, end, t[self._mesh.vertex_world])
 
     def _keep(
         self, contacts: Contacts, touches: NDArray[np.bool_], begin: NDArray[np.float64], length: NDArray[np.float64]
@@ -227,9 +233,9 @@ def result_of(
     contacts = contacts[order]
     of_vertices, of_bodies = pair_vertices(mesh, contacts), pair_bodies(mesh, contacts)
     of_worlds = mesh.vertex_world[of_vertices[:, :1]]
-    vertex = _firsts(contacts.toi, of_vertices, mesh.num_vertices)
-    body = _firsts(contacts.toi, of_bodies, mesh.num_bodies)
-    world = _firsts(contacts.toi, of_worlds, mesh.num_worlds)
+    vertex = firsts(contacts.toi, of_vertices, mesh.num_vertices)
+    body = firsts(contacts.toi, of_bodies, mesh.num_bodies)
+    world = firsts(contacts.toi, of_worlds, mesh.num_worlds)
     of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
     of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
     counts = replace(
@@ -252,9 +258,7 @@ def result_of(
     )
 
 
-def _firsts(
-    toi: NDArray[np.float64], owners: NDArray[Any], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """The least toi of each owner, and the first contact that has it, -1 for none."""
     least, first = np.full(count, np.inf), np.full(count, len(toi), dtype=np.int32)
     for column in owners.T:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,10 +12,14 @@ from ccd_warp._contacts import Contacts
 from ccd_warp._input.arguments import check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._mesh_paths import moved
 from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp._joint_motion import JointMotion
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -61,7 +65,8 @@ class LineSearchResult:
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
-            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
+            bodies there, and ``vertices`` has their vertices in the world. With joints its ``configuration(1)`` is that
+            of the joints there. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -72,7 +77,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: RigidMotion | None = None
+    motion: "RigidMotion | JointMotion | None" = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
@@ -397,14 +402,6 @@ def _least(
     np.minimum.at(of_group, group, least)
     of_group = everywhere.least(of_group)
     return of_group[group]
-
-
-def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
-    f = fraction[..., None]
-    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
-    # rounding.
-    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def _chosen(contacts: Contacts, chosen: NDArray[Any]) -> Contacts:

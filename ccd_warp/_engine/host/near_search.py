@@ -45,6 +45,7 @@ class NearSearch:
         motion: "JointMotion",
         t_max: float,
         kinds: Sequence[PairKind],
+        is_searched: NDArray[np.bool_] | None = None,
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
         self._mesh, self._world, self._motion, self._t_max, self._kinds = mesh, world, motion, t_max, kinds
@@ -52,6 +53,7 @@ class NearSearch:
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
         self._spheres = one.centre, one.reach
         self.world_toi = np.full(motion.num_worlds, np.inf)
+        self._is_searched = np.ones(motion.num_worlds, dtype=bool) if is_searched is None else is_searched
         self._found: list[Contacts] = []
         self._results: list[MeshResult] = []
 
@@ -87,7 +89,7 @@ class NearSearch:
     def _choose_slices(self, reach: float) -> None:
         """The slices in which parts may touch, and these parts: those of a world in the order of time."""
         motion, parts = self._motion, self._parts
-        each = slices_of_worlds(motion, 0.0, self._t_max).astype(np.intp)
+        each = np.where(self._is_searched, slices_of_worlds(motion, 0.0, self._t_max), 0.0).astype(np.intp)
         world = np.repeat(np.arange(len(each)), each)
         number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
         begin, end = (self._t_max * (number + k) / each[world] for k in (0, 1))

@@ -119,7 +119,7 @@ class HostPlan(Plan):
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         of_pairs = self.memory.slots()
-        names = [*_POSITIONS, *_FIELDS, "turns"]
+        names = [*_POSITIONS, *_FIELDS, "turns", "searched"]
         names += [slot.name for slots in boxes.values() for slot in slots]
         names += [slot.name for slots in of_pairs.values() for slot in slots.values()]
         self._recording = Recording(execution, dict.fromkeys(names) | {"contacts": ContactList()})
@@ -190,15 +190,23 @@ class HostPlan(Plan):
         for name, value in values.items():
             self._recording.bind(name, value)
 
-    def meet_planes(self, record: Callable[[Stages, Recording], None] | None = None) -> int:
-        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs."""
+    def meet_planes(
+        self, record: Callable[[Stages, Recording], None] | None = None, *, is_repeated: bool = False
+    ) -> int:
+        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs.
+
+        One that ``is_repeated``, since there was no room for all pairs, is not counted again.
+        """
         sink = self._sink
         self._clear_counts()
-        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink)))
+        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink, Slot("searched"))))
         kind = PairKind.VERTEX_PLANE
-        self._num_met_by_planes = int(self.counts()[kind, FOUND])
-        self.num_searches[kind], self.num_candidates[kind] = 1, self._num_met_by_planes
-        return self._num_met_by_planes
+        found = int(self.counts()[kind, FOUND])
+        if not is_repeated:
+            self._num_met_by_planes = found
+            self.num_searches[kind] += 1
+            self.num_candidates[kind] += found
+        return found
 
     def fill_boxes(
         self, positions: Positions, t_end: float, inflation: float, active: wp.array, *, goes_on: bool = False

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -110,7 +111,7 @@ class Step:
             self.slices = [*slices_of(paths, options.t_max)]
             self.arcs = workspace.arcs
             self.arcs.begin(paths)
-            self._given: list[wp.array] = [
+            self._given_on_device: list[wp.array] = [
                 wp.array(x, dtype=wp.vec3d, device=self.topology.device, copy=False) for x in positions
             ]
 
@@ -136,7 +137,7 @@ class Step:
             if part is None or part.t_begin == 0.0:
                 plan.begin_counts()
             if part is not None and self.arcs is not None:
-                self.arcs.place(part, self.execution, *self._given)
+                self.arcs.place(part, self.execution, *self._given_on_device)
                 t_end, self.positions = 1.0, self.arcs.positions()
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
@@ -152,12 +153,12 @@ class Step:
 
     def bind_options(self, plan: HostPlan, part: "Slice | None") -> None:
         """Let the kernels have the options, and how bodies turn in a slice."""
-        workspace, arguments = self.workspace, (self.options, self.length_scale)
+        packed = partial(self.workspace.packed, self.options, self.length_scale, is_held=self.is_held)
         if part is None or self.arcs is None:
-            plan.bind(options=workspace.packed(*arguments, is_held=self.is_held))
+            plan.bind(options=packed())
         else:
             turns = self.arcs.turns(part)
-            plan.bind(options=workspace.packed_on_arcs(*arguments, turns, is_held=self.is_held), turns=turns)
+            plan.bind(options=packed(turns=turns), turns=turns)
 
     def _reaches_far(self) -> bool:
         """Whether the distance of pairs is many edges long, which is said where neighbours are not excluded."""
@@ -339,7 +340,7 @@ class Step:
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
         if plan.has_planes:
             with self.timed("planes"):
-                plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
+                self._bind_planes(plan)
                 plan.set_least(best)
                 plan.meet_planes()
                 best = self.least_of_all(plan.least())  # whether anything is searched is the same everywhere
@@ -479,7 +480,7 @@ class Step:
             batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))
         if plan.has_planes:
             with self.timed("planes"):
-                survivors[PairKind.VERTEX_PLANE] = self._meet_planes(plan)
+                survivors[PairKind.VERTEX_PLANE] += self._meet_planes(plan)
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
         has_shared = False
         for batch in self.timed_batches(batches):
@@ -505,17 +506,24 @@ class Step:
                 plan.solve(is_second=True)
                 store.end_batch()
 
+    def _bind_planes(self, plan: HostPlan) -> None:
+        """Let the kernel have what vertices and half-spaces are asked for, and the bodies that are searched."""
+        query = self.workspace.plane_query(self.options, self.length_scale, holds=self.holds)
+        searched = None
+        if self.paths is not None and not self.paths.active.all():
+            searched = self.topology.array(self.paths.active, wp.int32)
+        plan.bind(plane_query=query, searched=searched)
+
     def _meet_planes(self, plan: HostPlan) -> int:
         """Contacts of vertices and planes, whose number is returned; repeated where they exceed what was expected."""
         store = self.workspace.contacts
-        plan.bind(plane_query=self.workspace.plane_query(self.options, self.length_scale, holds=self.holds))
-        expected = store.num_with_planes
-        while True:
-            plan.bind(contacts=store.begin_batch(expected))
-            found = plan.meet_planes()
-            if found <= expected:
-                break
-            expected = store.num_with_planes = found
+        self._bind_planes(plan)
+        plan.bind(contacts=store.begin_batch(store.num_with_planes))
+        found = plan.meet_planes()
+        if found > store.num_with_planes:
+            store.num_with_planes = found
+            plan.bind(contacts=store.begin_batch(found))
+            plan.meet_planes(is_repeated=True)
         store.end_batch(found)
         return found
 

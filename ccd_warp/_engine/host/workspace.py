@@ -104,30 +104,21 @@ class Workspace:
 
         return Arcs(self.topology)
 
-    def packed_on_arcs(self, options: Options, length_scale: float, turns: Any, *, is_held: bool = False) -> Any:
-        """The options of a slice of a step in which bodies turn."""
-        packed = options.for_kernel(
-            length_scale,
-            stop=self.flag.array,
-            radius=self.topology.radius,
-            hold=self.hold if is_held else None,
-            turns=turns,
-        )
-        return packed
+    def packed(self, options: Options, length_scale: float, *, is_held: bool = False, turns: Any = None) -> Any:
+        """The options as a struct of the kernels, packed once, since packing takes as long as a launch.
 
-    def packed(self, options: Options, length_scale: float, *, is_held: bool = False) -> Any:
-        """The options as a struct of the kernels, packed once, since packing takes as long as a launch."""
+        Those of a slice in which bodies turn, as ``turns`` says, are packed for it alone.
+        """
         key = (options, length_scale, is_held)
-        if key not in self._packed:
+        if key in self._packed and turns is None:
+            return self._packed[key]
+        stop, radius, hold = self.flag.array, self.topology.radius, self.hold if is_held else None
+        packed = options.for_kernel(length_scale, stop=stop, radius=radius, hold=hold, turns=turns)
+        if turns is None:
             if len(self._packed) >= _MOST_OPTIONS:
                 self._packed.clear()
-            self._packed[key] = options.for_kernel(
-                length_scale,
-                stop=self.flag.array,
-                radius=self.topology.radius,
-                hold=self.hold if is_held else None,
-            )
-        return self._packed[key]
+            self._packed[key] = packed
+        return packed
 
     def plane_query(self, options: Options, length_scale: float, *, holds: bool = False) -> Any:
         """What vertices and planes are asked for, as a struct of the kernels, packed once for options and scale."""
