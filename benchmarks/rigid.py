@@ -152,7 +152,7 @@ def calls(sizes: Sizes) -> dict[str, Callable[[], dict]]:
     for kind in rigid_turns.KINDS:
         made[f"turns of {kind}"] = partial(_turns, kind, sizes)
         made[f"pairs of {kind}"] = partial(rigid_nonlinear.measure, kind, 0.5, sizes.nonlinear, sizes.rounds)
-    looks = (sizes.samples + 9) // 10
+    looks = (sizes.samples + 49) // 50  # with all faces of the arm a look takes seconds
     return made | {
         "dice": partial(rigid_dice.measure, sizes.dice, sizes.rounds),
         "edges": partial(rigid_arm.measure, sizes.edges, looks),
