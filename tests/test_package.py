@@ -106,13 +106,17 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
         assert not any(path.match(pattern) for pattern in IGNORED if pattern != "*.egg-info"), path
 
 
-def test_tests_pass_from_the_source_distribution(distribution):
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param(["docs/test_readme.py", "test_layout.py"], id="docs"),
+        pytest.param(
+            ["benchmarks/test_bench.py::test_docs_are_those_of_the_raw_figures"], id="figures", marks=pytest.mark.long
+        ),
+    ],
+)
+def test_tests_pass_from_the_source_distribution(distribution, names):
     """Those that read files of the project; all the others see no difference."""
-    names = [
-        "docs/test_readme.py",
-        "test_layout.py",
-        "benchmarks/test_bench.py::test_docs_are_those_of_the_raw_figures",
-    ]
     arguments = ["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in names)]
     _run(sys.executable, "-m", "pytest", *arguments, cwd=distribution)
 
@@ -147,10 +151,9 @@ def test_links_of_the_readme_lead_to_the_repository_once_there_is_one():
     )
 
 
-# CI installs a wheel under two Pythons besides (`nox -s users`)
-@pytest.mark.parametrize(
-    "editable", [pytest.param(False, id="plain", marks=pytest.mark.long), pytest.param(True, id="editable")]
-)
+# CI itself installs the project editable, and a wheel under two Pythons besides (`nox -s users`).
+@pytest.mark.long
+@pytest.mark.parametrize("editable", [pytest.param(False, id="plain"), pytest.param(True, id="editable")])
 def test_installation_imports_from_any_folder(tmp_path, source, python, editable):
     target = ["-e", source] if editable else [source]
     pip = [sys.executable, "-m", "pip", "--python", python, "--quiet", "--disable-pip-version-check"]

@@ -16,6 +16,7 @@ from ccd_warp.benchmarks.exact_toi import ExactToi
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.oracle import exact_gap, exact_toi, exact_tois
 from ccd_warp.benchmarks.oracle_corners import POINTS
+from daily import marked
 from flint import fmpq
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -30,6 +31,13 @@ KINDS = [
 ]
 kind_and_dimension = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
 every_family = pytest.mark.parametrize("family", FAMILIES)
+_OF_KINDS = [(family, *kind) for family in FAMILIES for kind in KINDS]
+
+
+def by_turns(first: int) -> pytest.MarkDecorator:
+    """Every family with every kind, of which each run of the tests has half, by turns from family to family."""
+    daily = [case for k, case in enumerate(_OF_KINDS) if (k + k // len(KINDS)) % 2 == first]
+    return pytest.mark.parametrize("family, kind, dimension", marked(_OF_KINDS, daily))
 
 
 # ---- A slower method: contact at a rational time, by trying all convex combinations --------------------------------
@@ -389,8 +397,7 @@ def test_lattice_families_touch_exactly_where_they_say(
         assert all(r.rational and 8 % int(r.lo.q) == 0 for r in results)
 
 
-@kind_and_dimension
-@every_family
+@by_turns(0)
 def test_no_contact_before_the_exact_toi_and_contact_at_it(family: str, kind: str, dimension: int) -> None:
     points_t0, points_t1 = _generate(family, kind, 8, dimension, seed=1)
     times = [Fraction(k, 16) for k in range(17)] + [Fraction(k, 12) for k in (1, 2, 4, 5, 7, 8, 10, 11)]
@@ -405,8 +412,7 @@ def test_no_contact_before_the_exact_toi_and_contact_at_it(family: str, kind: st
             assert exact_gap(kind, a, b, toi.hi) <= 2.0**-79 * speed
 
 
-@kind_and_dimension
-@every_family
+@by_turns(1)
 def test_contact_is_the_limit_of_contact_with_separation(family: str, kind: str, dimension: int) -> None:
     """The two methods share nothing beyond the roots; a gap cannot be as small as 2**-700 of the size and not zero."""
     points_t0, points_t1 = _generate(family, kind, 6, dimension, seed=2)
@@ -427,8 +433,7 @@ def test_contact_is_the_limit_of_contact_with_separation(family: str, kind: str,
             assert exact.hi - close.lo <= fmpq(1, 2**75)
 
 
-@kind_and_dimension
-@every_family
+@by_turns(1)
 def test_gap_equals_the_separation_when_it_is_reached(family: str, kind: str, dimension: int) -> None:
     points_t0, points_t1 = _generate(family, kind, 6, dimension, seed=3)
     gap = [exact_gap(kind, a, b, 0.0) for a, b in zip(points_t0, points_t1, strict=True)]

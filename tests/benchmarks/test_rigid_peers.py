@@ -83,6 +83,7 @@ def test_samples_see_what_is_wrong(steps, toi, change, seen):
     assert tuple(min(n, 1) for n in (found.missed, found.late, found.apart)) == seen
 
 
+@pytest.mark.long  # says something of the benchmark alone
 def test_steps_of_a_pair_are_counted_and_grow_with_its_turn():
     from ccd_warp.benchmarks import rigid_iterations  # compiles the solver of a pair
 

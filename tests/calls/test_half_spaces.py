@@ -9,11 +9,14 @@ import pytest
 import trimesh
 import warp as wp
 from exact_planes import VERTEX_PLANE, Truth, U, check_never_late, hostile_queries, particles, random_queries, tois_of
+from expected_warnings import OF_ROUNDING
 from launches import CAPACITIES, check_same, on_device
 from oracles import brute_force, check_candidates, plane_value
 from scenes import FACE, NO_FACES, TRIANGLE, sheet, sheet_over_ball
 
 import ccd_warp as ccd
+
+pytestmark = OF_ROUNDING
 
 UP = [0.0, 0.0, 1.0]
 GROUND = ccd.HalfSpace([0, 0, 0], UP)

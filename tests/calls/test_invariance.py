@@ -20,11 +20,15 @@ import warp as wp
 from ccd_warp.benchmarks.gpu_check import calls
 from ccd_warp.benchmarks.gpu_check.calls import StepCase
 from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
-from emulated.comparison import PAIR_OPTIONS, PAIRS, PLAN, PRECISIONS
+from daily import marked
+from emulated.comparison import DAILY, PAIR_OPTIONS, PAIRS, PLAN, PRECISIONS
 from emulated.steps import STEPS, THICK
+from expected_warnings import OF_ROUNDING
 from pairs import FIELDS, SOLVE, hard_pairs, results
 
 import ccd_warp as ccd
+
+pytestmark = OF_ROUNDING
 
 # Scenes so large that threads share them in many parts, and batches are many.
 LARGE = {
@@ -33,9 +37,10 @@ LARGE = {
     "all in one place": StepCase(lambda: scenes.all_in_one_place(2), {}, 400_000),
 }
 CASES = STEPS | THICK | LARGE
-EVERY = [(call, step, precision) for call, step, precision in PLAN if call not in ("batches", "replays")]
-EVERY += [*(("on_the_host", step, "float64") for step in LARGE), ("launches", "large crowd", "float32")]
-every = pytest.mark.parametrize(("call", "step", "precision"), EVERY)
+_OF_LARGE = [*(("on_the_host", step, "float64") for step in LARGE), ("launches", "large crowd", "float32")]
+EVERY = [case for case in PLAN if case[0] not in ("batches", "replays")] + _OF_LARGE
+_DAILY = [case for case in EVERY if case in DAILY or case in _OF_LARGE]
+every = pytest.mark.parametrize(("call", "step", "precision"), marked(EVERY, _DAILY))
 
 
 def with_options(case, **options):
@@ -62,7 +67,9 @@ def test_the_broad_phase_changes_no_bit(call, step, precision):
     assert different(found, expected(call, step, precision)) == []
 
 
-@pytest.mark.parametrize(("call", "step", "precision"), EVERY[::2])
+@pytest.mark.parametrize(
+    ("call", "step", "precision"), marked(EVERY[::2], [case for case in EVERY[::2] if case in _DAILY])
+)
 def test_earlier_calls_change_no_bit(call, step, precision):
     """The mesh has been used in a step that goes elsewhere and back, and in the same one."""
     case = CASES[step]
@@ -210,7 +217,9 @@ def digest_of_lanes():
 
 # Plain numbers, and vectors of 256 bits compiled for a processor without AVX-512. The default of this machine is the
 # other side of the comparison.
-@pytest.mark.parametrize(("lanes", "flags"), [("1", None), ("4", "-target-cpu haswell")])
+@pytest.mark.parametrize(
+    ("lanes", "flags"), [("1", None), pytest.param("4", "-target-cpu haswell", marks=pytest.mark.long)]
+)
 def test_the_width_of_lanes_changes_no_bit(lanes, flags):
     from ccd_warp._runtime.lanes import cpu_lanes
 

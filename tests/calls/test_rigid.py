@@ -5,8 +5,11 @@ import pytest
 import scenes
 import trimesh
 from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
+from expected_warnings import OF_ROUNDING
 
 import ccd_warp as ccd
+
+pytestmark = OF_ROUNDING
 
 AT_REST = [0.0, 0, 0, 0, 0, 0, 1]
 BLADE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 0, 0.5]])

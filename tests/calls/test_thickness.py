@@ -14,6 +14,7 @@ from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.kernels.boxes.thickness import sum_up
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois
+from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from launches import host, on_device
 from oracles import brute_force, corners_of
 from scenes import NO_FACES, pairs_in_worlds, sheet
@@ -31,6 +32,8 @@ from thick_scenes import (
 import ccd_warp as ccd
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._runtime import lanes
+
+pytestmark = [OF_DISTANCES, OF_ROUNDING]
 
 PRECISIONS = ("float64", "float32")
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import warp as wp
 
 ROOT = Path(__file__).resolve().parents[2]
 SETUP = """
@@ -109,7 +110,9 @@ def checked(arguments: list[str]) -> str:
     """What mypy, strict, says of a program; nothing of what it finds in the package itself."""
     api = pytest.importorskip("mypy.api", reason="the extra lint is not installed")
     options = ["--config-file=", "--strict", "--ignore-missing-imports", "--follow-imports=silent", "--no-pretty"]
-    output, errors, _ = api.run([*options, "--cache-dir=.mypy_cache/tests", *arguments])
+    wp.init()  # which says where kernels are kept: what mypy knows of the packages stays there from run to run as well
+    cache = Path(wp.config.kernel_cache_dir, "ccd_warp_mypy")
+    output, errors, _ = api.run([*options, f"--cache-dir={cache}", *arguments])
     assert not errors
     return output
 

@@ -104,14 +104,14 @@ def screen_of(shown):
 
 
 def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
-    status, shown = at_terminal(triangles_in_a_plane(900), overlaps=10**9)
+    status, shown = at_terminal(triangles_in_a_plane(700), overlaps=10**9)
     assert status == 0
     assert "narrow phase  [" in shown
     assert screen_of(shown) == []
 
 
 def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
-    frames = [*triangles_in_a_plane(300), *triangles_in_a_plane(300)]
+    frames = [*triangles_in_a_plane(100), *triangles_in_a_plane(100)]
     status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
     assert status == 0
     assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown
@@ -133,7 +133,7 @@ def test_run_that_fails_leaves_its_error_alone_on_the_terminal(triangles_in_a_pl
 
 
 def test_exploding_overlaps_are_one_line_that_says_what_to_do(triangles_in_a_plane):
-    status, shown = at_terminal(triangles_in_a_plane(300), overlaps=1000)
+    status, shown = at_terminal(triangles_in_a_plane(150), overlaps=1000)
     assert status == 0
     (line,) = screen_of(shown)
     assert line.startswith("ccd-warp: warning: ")
@@ -141,7 +141,7 @@ def test_exploding_overlaps_are_one_line_that_says_what_to_do(triangles_in_a_pla
 
 
 def test_quiet_run_says_nothing(triangles_in_a_plane):
-    assert at_terminal([*triangles_in_a_plane(300), "--quiet"], overlaps=1000) == (0, "")
+    assert at_terminal([*triangles_in_a_plane(150), "--quiet"], overlaps=1000) == (0, "")
 
 
 def test_ctrl_c_while_modules_are_imported_ends_the_command(triangles_in_a_plane):

@@ -1,9 +1,10 @@
 """What `test_distributed.py` runs on several ranks: cuts of meshes, whose results have the bits of one process.
 
-    mpiexec -n 3 python -m mpi4py tests/distributed/mpi_program.py [CASE ...]
+    mpiexec -n 3 python -m mpi4py tests/distributed/mpi_program.py [--every | CASE ...]
 
 One program goes through all cases, because starting processes and compiling kernels takes most of the time. It prints a
-line for each case, on rank 0; run by ``-m mpi4py``, a failure on one rank ends all.
+line for each case, on rank 0; run by ``-m mpi4py``, a failure on one rank ends all. Without ``--every`` or names it
+leaves some of the scenes out that show in another way what the others do.
 """
 
 import sys
@@ -27,7 +28,13 @@ from ccd_warp.distributed import _ranks
 COMM = MPI.COMM_WORLD
 RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
 ALL_CALLS = ["mesh_ccd", "collision_free_step", "is_step_collision_free", "find_candidates"]
+IS_EVERY = len(sys.argv) > 1
 SEARCHES = ["line_search scene", "line_search world", "line_search body", "line_search vertex"]
+
+
+def some(scenes, step):
+    """Every so many of scenes, from the first on; or all."""
+    return scenes if IS_EVERY else scenes[::step]
 
 
 def interleaved(mesh, seed=0):
@@ -188,7 +195,7 @@ def starts_that_are_not_sound():
     rng = np.random.default_rng(9)
     for k, (mesh, x) in enumerate(starts(rng)):
         check((mesh, x, x), (interleaved, in_blocks)[k % 2], ["find_intersections"], with_owners=k % 3 == 0)
-    for seed in range(6 * (SIZE - 1), 6 * SIZE):
+    for seed in some(range(6 * (SIZE - 1), 6 * SIZE), 3):
         rng = np.random.default_rng(seed)
         num_faces = int(rng.integers(1, 40))
         x, faces = scenes.soup(rng, num_faces, 10.0 ** rng.uniform(-1, 0), int(rng.integers(3, 3 * num_faces + 1)))
@@ -240,7 +247,7 @@ def work_that_open_pairs_share():
     start, faces = scenes.soup(rng, 30, 0.3)
     mesh = scenes.single(start, faces)
     end = start[rng.permutation(len(start))]
-    for max_work in (1, 5_000_000):
+    for max_work in some((1, 5_000_000), 2):
         options = dict(method="bisection", max_work=max_work)
         check((mesh, start, end), interleaved, ["mesh_ccd", "collision_free_step"], **options)
     # some ranks work in many batches, and share all the same
@@ -274,7 +281,7 @@ def random_bodies(seed):
 def random_scenes(alone=14, meshes=6, worlds=6):
     """Fifty scenes, others for other numbers of ranks, cut at random: some alone, most as worlds of few meshes."""
     seeds = iter(range(50 * (SIZE - 1), 50 * SIZE))
-    for k in range(alone + meshes):
+    for k in some(range(alone + meshes), 3):
         bodies, static, ends, world = [], [], [], []
         for w in range(1 if k < alone else worlds):
             scene, fixed, end = random_bodies(next(seeds))
@@ -352,7 +359,7 @@ def what_starts_within_its_distance():
     layers = [(vertices + [0.03 * k, 0.01 * k, 0.02 * k], faces) for k in range(3)]
     motion = np.array([[0.0, 0.0, 0.0], [0.17, -0.11, 0.0], [0.05, 0.1, 0.03]])
     calls = ["collision_free_step", "mesh_ccd", *SEARCHES]
-    for radius, given in ((0.01, {}), (None, {"minimum_separation": 0.02, "length_scale": 1.0})):
+    for radius, given in some([(0.01, {}), (None, {"minimum_separation": 0.02, "length_scale": 1.0})], 2):
         mesh = ccd.CollisionMesh.from_arrays(layers, radius=radius, self_collision=False)
         end = mesh.vertices + motion[mesh.vertex_body]
         check((mesh, mesh.vertices, end), interleaved, calls, **given)
@@ -556,15 +563,19 @@ CASES = [
 ]
 
 
+# Says something of the benchmarks, whose simulation it runs.
+LONG = [simulation_of_ranks]
+
+
 def main(names):
     for case in CASES:
-        if not names or case.__name__ in names:
+        if case.__name__ in names or names == ["--every"] or (not names and case not in LONG):
             begin = time.perf_counter()
             case()
             if RANK == 0:
                 print(f"{case.__name__}: the bits of one process, {time.perf_counter() - begin:.1f} s", flush=True)
-    if RANK == 0 and not names:
-        print(f"all {len(CASES)} cases")
+    if RANK == 0 and names in ([], ["--every"]):
+        print(f"all {len(CASES) - (0 if names else len(LONG))} cases")
 
 
 if __name__ == "__main__":

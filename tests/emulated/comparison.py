@@ -49,18 +49,42 @@ _PLAN = {
     "searches_with_radii": ("radii, spatial hash, excluded pairs",),
     "on_arcs": ("bodies that turn", "bodies that turn, a distance"),
 }
+# Steps of the other calls that another of them has, or a kernel does not need: they are run with what is marked long.
+_LONG = {
+    "batches": ("crowd",),
+    "line_searches": ("every kind, one body static", "worlds in one place"),
+    "launched_line_searches": ("crowd", "little work"),
+    "at_one_time": ("kinematic bodies",),
+    "replays": ("sheet over a static ball",),
+}
+# Steps that every run has in both calls.
+_OF_BOTH = ("every kind, one body static", "spatial hash")
 
 
-def _plan() -> Iterator[tuple[str, str, str]]:
-    """A call, a step and a precision: both for the calls that most others build on, by turns for the others."""
+def _plan() -> Iterator[tuple[tuple[str, str, str], bool]]:
+    """A call, a step and a precision, and whether every run of the tests has it, not only what is marked long.
+
+    Both precisions are planned for the calls that most others build on, by turns for the others. Every run has each
+    step in one of these two calls, by turns, and in one precision, likewise; more where kernels need it.
+    """
+    more = [("launches", step) for step in ("in the plane", "spatial hash, excluded pairs", "trees of four levels")]
+    more += [(call, step) for call in ("on_the_host", "launches") for step in _OF_BOTH]
     for call, steps in _PLAN.items():
         for k, step in enumerate(steps):
-            is_both = step in _SOME and call in ("on_the_host", "launches")
-            for precision in PRECISIONS if is_both else (PRECISIONS[k % 2 if call != "on_arcs" else 0],):
-                yield call, step, precision
+            is_basic = call in ("on_the_host", "launches")
+            by_turns = PRECISIONS[k % 2 if call != "on_arcs" else 0]
+            if step == "every kind, one body static" and is_basic:
+                by_turns = "float64"
+            for precision in PRECISIONS if step in _SOME and is_basic else (by_turns,):
+                has_turn = call == ("on_the_host", "launches")[k // 2 % 2] or (call, step) in more
+                is_daily = precision == by_turns and (has_turn if is_basic else step not in _LONG.get(call, ()))
+                is_daily |= (call, step) == ("launches", "in the plane, one body static")
+                yield (call, step, precision), is_daily
 
 
-PLAN = list(_plan())
+_IS_DAILY = dict(_plan())
+PLAN = list(_IS_DAILY)
+DAILY = [case for case, is_daily in _IS_DAILY.items() if is_daily]
 # What options of the pair functions do to a pair: where it ends, what counts as contact, how much is done.
 PAIR_OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -129,9 +153,9 @@ class Comparison:
         points = scenes.random_pairs(kind, 300, seed=31, dimension=dimension)
         return self._of(case, calls.pairs, kind, *points, precision, PAIR_OPTIONS[options])
 
-    def of_everything(self) -> list[str]:
-        """What any call of the plan does not return in the same bits."""
-        lines = [f"{case}: {line}" for case in PLAN for line in self.of_step(*case)]
+    def of_every_kernel(self) -> list[str]:
+        """What any call that every run has does not return in the same bits."""
+        lines = [f"{case}: {line}" for case in DAILY for line in self.of_step(*case)]
         return lines + [f"{case}: {line}" for case in PAIRS for line in self.of_pairs(*case)]
 
     def build(self) -> None:

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 import warp as wp
 from exact import exact_tois
+from expected_warnings import OF_ROUNDING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from launches import CAPACITIES, check_same, host, on_device
@@ -16,6 +17,8 @@ from scenes import crowd, sheet, sheet_over_ball, single, soup
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag, PairKind
+
+pytestmark = OF_ROUNDING
 
 
 @settings(max_examples=40, deadline=None)

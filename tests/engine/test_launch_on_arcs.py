@@ -173,3 +173,22 @@ def test_motions_that_launches_do_not_take_are_refused_with_what_takes_them():
         for launch in (pipeline.launch, pipeline.launch_line_search):
             with pytest.raises(ValueError, match=words):
                 launch(mesh.vertices, mesh.vertices.copy(), motion=motion)
+
+
+@pytest.mark.parametrize("moves", ["straight", "on arcs"])
+@pytest.mark.parametrize("other", ["box", "ground"])
+def test_launch_after_a_line_search_says_what_starts_within_its_distance(moves, other):
+    """A box that leaves another, or a ground: it is nearer at the start than it may be, which a search alone allows."""
+    box = trimesh.creation.box((1, 1, 1))
+    bodies = [(box.vertices, box.faces), (box.vertices - [0, 0, 1.01], box.faces) if other == "box" else GROUND]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], rigid=[0])
+    start = mesh.vertices + np.where(mesh.vertex_body[:, None] == 0, [0, 0, 0.51 if other == "ground" else 0.0], 0.0)
+    motion = ccd.RigidMotion([AT_REST], twist=[[0, 0, 0.5, 0, 0, 0.3]])
+    options = {"minimum_distance": 0.02, "device": "cpu"}
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    end = start + np.where(mesh.vertex_body[:, None] == 0, [0, 0, 0.5], 0.0)
+    ends = (end, None) if moves == "straight" else (start, motion)
+    found = pipeline.launch_line_search(start, ends[0].copy(), motion=ends[1]).to_host()
+    assert found.toi == np.inf
+    assert pipeline.launch(start, ends[0], motion=ends[1]).to_host().toi == 0.0
+    assert pipeline.mesh_ccd(start, ends[0], motion=ends[1]).toi == 0.0

@@ -8,10 +8,13 @@ import pytest
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
+from expected_warnings import OF_ROUNDING
 from scenes import FACE, pairs_in_worlds
 
 import ccd_warp as ccd
 from ccd_warp._input.options import Options
+
+pytestmark = OF_ROUNDING
 
 KINDS = ["vertex_face", "edge_edge"]
 OPTIONS = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}

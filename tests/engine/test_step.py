@@ -15,10 +15,13 @@ import trimesh
 from ccd_warp.benchmarks.gpu_check.steps import crowd as crowd_with_particles
 from ccd_warp.benchmarks.hard_cases import FAMILIES
 from exact import exact_tois
+from expected_warnings import OF_ROUNDING
 from oracles import brute_force, check_candidates, corners_of
 from scenes import crowd, leaning_stack, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
+
+pytestmark = OF_ROUNDING
 
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
+from expected_warnings import OF_ROUNDING
 from oracles import brute_force
 from scenes import soup
 
@@ -13,6 +14,8 @@ import ccd_warp as ccd
 from ccd_warp._engine.mesh.topology import NUM_SAMPLES, Topology, choose_quantization, uneven_samples
 from ccd_warp._engine.mesh.worlds import lattice_bits, world_lattice
 from ccd_warp._runtime.launch import Execution
+
+pytestmark = OF_ROUNDING
 
 DEVICE = wp.get_device("cpu")
 _LARGEST = np.finfo(np.float64).max

@@ -43,6 +43,7 @@ def test_no_particle_changes_sides_with_ccd(fsi_membrane):
     assert np.quantile(scene.compression.numpy(), 0.95) < 0.2
 
 
+@pytest.mark.long  # says something of the scene, not of the library
 def test_the_steps_are_too_large_without_ccd(fsi_membrane):
     assert max(run(fsi_membrane, False)[1]) > 10
 

@@ -25,7 +25,7 @@ import warp as wp
 from ccd_warp._runtime.packed import PackedLaunch
 
 # Seconds after which a call of some milliseconds is taken to hang; another one hangs for the same reason.
-_PATIENCE = (10.0, 2.0)
+_PATIENCE = (120.0, 2.0)
 # What a call uses of Warp, by attributes that are looked up when it does, and of threads; an event after the parts of a
 # launch were asked for is one before they run.
 _OF_WARP = [

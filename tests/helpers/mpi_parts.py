@@ -1,5 +1,7 @@
 """Meshes cut over ranks, the one process that they are compared with, and the comparison."""
 
+import time
+
 import numpy as np
 
 import ccd_warp as ccd
@@ -129,14 +131,28 @@ def compare(comm, cut, mesh, start, end, calls, options):
     return pipeline
 
 
+def wait_for_all(comm):
+    """A barrier at which ranks sleep: elsewhere MPI asks all the time, on cores that the others need."""
+    request = comm.Ibarrier()
+    while not request.Test():
+        time.sleep(1e-3)
+
+
 def compare_call(comm, cut, pipeline, one, start, end, call):
     """Make one call on all ranks and in one process, and compare."""
     is_root = comm.Get_rank() == 0
+
+    def of_root(make):
+        """What rank 0 makes in one process."""
+        made = make() if is_root else None
+        wait_for_all(comm)
+        return comm.bcast(made)
+
     here = cut.local(start), cut.local(end)
     if call == "mesh_ccd":
         found = pipeline.mesh_ccd(*here)
         every = found.contacts.to_root()
-        expected = comm.bcast(one.mesh_ccd(start, end) if is_root else None)
+        expected = of_root(lambda: one.mesh_ccd(start, end))
         assert found.toi == expected.toi, f"toi {found.toi} in place of {expected.toi}"
         assert_same_bits("vertex_toi", found.vertex_toi, expected.vertex_toi[cut.rows])
         assert_same_bits("body_toi", found.body_toi, expected.body_toi)
@@ -157,7 +173,7 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
     elif call == "displacement_bounds":
         distance = 0.1 * cut.mesh.length_scale
         found = pipeline.displacement_bounds(here[0], distance)
-        expected = comm.bcast(one.displacement_bounds(start, distance) if is_root else None)
+        expected = of_root(lambda: one.displacement_bounds(start, distance))
         assert_same_bits("bounds", found, expected[cut.rows])
         assert len(np.unique(expected)) > 3  # some tell of what is near
     elif call == "find_intersections":
@@ -171,7 +187,7 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
             assert (num_crossing, every.num_touching) == (expected.num_crossing, expected.num_touching)
     elif call.startswith("line_search"):
         found = pipeline.line_search(*here, per=call.partition(" ")[2])
-        expected = comm.bcast(one.line_search(start, end, per=call.partition(" ")[2]) if is_root else None)
+        expected = of_root(lambda: one.line_search(start, end, per=call.partition(" ")[2]))
         assert_same_bits("vertices", found.vertices, expected.vertices[cut.rows])
         assert_same_bits("vertex_fraction", found.vertex_fraction, expected.vertex_fraction[cut.rows])
         assert (found.fraction, found.num_rounds) == (expected.fraction, expected.num_rounds)
@@ -182,8 +198,9 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
                 compare_contacts(every, getattr(expected, name))
     else:
         found = getattr(pipeline, call)(*here)
-        expected = comm.bcast(getattr(one, call)(start, end) if is_root else None)
+        expected = of_root(lambda: getattr(one, call)(start, end))
         assert found == expected, f"{call} is {found} in place of {expected}"
+    wait_for_all(comm)
 
 
 def compare_contacts(found, expected):

@@ -59,6 +59,7 @@ class Copy:
         if self.is_planted:  # no later process may find what it has compiled
             environment["PYTHONDONTWRITEBYTECODE"] = "1"
         command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-rfE", "--tb=line", "-p", "no:cacheprovider"]
+        command += ["-m", "not long"]  # the tests of every run have to find it
         result = subprocess.run(
             [*command, *(str(self.folder / "tests" / test) for test in tests)],
             cwd=self.folder,

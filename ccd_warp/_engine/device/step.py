@@ -1,5 +1,6 @@
 """The driver of calls whose input and results stay on the device: all stages, recorded once and replayed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -279,15 +280,21 @@ class DeviceStep(Plan):
         self._record_pass(recording, form, self._active)
 
     def _record_pass(
-        self, recording: Recording, form: Form, active: Any, *, is_first: bool = True, **solved: Any
+        self,
+        recording: Recording,
+        form: Form,
+        active: Any,
+        *,
+        is_first: bool = True,
+        asked: Callable[[Stages], Stages] = lambda stages: stages,
+        **solved: Any,
     ) -> Stages:
-        """Record the launches of a step, or of a pass of a line search, after the reset; returns their stages."""
-        stages = self._record_pairs(recording, form, active, is_first)
-        self._record_narrow_phase(recording, self._held(stages), active, **solved)
-        return stages
+        """Record the launches of a step, or of a pass of a line search, after the reset; returns their stages.
 
-    def _held(self, stages: Stages) -> Stages:
-        """These stages with what a line search asks of the narrow phase."""
+        What the narrow phase is asked may be ``asked`` of other stages.
+        """
+        stages = self._record_pairs(recording, form, active, is_first)
+        self._record_narrow_phase(recording, asked(stages), active, **solved)
         return stages
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:

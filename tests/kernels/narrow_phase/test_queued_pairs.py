@@ -75,16 +75,16 @@ def test_contacts_of_a_mesh_through_the_queue_have_equal_bits(options, precision
 
 
 def test_threads_get_few_pairs_spread_over_all_warps():
-    from ccd_warp.kernels.narrow_phase.queued_pairs import turns_of
+    from ccd_warp.kernels.narrow_phase.queued_pairs import items_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def take(num_solvers: int, count: int, taken: wp.array[wp.int32], lanes_used: wp.array[wp.int32]):
-        turns = turns_of(wp.tid(), num_solvers, count, False)
-        lanes_used[0] = turns.stride / (num_solvers / 32)
-        following = turns.first
+        items = items_of(wp.tid(), num_solvers, count, False)
+        lanes_used[0] = items.stride / (num_solvers / 32)
+        following = items.first
         while following < count:
             wp.atomic_add(taken, following, 1)
-            following += turns.stride
+            following += items.stride
 
     for num_solvers, count, lanes in (
         (128, 0, 0),

@@ -159,7 +159,7 @@ def test_no_pair_of_a_crowd_that_starts_close_comes_closer_in_the_maximum_norm()
                 check_kept(mesh, start, reached, kept, tois, "box")
 
 
-@pytest.mark.parametrize("is_static", [True, False])
+@pytest.mark.parametrize("is_static", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_patch_slides_over_a_mesh_without_losing_height(is_static):
     ground, patch = sheet(40), sheet(8)
     for share in (0.3, 0.999, 1 - 1e-12):
@@ -177,6 +177,7 @@ def test_patch_slides_over_a_mesh_without_losing_height(is_static):
             start = end
 
 
+@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.long)])
 def test_ten_thousand_presses_lose_less_than_a_hundred_thousandth_of_the_thickness(precision):
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE)]).replicate(100)
     pipeline = ccd.CollisionPipeline(mesh, device="cpu", precision=precision, **NORMS["ball"])

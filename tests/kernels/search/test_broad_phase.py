@@ -6,6 +6,8 @@ The tree and the spatial hash find overlapping boxes in ways that have nothing i
 import numpy as np
 import pytest
 from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
+from daily import marked
+from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from launches import CAPACITIES, on_device
 from oracles import brute_force
 from scenes import (
@@ -27,6 +29,8 @@ from scenes import (
 )
 
 import ccd_warp as ccd
+
+pytestmark = [OF_DISTANCES, OF_ROUNDING]
 
 BOTH = ("tree", "hash")
 FIELDS = ("kind", "primitives", "toi", "parameters", "normal", "gap", "status")
@@ -314,7 +318,7 @@ def test_random_scenes_have_the_same_launches(seed):
         assert different(*left) == []
 
 
-@pytest.mark.parametrize("block", range(5))
+@pytest.mark.parametrize("block", marked(range(5), [0]))
 def test_a_hundred_random_scenes_have_the_same_pairs(block):
     found = 0
     for seed in range(100 * block, 100 * block + 100):
