@@ -15,7 +15,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import rigid_dice, rigid_nonlinear, rigid_turns
+from ccd_warp.benchmarks import rigid_arm, rigid_dice, rigid_nonlinear, rigid_turns
 from ccd_warp.benchmarks.rigid_peers import PEERS, missing, peers_of
 from ccd_warp.benchmarks.rigid_scenes import SCENES, RigidSteps
 from ccd_warp.benchmarks.rigid_truth import evidence, starting_apart, worlds_of
@@ -123,6 +123,7 @@ class Sizes:
         counted: Pairs of each kind and turn whose steps are counted.
         nonlinear: Pairs of each kind that ipc-toolkit takes.
         dice: Number of dice.
+        edges: Edges of a planner.
         rounds: Rounds of each call.
         seconds: Estimated duration of a task.
     """
@@ -134,23 +135,28 @@ class Sizes:
     counted: int
     nonlinear: int
     dice: int
+    edges: int
     rounds: int
     seconds: float
 
 
-QUICK = Sizes(100, 101, 4_000, (1e-3, 0.5, np.pi), 500, 40, 100, 2, 10.0)
-FULL = Sizes(1_000, 1_001, 20_000, rigid_turns.TURNS, 5_000, 200, 1_000, 3, 100.0)
+QUICK = Sizes(100, 101, 4_000, (1e-3, 0.5, np.pi), 500, 40, 100, 30, 2, 10.0)
+FULL = Sizes(1_000, 1_001, 20_000, rigid_turns.TURNS, 5_000, 200, 1_000, 500, 3, 100.0)
 
 
 def calls(sizes: Sizes) -> dict[str, Callable[[], dict]]:
-    """What is measured, each by its name: the scenes, the price of a pair, single pairs beside a peer, dice."""
+    """What is measured, each by its name: the scenes, the price of a pair, pairs beside a peer, dice, a planner."""
     made: dict[str, Callable[[], dict]] = {
         make.__name__: partial(measure, make, sizes.steps, sizes.samples, sizes.rounds) for make in SCENES
     }
     for kind in rigid_turns.KINDS:
         made[f"turns of {kind}"] = partial(_turns, kind, sizes)
         made[f"pairs of {kind}"] = partial(rigid_nonlinear.measure, kind, 0.5, sizes.nonlinear, sizes.rounds)
-    return made | {"dice": partial(rigid_dice.measure, sizes.dice, sizes.rounds)}
+    looks = (sizes.samples + 49) // 50  # with all faces of the arm a look takes seconds
+    return made | {
+        "dice": partial(rigid_dice.measure, sizes.dice, sizes.rounds),
+        "edges": partial(rigid_arm.measure, sizes.edges, looks),
+    }
 
 
 def _turns(kind: str, sizes: Sizes) -> dict:

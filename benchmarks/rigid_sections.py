@@ -16,7 +16,7 @@ def of_what(raw: dict, what: str) -> list[dict]:
 
 
 def rigid(raw: dict, figures: str) -> list[str]:
-    """Time against what is missed, the price of a pair by its turn, and the dice."""
+    """Time against what is missed, the price of a pair by its turn, the dice, and the edges of a planner."""
     lines = [
         "Processor time of one step on one thread. An answer is missed where ours has a contact and the other none, "
         "and a phantom the other way round; late is a toi above that of ours. What ours says is held against exact "
@@ -29,6 +29,8 @@ def rigid(raw: dict, figures: str) -> list[str]:
     lines += list(_turns(raw, figures))
     for record in of_what(raw, "dice"):
         lines += [*_dice(record), ""]
+    for record in of_what(raw, "edges"):
+        lines += [*_edges(record), ""]
     return [*lines[:-1], *apart(raw, "rigid")]
 
 
@@ -136,6 +138,23 @@ def _dice(record: dict) -> list[str]:
         for row in record["rows"]
     )
     return [about, "", *table(["milliseconds", "a step", *stages, "missed pairs of dice"], rows)]
+
+
+def _edges(record: dict) -> list[str]:
+    evidence = record["evidence"]
+    stages = ", ".join(f"{name} {time_text(seconds)}" for name, seconds in record["rows"][0]["stages"].items())
+    about = (
+        f"**{record['scene'].capitalize()}** among {record['obstacles']} obstacles: {record['edges']:,} edges of a "
+        f"motion planner, 1 rad long, {record['free']:,} of them free. {evidence['samples']:,} exact looks at each of "
+        f"{evidence['edges']} edges show {evidence['missed']} missed and {evidence['late']} late by ours, and "
+        f"{evidence['apart']} of its contacts are none. Processor time; ours takes "
+        f"{time_text(record['rows'][0]['on clock'])} of the clock an edge: {stages}."
+    )
+    rows = (
+        [row["method"], time_text(row["seconds"]), f"**{row['missed']}**" if row["missed"] else "0"]
+        for row in record["rows"]
+    )
+    return [about, "", *table(["program", "an edge", "missed"], rows)]
 
 
 def draw_turns(raw: dict) -> Figure:

@@ -595,7 +595,7 @@ class CollisionPipeline:
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         if not isinstance(motion, JointMotion):
             return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
-        windows = self._joint_search(vertices_t0, vertices_t1, motion).windows()
+        windows = self._joint_search(*self._ends_on_joints(vertices_t0, vertices_t1, motion), motion).windows()
         found = [
             self._on_step(begin, end, lambda step: step.candidates(inflation), paths) for begin, end, paths in windows
         ]
@@ -688,20 +688,24 @@ class CollisionPipeline:
             raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
         return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
 
-    def _joint_search(
-        self,
-        vertices_t0: ArrayLike,
-        vertices_t1: ArrayLike,
-        motion: JointMotion,
-        is_searched: NDArray[np.bool_] | None = None,
-    ) -> JointSearch:
-        """A search where joints move links, in all worlds or in some, to begin."""
-        from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
-
+    def _ends_on_joints(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at both ends where joints move links, checked."""
         self._check_arc_options()
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
-        return JointSearch(self.mesh, start, end, motion, self._options.t_max, is_searched)
+        return start, end
+
+    def _joint_search(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], motion: JointMotion, **arguments: Any
+    ) -> JointSearch:
+        """A search where joints move links, to begin."""
+        from ccd_warp._engine.host.joint_search import JointSearch, Links  # few programs need it
+
+        mesh, t_max = self.mesh, self._options.t_max
+        span = np.zeros(mesh.num_worlds), np.full(mesh.num_worlds, t_max)
+        return JointSearch(mesh, start, end, Links.of(mesh, start, motion), span, t_max, **arguments)
 
     def _on_joints(
         self,
@@ -710,19 +714,39 @@ class CollisionPipeline:
         motion: JointMotion,
         is_searched: NDArray[np.bool_] | None = None,
     ) -> MeshResult:
-        """The first contacts of each world where joints move links."""
-        result: MeshResult | None = None
-        of_pass = replace(self._options, t_max=1.0)
-        search = self._joint_search(vertices_t0, vertices_t1, motion, is_searched)
+        """The first contacts of each world where joints move links, in all worlds or in some."""
+        from ccd_warp._engine.host.joint_search import Solve, result_of  # few programs need them
+        from ccd_warp._engine.host.near_search import NearSearch
+        from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
 
-        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
-            nonlocal result
-            result = self._on_step(begin, end, Step.contacts, paths, of_pass)
+        mesh = self.mesh
+        start, end = self._ends_on_joints(vertices_t0, vertices_t1, motion)
+        length_scale = length_scale_of(mesh, self._options)
+        of_pass = replace(self._options, t_max=1.0, length_scale=length_scale)
+        # radii may be others on the device than those of the mesh
+        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
+        is_plain = is_plain and (start is end or np.array_equal(start, end))
+        world = world_alone(mesh, start) if is_plain else None
+        if world is not None:
+            kinds = possible_kinds(mesh, self._options)
+            near = NearSearch(mesh, world, motion, self._options.t_max, kinds, is_searched)
+
+            def solver(parts: PartMesh) -> Solve:
+                workspace = Workspace(parts.mesh, self._topology.device)
+                workspace.topology.vertex_rank = parts.rank
+                return lambda x, y, paths: Step(workspace, (x, y), of_pass, paths=paths).contacts()
+
+            near.run(solver, 2.0 * self._options.separation(length_scale))
+            result = near.result()
+            self.counts, self.timings = result.counts, result.timings
             return result
 
+        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
+            return self._on_step(begin, end, Step.contacts, paths, of_pass)
+
+        search = self._joint_search(start, end, motion, is_searched=is_searched)
         search.run(solve)
-        assert result is not None
-        return search.result(result)
+        return result_of(mesh, search.world_toi, search.found, self.counts, self.timings)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""

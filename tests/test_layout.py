@@ -112,6 +112,7 @@ LAYERS = [
         "_joint_courses",
         "_joint_motion",
         "_joint_paths",
+        "_joint_sweeps",
         "_joints",
         "_body_paths",
         "_mesh_paths",

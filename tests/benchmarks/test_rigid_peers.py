@@ -1,6 +1,7 @@
 """The part of the benchmark on rigid bodies: its paths are those of a motion, and wrong answers are seen."""
 
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -11,9 +12,17 @@ import ccd_warp as ccd
 pytest.importorskip("ipctk")
 pytest.importorskip("matplotlib")
 
-from ccd_warp.benchmarks import rigid, rigid_peers, rigid_scenes, rigid_sections, rigid_truth, rigid_turns
+from ccd_warp.benchmarks import (
+    rigid,
+    rigid_arm_scene,
+    rigid_peers,
+    rigid_scenes,
+    rigid_sections,
+    rigid_truth,
+    rigid_turns,
+)
 
-SIZES = rigid.Sizes(8, 41, 64, (1e-3, 0.5), 16, 3, 8, 1, 1.0)
+SIZES = rigid.Sizes(8, 41, 64, (1e-3, 0.5), 16, 3, 8, 6, 1, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +106,7 @@ def test_faults_of_others_are_counted():
 
 def test_the_page_tells_what_is_missed_and_who_is_not_installed(monkeypatch):
     monkeypatch.setattr(rigid_peers, "find_spec", lambda module: None)
-    from ccd_warp.benchmarks import rigid_dice, rigid_iterations
+    from ccd_warp.benchmarks import rigid_arm, rigid_dice, rigid_iterations
 
     def steps_of(kind, count, turns):  # the kernel that counts takes seconds to compile
         steps = {"pairs": count, "mean": 2.5, "most": 7}
@@ -105,8 +114,10 @@ def test_the_page_tells_what_is_missed_and_who_is_not_installed(monkeypatch):
 
     monkeypatch.setattr(rigid_iterations, "measure", steps_of)
     monkeypatch.setattr(rigid_dice, "find_spec", lambda module: None)
+    monkeypatch.setattr(rigid_arm, "find_spec", lambda module: None)
+    monkeypatch.setattr(rigid_arm, "arm_edges", partial(rigid_arm.arm_edges, faces=500, obstacles=20))
     records = [call() for call in rigid.calls(SIZES).values()]
-    assert [record["what"] for record in records] == 3 * ["steps"] + 2 * ["turns", "pairs"] + ["dice"]
+    assert [record["what"] for record in records] == 3 * ["steps"] + 2 * ["turns", "pairs"] + ["dice", "edges"]
     for record in records[:3]:
         assert (record["evidence"]["missed"], record["evidence"]["late"]) == (0, 0)
         assert len(record["rows"]) == 3 and record["versions"] == {}
@@ -115,6 +126,7 @@ def test_the_page_tells_what_is_missed_and_who_is_not_installed(monkeypatch):
     assert sum("| **3** |" in line for line in page) == 3
     assert sum("Not installed: python-fcl, coal, drake, py-parry3d" in line for line in page) == 3
     assert sum(line.startswith(("| vertex-face | 0.5 |", "| edge-edge | 0.001 |")) for line in page) == 2
+    assert sum("6 edges" in line or "edges of a motion planner" in line for line in page) == 1
     rigid_sections.draw_turns({"rigid": records})
 
 
@@ -139,3 +151,26 @@ def test_a_peer_finds_what_is_easy_to_find(name, steps, monkeypatch):
     for each, found in answers.items():
         is_right = (found < np.inf) == [True, False]
         assert is_right.all() or "fcl, advancement" in each or "fcl, defaults" in each, each
+
+
+def test_links_of_the_arm_are_where_joints_have_them():
+    edges = rigid_arm_scene.arm_edges(3, faces=200, obstacles=3)
+    poses = edges.motion(slice(None)).at(0.3)
+    matrices = edges.matrices_at(np.arange(3), np.full(3, 0.3))
+    assert np.allclose(matrices[..., :3, 3], poses[..., :3], atol=1e-12)
+    turns = [[rigid_scenes.matrix_of(pose[3:]) for pose in world] for world in poses]
+    assert np.allclose(matrices[..., :3, :3], turns, atol=1e-12)
+    assert np.allclose(np.linalg.norm(edges.q1 - edges.q0, axis=1), rigid_arm_scene.EDGE)
+
+
+@pytest.mark.skipif(find_spec("fcl") is None, reason="python-fcl is not installed")
+def test_a_sampler_of_configurations_finds_what_it_looks_at():
+    from ccd_warp.benchmarks import rigid_arm
+
+    edges = rigid_arm_scene.arm_edges(30, faces=200)
+    mesh = edges.mesh.replicate(30)
+    touches = rigid_arm.touching_at(edges, np.arange(30), np.full(30, 1.0), mesh)
+    sampler = rigid_arm.Sampler(edges)
+    ends = edges.matrices_at(np.arange(30), np.ones(30))
+    assert touches.any() and not touches.all()
+    assert [sampler.first(ends[k : k + 1]) == 0 for k in range(30)] == touches.tolist()

@@ -57,6 +57,8 @@ READ = {
     "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",
     "benchmarks/gpu_check/calls.py": "body_fraction bounds primitives",
+    "benchmarks/rigid_arm.py": "bodies",
+    "benchmarks/rigid_arm_scene.py": "bodies",
     "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/choosing.md": "distance touching",

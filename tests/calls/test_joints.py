@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import ccd_warp as ccd
+from ccd_warp._engine.host import near_search, part_mesh
 
 NO_FACES = np.zeros((0, 3), dtype=int)
 BLADE = np.array([[0.0, 0, -0.1], [1, 0, -0.1], [1, 0, 0.1]])
@@ -222,3 +224,113 @@ def test_line_searches_that_joints_do_not_have_are_refused():
     moving = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], kinematic=[2], codimensional_points=True)
     with pytest.raises(ValueError, match="body 2 is kinematic; expected no such body"):
         ccd.line_search(moving, moving.vertices, moving.vertices, motion=motion, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    """An arm whose links are divided blocks, among a divided ball, a cable and a point, and 12 edges of it."""
+    block = trimesh.creation.box([1, 0.1, 0.1]).subdivide().subdivide().apply_translation([0.5, 0, 0])
+    ball = trimesh.creation.icosphere(2, 0.2)
+    bodies = [
+        (block.vertices, block.faces),
+        (block.vertices, block.faces),
+        (ball.vertices + [1.2, 1.0, 0.05], ball.faces),
+        (np.array([[-0.8, 0.9, -0.5], [-0.8, 0.9, 0.5]]), NO_FACES, [[0, 1]]),
+        (np.array([[0.2, -1.4, 0.01]]), NO_FACES),
+    ]
+    may = np.ones((5, 5), dtype=bool)
+    may[0, 1] = may[1, 0] = False
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies, rigid=[0, 1], static=[2, 3, 4], codimensional_points=True, body_pairs=may
+    )
+    rng = np.random.default_rng(1)
+    q0 = rng.uniform(-3, 3, (12, 2))
+    return mesh, (q0, q0 + rng.uniform(-2, 2, (12, 2)))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"minimum_distance": 0.05}, {"t_max": 0.7}], ids=["plain", "distance", "t_max"]
+)
+def test_parts_alone_touch_as_whole_bodies_do(blocks, options, monkeypatch):
+    one, ends = blocks
+    mesh, motion = one.replicate(12), ccd.JointMotion(ARM, *ends, links=LINKS)
+    if not options:  # in several meshes of parts
+        for name, few in (("_MOST_ROWS", 1000), ("_MOST_SLICES", 4), ("_FEW_SLICES", 1)):
+            monkeypatch.setattr(near_search, name, few)
+    results = []
+    for world_alone in (part_mesh.world_alone, lambda *_: None):
+        monkeypatch.setattr(part_mesh, "world_alone", world_alone)
+        results.append(ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu", **options))
+    of_parts, of_bodies = results
+    touches = np.isfinite(of_bodies.world_toi)
+    assert 3 < touches.sum() < 12 and "near parts" in of_parts.timings and "near parts" not in of_bodies.timings
+    assert (np.isfinite(of_parts.world_toi) == touches).all()
+    np.testing.assert_allclose(of_parts.world_toi[touches], of_bodies.world_toi[touches], atol=1e-12)
+    np.testing.assert_array_equal(of_parts.body_toi < np.inf, of_bodies.body_toi < np.inf)
+    # of each world the first contact; others differ with the last window
+    for world in np.flatnonzero(touches).tolist():
+        first = [r.contacts[int(r.world_contact[world])] for r in results]
+        assert first[0].world == first[1].world == world
+        assert (first[0].bodies % 5 == first[1].bodies % 5).all() and (first[0].bodies // 5 == world).all()
+        np.testing.assert_allclose(first[0].point, first[1].point, atol=1e-6)
+        np.testing.assert_allclose(first[0].relative_velocity, first[1].relative_velocity, atol=1e-3)
+    assert len({*of_parts.contacts.kind.tolist()}) > 1
+
+
+def test_relative_velocity_of_contacts_is_that_in_the_whole_step(blocks):
+    one, ends = blocks
+    mesh, motion = one.replicate(12), ccd.JointMotion(ARM, *ends, links=LINKS)
+    contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu").contacts
+    assert len(contacts)
+    for contact in contacts[:20]:
+        link, sign = (0, 1.0) if mesh.rigid[contact.bodies[0]] else (1, -1.0)
+        row = int(contact.bodies[link]) % 5
+        poses = [motion.at(min(max(contact.toi + d, 0), 1))[contact.world, row] for d in (-1e-6, 1e-6)]
+        turns = [trimesh.transformations.quaternion_matrix(p[[6, 3, 4, 5]])[:3, :3] for p in poses]
+        local = turns[0].T @ (contact.point - poses[0][:3])
+        velocity = sum(k * (turn @ local + p[:3]) for k, turn, p in zip((-1, 1), turns, poses, strict=True)) / 2e-6
+        np.testing.assert_allclose(contact.relative_velocity, sign * velocity, atol=1e-3)
+
+
+def test_a_link_that_stands_is_where_its_joint_has_it(truth):
+    """The obstacle is a link on a fixed joint, whose vertex is the origin of its own frame."""
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(BLADE, [[0, 1, 2]]), (BLADE, [[0, 1, 2]]), (np.zeros((1, 3)), NO_FACES)],
+        rigid=[0, 1, 2],
+        static=[2],
+        codimensional_points=True,
+        body_pairs=NEIGHBOURS_APART,
+    ).replicate(24)
+    joints = [*ARM, ccd.Joint("mount", "base", "post", "fixed", origin=[*OBSTACLE, 0, 0, 0, 1])]
+    motion = ccd.JointMotion(joints, *edges(24), links=[*LINKS, "post"])
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices.copy(), motion=motion, device="cpu")
+    assert "near parts" in result.timings
+    assert (np.isfinite(result.world_toi) == np.isfinite(truth)).all()
+    touches = np.isfinite(truth)
+    np.testing.assert_allclose(result.world_toi[touches], truth[touches], atol=1e-11)
+
+
+def test_worlds_that_differ_are_searched_as_a_whole():
+    """Links of other sizes in the second world, and an obstacle elsewhere."""
+    far = ccd.CollisionMesh.from_arrays(
+        [(BLADE, [[0, 1, 2]]), (BLADE, [[0, 1, 2]]), (OBSTACLE[None], NO_FACES)]
+        + [(BLADE, [[0, 1, 2]]), (2 * BLADE, [[0, 1, 2]]), (OBSTACLE[None] * [1.5, 1.5, 1], NO_FACES)],
+        rigid=[0, 1, 3, 4],
+        static=[2, 5],
+        codimensional_points=True,
+        body_pairs=np.kron(np.eye(2, dtype=bool), np.ones((3, 3), dtype=bool))
+        & ~np.kron(np.eye(2, dtype=bool), np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]], dtype=bool)),
+        vertex_world=np.repeat([0, 1], 7),
+    )
+    motion = ccd.JointMotion(ARM, [[-0.2, 0.0]] * 2, [[1.4, 0.5]] * 2, links=LINKS)
+    tois = ccd.mesh_ccd(far, far.vertices, far.vertices, motion=motion, device="cpu").world_toi
+    assert tois[0] < 1 and tois[1] < 1 and tois[0] != tois[1]
+
+
+def test_rigid_bodies_that_are_not_in_the_order_of_worlds_are_refused():
+    mesh = ccd.CollisionMesh.from_arrays(
+        4 * [(BLADE, [[0, 1, 2]])], rigid=range(4), vertex_world=np.repeat([0, 1, 0, 1], 3)
+    )
+    motion = ccd.JointMotion(ARM, *edges(2), links=LINKS)
+    with pytest.raises(ValueError, match="rigid bodies are in the order of their worlds"):
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu")

@@ -36,6 +36,7 @@ def test_no_example_is_left_out():
         "mpi_cloth.py",
         "newton_cloth.py",
         "nut_on_bolt.py",
+        "robot_path.py",
         "rotor.py",
         "two_layers.py",
     }

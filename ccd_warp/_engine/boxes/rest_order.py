@@ -27,9 +27,21 @@ def rest_order(topology: Topology, primitives: PrimitiveSet, execution: Executio
     small, which every step checks.
     """
     if primitives.name not in topology.orders:
-        order = order_at(topology, topology.mesh._vertices_in_space, primitives, execution)
+        if topology.vertex_rank is None:
+            order = order_at(topology, topology.mesh._vertices_in_space, primitives, execution)
+        else:
+            order = _order_by_rank(topology.vertex_rank, primitives, execution)
         topology.orders.setdefault(primitives.name, order)
     return topology.orders[primitives.name]
+
+
+def _order_by_rank(
+    rank: NDArray[np.integer], primitives: PrimitiveSet, execution: Execution
+) -> tuple[wp.array, wp.array]:
+    """The order of a set by the least rank of the vertices of each primitive."""
+    corners = primitives.corners.numpy()[:, : primitives.num_corners]
+    order = np.argsort(rank[corners].min(axis=1), kind="stable")
+    return _applied(wp.array(order, dtype=wp.int64, device=execution.device), -1, primitives, execution)
 
 
 def order_at(
@@ -59,8 +71,13 @@ def order_at(
         outputs=[vertex_aabbs],
     )
     order, mask = _halved_order(primitives, topology.vertex_body, vertex_aabbs, execution)
-    primitive = wp.empty(primitives.count, dtype=wp.int32, device=device)
-    block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=device)
+    return _applied(order, mask, primitives, execution)
+
+
+def _applied(order: wp.array, mask: int, primitives: PrimitiveSet, execution: Execution) -> tuple[wp.array, wp.array]:
+    """The primitives in an order, and the vertices of their blocks, in new arrays."""
+    primitive = wp.empty(primitives.count, dtype=wp.int32, device=execution.device)
+    block_corners = wp.empty(primitives.num_blocks * BLOCK_CORNERS, dtype=wp.int32, device=execution.device)
     apply_order(order, mask, primitives, [primitive, block_corners], execution)
     return primitive, block_corners
 

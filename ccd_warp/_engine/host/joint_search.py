@@ -7,20 +7,21 @@ touches where a window ends in contacts whose excess is of the size of rounding.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import joined
+from ccd_warp._body_paths import BodyPaths
+from ccd_warp._contact_place import ContactPlace, joined, located
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, moved
 from ccd_warp._pairs import pair_bodies, pair_vertices
-from ccd_warp._results import MeshResult
-from ccd_warp._status import CCDStatus
+from ccd_warp._results import Counts, MeshResult
+from ccd_warp._status import CCDStatus, PairKind
 
 if TYPE_CHECKING:
     from ccd_warp._joint_motion import JointMotion
@@ -29,12 +30,57 @@ if TYPE_CHECKING:
 _SHARP = 2.0**-46
 _SHORTEST = 2.0**-44
 _DOWN = 1.0 - 2.0**-50
+_NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, width
+    *(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))),
+    *(np.zeros(0, np.int32), np.zeros(0), np.zeros(0)),
+)
 _GROWTH, _LEAST = 4.0, 2.0**-10
 # Passes beyond those that the slices of a step need, after which open worlds have the toi that is proved.
 _MOST_PASSES = 1000
 
+Array = NDArray[np.float64]
 # Contacts along paths, of bodies whose vertices are at these positions at both ends of a pass.
 Solve = Callable[[NDArray[np.float64], NDArray[np.float64], MeshPaths], MeshResult]
+
+
+class Links:
+    """Links of worlds, and the spheres of their points.
+
+    Attributes:
+        motion: The motion, of as many worlds as there are.
+        centre: Centres in the frames of the links, shape [L, 3].
+        reach: How far points of each are from there at most, shape [L].
+        is_used: Which are bodies of the mesh, bool, shape [W, L].
+    """
+
+    def __init__(self, motion: "JointMotion", centre: Array, reach: Array, is_used: NDArray[np.bool_]) -> None:
+        self.motion, self.centre, self.reach, self.is_used = motion, centre, reach, is_used
+
+    @classmethod
+    def of(cls, mesh: CollisionMesh, vertices: Array, motion: "JointMotion") -> Self:
+        """Of a mesh, all of whose rigid bodies are links, with spheres that hold those of all worlds."""
+        num_worlds, count = motion.num_worlds, motion.num_links
+        links = np.flatnonzero(mesh.rigid).reshape(num_worlds, count)
+        centre, reach = np.zeros((count, 3)), np.zeros(count)
+        for k in range(count):
+            bodies = [vertices[slice(*mesh.body_vertex_range[link : link + 2])] for link in links[:, k].tolist()]
+            own = np.concatenate(bodies)
+            if len(own):
+                centre[k] = 0.5 * own.min(axis=0) + 0.5 * own.max(axis=0)
+                reach[k] = np.linalg.norm(own - centre[k], axis=1).max() * (1.0 + 2.0**-50)
+        return cls(motion, centre, reach, np.ones((num_worlds, count), dtype=bool))
+
+    def of_worlds(self, worlds: NDArray[np.intp], is_used: NDArray[np.bool_]) -> "Links":
+        """Those of some worlds, of which some are used."""
+        return Links(self.motion._of_worlds(worlds), self.centre, self.reach, is_used)
+
+    def paths(self, begin: Array, end: Array) -> tuple[BodyPaths, Array]:
+        """The paths of links that are used in a window of each world, and how far their points may be from there."""
+        given, excess = self.motion._slices(begin, end, self.reach, self.centre)
+        used = self.is_used.ravel()
+        if used.all():
+            return given, excess
+        return BodyPaths(*(getattr(given, f.name)[used] for f in fields(BodyPaths))), excess[used]
 
 
 class JointSearch:
@@ -42,57 +88,88 @@ class JointSearch:
 
     Attributes:
         world_toi: Toi of each world, inf where it is free, shape [W].
+        is_open: Worlds whose toi is not known yet, shape [W].
+        found: Contacts at the tois, with their points.
         num_passes: Number of passes.
     """
 
     def __init__(
         self,
         mesh: CollisionMesh,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
-        motion: "JointMotion",
+        start: Array,
+        end: Array,
+        links: Links,
+        span: tuple[Array, Array],
         t_max: float,
         is_searched: NDArray[np.bool_] | None = None,
+        num_slices: Array | None = None,
+        scale: float | None = None,
     ) -> None:
         """Begin a search; ``start`` and ``end`` are the positions of all vertices, of links in their own frames.
 
-        Of worlds that are not searched, as ``is_searched`` says, nothing is known.
+        Args:
+            mesh: The mesh.
+            start: Positions at t = 0.
+            end: Positions at t = 1.
+            links: The links.
+            span: Begin and end of what is searched, times of each world.
+            t_max: The latest time.
+            is_searched: Worlds that are searched, by default all; of the others nothing is known.
+            num_slices: Windows of each span at first; by default slices that are short enough.
+            scale: The size of the scene; by default that of the mesh.
+
+        Raises:
+            ValueError: If the rigid bodies of the mesh are not in the order of worlds.
         """
-        self._mesh, self._given, self._motion, self._t_max = mesh, (start, end), motion, t_max
-        links = np.flatnonzero(mesh.rigid)
+        self._mesh, self._given, self._links, self._t_max = mesh, (start, end), links, t_max
+        self._sharp = _SHARP * (mesh.length_scale if scale is None else scale)
         self._world_of_body = np.zeros(mesh.num_bodies, dtype=np.intp)
         filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
         self._world_of_body[filled] = mesh.vertex_world[mesh.body_vertex_range[filled]]
-        self._centre, self._reach = _spheres(mesh, start, links[: motion.num_links])
         num_worlds = mesh.num_worlds
+        self._world_of_link = np.repeat(np.arange(num_worlds), links.is_used.sum(axis=1))
+        of_filled = np.isin(np.flatnonzero(mesh.rigid), filled)
+        if (self._world_of_body[mesh.rigid] != self._world_of_link)[of_filled].any():
+            raise ValueError(
+                "motion has a row for each link of a world after those of the world before it; expected a "
+                "mesh whose rigid bodies are in the order of their worlds"
+            )
         self.world_toi = np.full(num_worlds, np.inf)
         self.num_passes = 0
-        turns = motion._turns(0.0, t_max).reshape(num_worlds, -1).max(axis=1, initial=0.0)
-        self._slices = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE))
-        self._begin = np.zeros(num_worlds)
-        self._length = t_max / self._slices
+        self._begin, self._end = (x.copy() for x in span)
+        self._slices = slices_of_worlds(links.motion, *span) if num_slices is None else num_slices
+        self._longest = (self._end - self._begin) / self._slices
+        self._length = self._longest.copy()
         self._last = np.zeros(num_worlds)  # of the last window that ended in a contact
-        self._is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
-        self._found: list[Contacts] = []
+        self.is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
+        self.found: list[Contacts] = []
 
-    def windows(self) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], MeshPaths]]:
+    def windows(self) -> Iterator[tuple[Array, Array, MeshPaths]]:
         """Windows of the step, the same for all worlds: positions at both ends, and paths; they are those of a pass."""
         for part in Slice.all(int(self._slices.max()), self._t_max):
             begin, end = (np.full(self._mesh.num_worlds, t) for t in (part.t_begin, part.t_end))
-            given, excess = self._motion._slices(begin, end, self._reach, self._centre)
+            given, excess = self._links.paths(begin, end)
             yield self._positions(begin), self._positions(end), MeshPaths.of(self._mesh, given, excess)
 
-    def run(self, solve: Solve) -> None:
-        """Make passes until all worlds are settled."""
-        most = int(self._slices.max()) + _MOST_PASSES
-        while self._is_open.any():
-            self._pass(solve, is_last=self.num_passes + 1 >= most)
+    def go_on(self, search: "JointSearch", worlds: NDArray[np.intp]) -> None:
+        """Let the worlds be at the windows that some worlds of another search are at."""
+        for name in ("_begin", "_end", "_longest", "_length", "_last"):
+            setattr(self, name, getattr(search, name)[worlds].copy())
+        self.num_passes = search.num_passes
 
-    def _pass(self, solve: Solve, *, is_last: bool) -> None:
-        mesh, is_open, begin = self._mesh, self._is_open, self._begin
-        end = np.minimum(begin + self._length, self._t_max)
+    def run(self, solve: Solve, *, leave: int = 0) -> None:
+        """Make passes until all worlds are settled, or no more than some are left."""
+        most = int(self._slices.max(initial=0.0)) + _MOST_PASSES
+        while self.is_open.sum() > leave:
+            self.make_pass(solve, is_last=self.num_passes + 1 >= most)
+
+    def make_pass(self, solve: Solve, *, is_last: bool = False) -> MeshResult:
+        """Search a window of each open world; the result is that of the pass, with times of the windows."""
+        mesh, is_open, begin = self._mesh, self.is_open, self._begin
+        end = begin + self._length
+        end = np.where(begin + (1.0 + 2.0**-20) * self._length >= self._end, self._end, end)  # and no crumb is left
         end = np.where(is_open, end, begin)
-        given, excess = self._motion._slices(begin, end, self._reach, self._centre)
+        given, excess = self._links.paths(begin, end)
         paths = replace(MeshPaths.of(mesh, given, excess), active=is_open[self._world_of_body])
         result = solve(self._positions(begin), self._positions(end), paths)
         self.num_passes += 1
@@ -100,20 +177,21 @@ class JointSearch:
         is_free = np.isinf(local)
         length = end - begin
         reached = np.where(is_free, end, np.clip((begin + np.where(is_free, 0.0, local) * length) * _DOWN, begin, end))
-        most = excess.reshape(mesh.num_worlds, -1).max(axis=1, initial=0.0)
-        is_sharp = (most <= _SHARP * mesh.length_scale) | (length <= _SHORTEST) | is_last
+        most = np.zeros(mesh.num_worlds)
+        np.maximum.at(most, self._world_of_link, excess)
+        is_sharp = (most <= self._sharp) | (length <= _SHORTEST) | is_last
         touches = is_open & ~is_free & is_sharp
         self.world_toi[touches] = reached[touches]
         self._keep(result.contacts, touches, begin, length)
-        self._is_open = is_open & ~touches & ~(is_free & (end >= self._t_max))
+        self.is_open = is_open & ~touches & ~(is_free & (end >= self._end))
         gain, last = reached - begin, np.maximum(self._last, length)
         ratio = np.divide(length, last, out=np.ones_like(length), where=last > 0.0)
         ahead = np.maximum(_GROWTH * gain * ratio**2, _LEAST * length)
         shorter = np.where(self._last > 0.0, np.minimum(length / 8.0, ahead), length / 8.0)
-        longest = self._t_max / self._slices
-        self._length = np.where(is_free, np.minimum(_GROWTH * length, longest), shorter)
+        self._length = np.where(is_free, np.minimum(_GROWTH * length, self._longest), shorter)
         self._last = np.where(is_free, self._last, length)
         self._begin = reached
+        return result
 
     def _positions(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """The positions at a time of each world; links stay in their own frames."""
@@ -129,35 +207,55 @@ class JointSearch:
         world = self._mesh.vertex_world[pair_vertices(self._mesh, contacts)[:, 0]]
         chosen = np.flatnonzero(touches[world])
         kept, of = contacts[chosen], world[chosen]
-        _ = kept.points if kept._place is not None else None  # at the paths of this pass
+        # at the paths of this pass, whose times are those of a window
+        place = ContactPlace(
+            self._mesh, points=kept.points, relative_velocity=kept.relative_velocity / length[of][:, None]
+        )
         toi = np.clip((begin[of] + kept.toi * length[of]) * _DOWN, begin[of], self._t_max)
         status = np.where((kept.status == int(CCDStatus.INITIAL_CONTACT)) & (toi > 0.0), 1, kept.status)
         arrays = {**vars(kept), "toi": toi, "status": status.astype(np.int32)}
-        self._found.append(Contacts(**arrays)._of(kept._place))
+        self.found.append(Contacts(**arrays)._of(place))
 
-    def result(self, last: MeshResult) -> MeshResult:
-        """The result of all passes; sizes and times are those of the last."""
-        mesh = self._mesh
-        contacts = joined(self._found) if self._found else last.contacts[:0]
-        order = np.lexsort((*contacts.primitives.T[::-1], contacts.kind))
-        contacts = contacts[order]
-        of_vertices, of_bodies = pair_vertices(mesh, contacts), pair_bodies(mesh, contacts)
-        of_worlds = mesh.vertex_world[of_vertices[:, :1]]
-        vertex = firsts(contacts.toi, of_vertices, mesh.num_vertices)
-        body = firsts(contacts.toi, of_bodies, mesh.num_bodies)
-        world = firsts(contacts.toi, of_worlds, mesh.num_worlds)
-        return replace(
-            last,
-            toi=float(self.world_toi.min()),
-            vertex_toi=vertex[0],
-            body_toi=body[0],
-            contacts=contacts,
-            vertex_contact=vertex[1],
-            body_contact=body[1],
-            world_toi=self.world_toi,
-            world_contact=world[1],
-            hidden_gaps="",
-        )
+
+def slices_of_worlds(motion: "JointMotion", begin: Any, end: Any) -> Array:
+    """How many slices a span of each world has, in none of which a link turns by more than `TURN_OF_A_SLICE`."""
+    turns = motion._turns(begin, end).reshape(motion.num_worlds, -1).max(axis=1, initial=0.0)
+    return np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE))
+
+
+def result_of(
+    mesh: CollisionMesh, world_toi: Array, found: list[Contacts], counts: Counts, timings: dict[str, float]
+) -> MeshResult:
+    """The result of worlds with these tois and contacts."""
+    found = [each for each in found if len(each)]
+    contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
+    order = np.lexsort((*contacts.primitives.T[::-1], contacts.kind))
+    contacts = contacts[order]
+    of_vertices, of_bodies = pair_vertices(mesh, contacts), pair_bodies(mesh, contacts)
+    of_worlds = mesh.vertex_world[of_vertices[:, :1]]
+    vertex = firsts(contacts.toi, of_vertices, mesh.num_vertices)
+    body = firsts(contacts.toi, of_bodies, mesh.num_bodies)
+    world = firsts(contacts.toi, of_worlds, mesh.num_worlds)
+    of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+    of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
+    counts = replace(
+        counts,
+        num_contacts={kind: of_kind[int(kind)] for kind in counts.num_contacts},
+        num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
+        num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
+    )
+    return MeshResult(
+        float(world_toi.min()),
+        vertex[0],
+        body[0],
+        contacts,
+        counts,
+        timings,
+        vertex[1],
+        body[1],
+        world_toi,
+        world[1],
+    )
 
 
 def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -169,16 +267,3 @@ def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[
         has_it = np.flatnonzero(toi == least[column])
         np.minimum.at(first, column[has_it], has_it.astype(np.int32))
     return least, np.where(first == len(toi), np.int32(-1), first)
-
-
-def _spheres(
-    mesh: CollisionMesh, vertices: NDArray[np.float64], links: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre and radius of a sphere around each link, in its own frame; worlds have the same links."""
-    centre, reach = np.zeros((len(links), 3)), np.zeros(len(links))
-    for k, link in enumerate(links.tolist()):
-        own = vertices[slice(*mesh.body_vertex_range[link : link + 2])]
-        if len(own):
-            centre[k] = 0.5 * own.min(axis=0) + 0.5 * own.max(axis=0)
-            reach[k] = np.linalg.norm(own - centre[k], axis=1).max() * (1.0 + 2.0**-50)
-    return centre, reach

@@ -122,6 +122,7 @@ class Topology:
         self.planes: Any = None  # as the struct of the kernels, once `planes.planes_of` has made it
         self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
         self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
+        self.vertex_rank: NDArray[np.integer] | None = None  # by which primitives are in order from the beginning
 
     @staticmethod
     def of(mesh: "CollisionMesh", device: Any) -> "Topology":
