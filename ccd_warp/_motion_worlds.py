@@ -12,11 +12,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import ContactPlace, joined
+from ccd_warp._contact_place import ContactPlace
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.joint_search import firsts
+from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._joint_motion import JointMotion
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, check_rest, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Counts, MeshResult
@@ -32,7 +31,6 @@ class MotionWorlds:
 
     Attributes:
         num_worlds: Number of worlds.
-        copies: The mesh of a batch.
     """
 
     def __init__(
@@ -58,37 +56,40 @@ class MotionWorlds:
         check_rest(mesh, bodies, given)
         MeshPaths.of(mesh, given.rows(np.arange(len(bodies)))).check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
-        self._turn = given.largest_turn
-        count = self._num_copies = min(self.num_worlds, max(1, _PRIMITIVES // num_primitives))
-        self.copies = mesh._copies(count)
-        self._start = np.tile(start, (count, 1))
-        self._end = self._start if start is end else np.tile(end, (count, 1))
-        # bodies that all copies share, half-spaces, come last
-        num_own = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
-        self._copy_of_body = np.arange(self.copies.num_bodies) // num_own
-        self._copy_of_body[count * num_own :] = 0
+        self._num_copies = min(self.num_worlds, max(1, _PRIMITIVES // num_primitives))
+        self._given, self._turn = (start, end), given.largest_turn
 
     def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
         It gets a pipeline of the copies, positions, motion, and which of the copies it is to search.
         """
-        count = self._num_copies
+        count, mesh = self._num_copies, self._mesh
+        copies = mesh._copies(count)
+        start = np.tile(self._given[0], (count, 1))
+        end = start if self._given[1] is self._given[0] else np.tile(self._given[1], (count, 1))
+        # bodies that all copies share, half-spaces, come last
+        num_own = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
+        copy_of_body = np.arange(copies.num_bodies) // num_own
+        copy_of_body[count * num_own :] = 0
         for first in range(0, self.num_worlds, count):
             worlds = np.arange(first, min(first + count, self.num_worlds))
             is_searched = np.arange(count) < len(worlds)
             of_batch = self._motion._of_worlds(np.append(worlds, np.repeat(worlds[-1:], count - len(worlds))))
             if not isinstance(of_batch, JointMotion):
-                paths = MeshPaths.of(self.copies, of_batch)
+                paths = MeshPaths.of(copies, of_batch)
                 # as many slices for all worlds, so that batches change no bit
-                of_batch = replace(paths, active=is_searched[self._copy_of_body], turn=self._turn)
-            with type(self._pipeline).borrowed(self.copies, self._pipeline._options) as pipeline:
+                of_batch = replace(paths, active=is_searched[copy_of_body], turn=self._turn)
+            with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
-                found = call(pipeline, self._start, self._end, of_batch, is_searched)
+                found = call(pipeline, start, end, of_batch, is_searched)
             yield worlds, found
 
     def least_toi(self, call: Callable[..., float], is_enough: Callable[[float], Any]) -> float:
         """The least toi that a call finds in any world, at most up to one that is enough."""
+        near = self._near_search()
+        if near is not None:
+            return float(near.world_toi.min())
         least = np.inf
         for _, toi in self._each(call):
             least = min(least, toi)
@@ -98,31 +99,24 @@ class MotionWorlds:
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
+        near = self._near_search()
+        if near is not None:
+            return near.result()
         found = list(self._each(type(self._pipeline)._contacts))
-        mesh, num_worlds = self._mesh, self.num_worlds
-        contacts = joined([self._in_one_world(result.contacts, worlds) for worlds, result in found])
-        none = np.zeros((len(contacts), 1), dtype=np.int32)
-        arrays: dict[str, Any] = {}
-        for name, size, owners in (
-            ("vertex", mesh.num_vertices, contacts.vertices),
-            ("body", mesh.num_bodies, contacts.bodies),
-            ("world", 1, none),
-        ):
-            rows = contacts.world[:, None].astype(np.int64) * size + owners
-            shape = (num_worlds,) if name == "world" else (num_worlds, size)
-            least, first = firsts(contacts.toi, rows, num_worlds * size)
-            arrays |= {f"{name}_toi": least.reshape(shape), f"{name}_contact": first.reshape(shape)}
         timings: Counter[str] = Counter()
         for _, result in found:
             timings.update(result.timings)
-        return MeshResult(
-            toi=min(result.toi for _, result in found),
-            contacts=contacts,
-            counts=_total([result.counts for _, result in found], mesh, num_worlds),
-            timings=dict(timings),
-            hidden_gaps=next((result.hidden_gaps for _, result in found if result.hidden_gaps), ""),
-            **arrays,
-        )
+        counts = _total([result.counts for _, result in found], sizes_of(self._mesh, self.num_worlds))
+        contacts = [self._in_one_world(result.contacts, worlds) for worlds, result in found]
+        world_toi = np.concatenate([result.world_toi[: len(worlds)] for worlds, result in found])
+        hidden = next((result.hidden_gaps for _, result in found if result.hidden_gaps), "")
+        return replace(result_of(self._mesh, world_toi, contacts, counts, dict(timings)), hidden_gaps=hidden)
+
+    def _near_search(self) -> Any:
+        """A search that needs no copies, where links alone move, at its end; None where there has to be a mesh."""
+        if not isinstance(self._motion, JointMotion):
+            return None
+        return self._pipeline._near_search(*self._given, self._motion)
 
     def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp]) -> Contacts:
         """The contacts of a batch as those of the mesh of one world, world after world."""
@@ -142,7 +136,7 @@ class MotionWorlds:
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)
 
 
-def _total(parts: list[Counts], mesh: CollisionMesh, num_worlds: int) -> Counts:
+def _total(parts: list[Counts], sizes: dict[str, int]) -> Counts:
     """What all batches did; sizes are those of all worlds."""
     total: dict[str, Any] = {}
     for each in fields(Counts):
@@ -151,8 +145,4 @@ def _total(parts: list[Counts], mesh: CollisionMesh, num_worlds: int) -> Counts:
             total[each.name] = {key: sum(value[key] for value in values) for key in values[0]}
         else:
             total[each.name] = sum(values)
-    sizes = {name: getattr(mesh, name) for name in ("num_bodies", "num_vertices", "num_edges", "num_faces")}
-    sizes["num_codimensional_edges"] = len(mesh.codimensional_edges)
-    sizes["num_codimensional_points"] = len(mesh.codimensional_points)
-    total |= {name: num_worlds * size for name, size in sizes.items()}
-    return Counts(**total)
+    return Counts(**(total | sizes))

@@ -51,6 +51,7 @@ from ccd_warp._runtime.progress import Progress
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
     from ccd_warp._engine.host.joint_search import JointSearch
+    from ccd_warp._engine.host.near_search import NearSearch
     from ccd_warp._motion_worlds import MotionWorlds
 
 DEFAULT_NUM_ROUNDS = 8
@@ -715,38 +716,49 @@ class CollisionPipeline:
         is_searched: NDArray[np.bool_] | None = None,
     ) -> MeshResult:
         """The first contacts of each world where joints move links, in all worlds or in some."""
-        from ccd_warp._engine.host.joint_search import Solve, result_of  # few programs need them
-        from ccd_warp._engine.host.near_search import NearSearch
-        from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
+        from ccd_warp._engine.host.world_results import result_of  # few programs need it
 
-        mesh = self.mesh
         start, end = self._ends_on_joints(vertices_t0, vertices_t1, motion)
-        length_scale = length_scale_of(mesh, self._options)
-        of_pass = replace(self._options, t_max=1.0, length_scale=length_scale)
-        # radii may be others on the device than those of the mesh
-        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
-        is_plain = is_plain and (start is end or np.array_equal(start, end))
-        world = world_alone(mesh, start) if is_plain else None
-        if world is not None:
-            kinds = possible_kinds(mesh, self._options)
-            near = NearSearch(mesh, world, motion, self._options.t_max, kinds, is_searched)
-
-            def solver(parts: PartMesh) -> Solve:
-                workspace = Workspace(parts.mesh, self._topology.device)
-                workspace.topology.vertex_rank = parts.rank
-                return lambda x, y, paths: Step(workspace, (x, y), of_pass, paths=paths).contacts()
-
-            near.run(solver, 2.0 * self._options.separation(length_scale))
+        near = self._near_search(start, end, motion) if is_searched is None else None
+        if near is not None:
             result = near.result()
             self.counts, self.timings = result.counts, result.timings
             return result
+        of_pass = replace(self._options, t_max=1.0, length_scale=length_scale_of(self.mesh, self._options))
 
         def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
             return self._on_step(begin, end, Step.contacts, paths, of_pass)
 
         search = self._joint_search(start, end, motion, is_searched=is_searched)
         search.run(solve)
-        return result_of(mesh, search.world_toi, search.found, self.counts, self.timings)
+        return result_of(self.mesh, search.world_toi, search.found, self.counts, self.timings)
+
+    def _near_search(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], motion: JointMotion
+    ) -> NearSearch | None:
+        """A search of the parts of links that may touch, at its end; None where whole bodies have to be searched."""
+        from ccd_warp._engine.host.joint_search import Solve  # few programs need them
+        from ccd_warp._engine.host.near_search import NearSearch
+        from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
+
+        mesh, options = self.mesh, self._options
+        # radii may be others on the device than those of the mesh
+        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
+        is_plain = is_plain and (start is end or np.array_equal(start, end))
+        world = world_alone(mesh, start) if is_plain else None
+        if world is None:
+            return None
+        length_scale = length_scale_of(mesh, options)
+        of_pass = replace(options, t_max=1.0, length_scale=length_scale)
+
+        def solver(parts: PartMesh) -> Solve:
+            workspace = Workspace(parts.mesh, self._topology.device)
+            workspace.topology.vertex_rank = parts.rank
+            return lambda x, y, paths: Step(workspace, (x, y), of_pass, paths=paths).contacts()
+
+        near = NearSearch(mesh, world, motion, options.t_max, possible_kinds(mesh, options))
+        near.run(solver, 2.0 * options.separation(length_scale))
+        return near
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""

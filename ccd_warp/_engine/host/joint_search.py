@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._body_paths import BodyPaths
-from ccd_warp._contact_place import ContactPlace, joined, located
+from ccd_warp._contact_place import ContactPlace
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, moved
-from ccd_warp._pairs import pair_bodies, pair_vertices
-from ccd_warp._results import Counts, MeshResult
-from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._pairs import pair_vertices
+from ccd_warp._results import MeshResult
+from ccd_warp._status import CCDStatus
 
 if TYPE_CHECKING:
     from ccd_warp._joint_motion import JointMotion
@@ -221,49 +221,3 @@ def slices_of_worlds(motion: "JointMotion", begin: Any, end: Any) -> Array:
     """How many slices a span of each world has, in none of which a link turns by more than `TURN_OF_A_SLICE`."""
     turns = motion._turns(begin, end).reshape(motion.num_worlds, -1).max(axis=1, initial=0.0)
     return np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE))
-
-
-def result_of(
-    mesh: CollisionMesh, world_toi: Array, found: list[Contacts], counts: Counts, timings: dict[str, float]
-) -> MeshResult:
-    """The result of worlds with these tois and contacts."""
-    found = [each for each in found if len(each)]
-    contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
-    order = np.lexsort((*contacts.primitives.T[::-1], contacts.kind))
-    contacts = contacts[order]
-    of_vertices, of_bodies = pair_vertices(mesh, contacts), pair_bodies(mesh, contacts)
-    of_worlds = mesh.vertex_world[of_vertices[:, :1]]
-    vertex = firsts(contacts.toi, of_vertices, mesh.num_vertices)
-    body = firsts(contacts.toi, of_bodies, mesh.num_bodies)
-    world = firsts(contacts.toi, of_worlds, mesh.num_worlds)
-    of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
-    of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
-    counts = replace(
-        counts,
-        num_contacts={kind: of_kind[int(kind)] for kind in counts.num_contacts},
-        num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
-        num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
-    )
-    return MeshResult(
-        float(world_toi.min()),
-        vertex[0],
-        body[0],
-        contacts,
-        counts,
-        timings,
-        vertex[1],
-        body[1],
-        world_toi,
-        world[1],
-    )
-
-
-def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The least toi of each owner, and the first contact that has it, -1 for none."""
-    least, first = np.full(count, np.inf), np.full(count, len(toi), dtype=np.int32)
-    for column in owners.T:
-        np.minimum.at(least, column, toi)
-    for column in owners.T:
-        has_it = np.flatnonzero(toi == least[column])
-        np.minimum.at(first, column[has_it], has_it.astype(np.int32))
-    return least, np.where(first == len(toi), np.int32(-1), first)

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, result_of, slices_of_worlds
+from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, slices_of_worlds
 from ccd_warp._engine.host.near_parts import NearParts
 from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._results import Counts, MeshResult
@@ -45,7 +46,6 @@ class NearSearch:
         motion: "JointMotion",
         t_max: float,
         kinds: Sequence[PairKind],
-        is_searched: NDArray[np.bool_] | None = None,
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
         self._mesh, self._world, self._motion, self._t_max, self._kinds = mesh, world, motion, t_max, kinds
@@ -53,7 +53,6 @@ class NearSearch:
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
         self._spheres = one.centre, one.reach
         self.world_toi = np.full(motion.num_worlds, np.inf)
-        self._is_searched = np.ones(motion.num_worlds, dtype=bool) if is_searched is None else is_searched
         self._found: list[Contacts] = []
         self._results: list[MeshResult] = []
 
@@ -89,7 +88,7 @@ class NearSearch:
     def _choose_slices(self, reach: float) -> None:
         """The slices in which parts may touch, and these parts: those of a world in the order of time."""
         motion, parts = self._motion, self._parts
-        each = np.where(self._is_searched, slices_of_worlds(motion, 0.0, self._t_max), 0.0).astype(np.intp)
+        each = slices_of_worlds(motion, 0.0, self._t_max).astype(np.intp)
         world = np.repeat(np.arange(len(each)), each)
         number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
         begin, end = (self._t_max * (number + k) / each[world] for k in (0, 1))
@@ -185,15 +184,7 @@ class NearSearch:
         }
         for name in ("num_searches", "num_candidates", "num_after_cull", "num_contacts"):
             sums[name] = {kind: sum(getattr(each, name).get(kind, 0) for each in passes) for kind in self._kinds}
-        counts = Counts(
-            num_bodies=mesh.num_bodies,
-            num_vertices=mesh.num_vertices,
-            num_edges=mesh.num_edges,
-            num_faces=mesh.num_faces,
-            num_codimensional_edges=len(mesh.codimensional_edges),
-            num_codimensional_points=len(mesh.codimensional_points),
-            **sums,
-        )
+        counts = Counts(**sizes_of(mesh, len(self.world_toi)), **sums)
         timings: Counter[str] = Counter()
         for each in self._results:
             timings.update(each.timings)

@@ -160,10 +160,11 @@ class PartMesh:
     def in_worlds(
         self, contacts: Contacts, mesh: CollisionMesh, world: CollisionMesh, of_slice: NDArray[np.intp]
     ) -> Contacts:
-        """Contacts as those of a mesh of copies of the one world, given the world of each slice."""
+        """Contacts as those of a mesh of copies of the one world, or of that itself, given the world of each slice."""
         if len(contacts) == 0:
             return contacts
         copies = of_slice[contacts.world]
+        shifts = copies if mesh.num_worlds > 1 else np.zeros_like(copies)
         primitives = contacts.primitives.astype(np.int64)
         for kind in PairKind:
             rows = np.flatnonzero(contacts.kind == int(kind))
@@ -174,8 +175,9 @@ class PartMesh:
                     "face": lambda own=own: (self.face[own], world.num_faces),
                     "edge": lambda own=own: (_edges(world, self.vertex[self.mesh.edges[own]]), world.num_edges),
                 }[name]()
-                primitives[rows, column] = number + copies[rows] * count
+                primitives[rows, column] = number + shifts[rows] * count
         place = ContactPlace(mesh, points=contacts.points, relative_velocity=contacts.relative_velocity)
+        place.world = copies.astype(np.int32)
         return replace(contacts, primitives=primitives.astype(np.int32))._of(place)
 
 

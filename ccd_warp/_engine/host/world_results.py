@@ -1,0 +1,80 @@
+"""The results of worlds from their contacts: of copies of a mesh, or of a mesh of one world with a motion of many."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._contact_place import joined, located
+from ccd_warp._contacts import Contacts
+from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results import Counts, MeshResult
+from ccd_warp._status import CCDStatus, PairKind
+
+_NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, width
+    *(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))),
+    *(np.zeros(0, np.int32), np.zeros(0), np.zeros(0)),
+)
+
+
+def result_of(
+    mesh: CollisionMesh,
+    world_toi: NDArray[np.float64],
+    found: list[Contacts],
+    counts: Counts,
+    timings: dict[str, float],
+) -> MeshResult:
+    """The result of worlds with these tois and contacts.
+
+    For a mesh of one world, and tois of several, arrays of vertices and bodies have an axis of worlds in front, and the
+    contacts are those of one world after those of another.
+    """
+    num_worlds = len(world_toi)
+    has_axis = mesh.num_worlds < num_worlds
+    found = [each for each in found if len(each)]
+    contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
+    keys = (*contacts.primitives.T[::-1], contacts.kind)
+    contacts = contacts[np.lexsort((*keys, contacts.world) if has_axis else keys)]
+    world = contacts.world[:, None].astype(np.int64)
+    arrays: dict[str, Any] = {}
+    for name, size, owners in (
+        ("vertex", mesh.num_vertices, contacts.vertices),
+        ("body", mesh.num_bodies, contacts.bodies),
+        ("world", num_worlds, world),
+    ):
+        if has_axis and name != "world":
+            least, first = firsts(contacts.toi, world * size + owners, num_worlds * size)
+            arrays |= {f"{name}_toi": least.reshape(-1, size), f"{name}_contact": first.reshape(-1, size)}
+        else:
+            arrays[f"{name}_toi"], arrays[f"{name}_contact"] = firsts(contacts.toi, owners, size)
+    of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+    of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
+    counts = replace(
+        counts,
+        num_contacts={kind: of_kind[int(kind)] for kind in counts.num_contacts},
+        num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
+        num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
+    )
+    arrays["world_toi"] = world_toi
+    return MeshResult(toi=float(world_toi.min()), contacts=contacts, counts=counts, timings=timings, **arrays)
+
+
+def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:
+    """The sizes among the counts, of a mesh, or of so many worlds where the mesh has one."""
+    sizes = {name: int(getattr(mesh, name)) for name in ("num_bodies", "num_vertices", "num_edges", "num_faces")}
+    sizes["num_codimensional_edges"] = len(mesh.codimensional_edges)
+    sizes["num_codimensional_points"] = len(mesh.codimensional_points)
+    copies = num_worlds // mesh.num_worlds
+    return {name: copies * size for name, size in sizes.items()}
+
+
+def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The least toi of each owner, and the first contact that has it, -1 for none."""
+    least, first = np.full(count, np.inf), np.full(count, len(toi), dtype=np.int32)
+    for column in owners.T:
+        np.minimum.at(least, column, toi)
+    for column in owners.T:
+        has_it = np.flatnonzero(toi == least[column])
+        np.minimum.at(first, column[has_it], has_it.astype(np.int32))
+    return least, np.where(first == len(toi), np.int32(-1), first)
