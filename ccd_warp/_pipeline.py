@@ -213,18 +213,8 @@ class CollisionPipeline:
             return motion
         check_instance("motion", motion, RigidMotion)
         assert isinstance(motion, RigidMotion)
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         return MeshPaths.of(self.mesh, motion._body_paths)
-
-    def _check_arc_options(self) -> None:
-        """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
-        options = self._options
-        if not options.is_clipping:
-            raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
-        if options.start_gap_share > 0.0:
-            raise ValueError(
-                f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
-            )
 
     def _run(
         self,
@@ -698,7 +688,7 @@ class CollisionPipeline:
         """A search where joints move links, in all worlds or in some, to begin."""
         from ccd_warp._engine.host.joint_search import JointSearch  # few programs need it
 
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
         return JointSearch(self.mesh, start, end, motion, self._options.t_max, is_searched)
@@ -950,6 +940,16 @@ class CollisionPipeline:
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
         found = DistanceInEdges.of(self._topology, start, separation)
         return found is not None and found.is_many
+
+
+def check_options_on_arcs(options: Options) -> None:
+    """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
+    if not options.is_clipping:
+        raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
+    if options.start_gap_share > 0.0:
+        raise ValueError(
+            f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
+        )
 
 
 def validated_distance(distance: float) -> float:

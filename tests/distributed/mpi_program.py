@@ -47,11 +47,11 @@ def in_blocks(mesh):
     return np.arange(mesh.num_faces) * SIZE // max(mesh.num_faces, 1)
 
 
-def check(scene, rank_of_face, calls, *, with_owners=False, **options):
+def check(scene, rank_of_face, calls, *, with_owners=False, motion=None, **options):
     mesh, start, end = scene
     mesh = whole_mesh(mesh)
     cut = Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
-    return compare(COMM, cut, mesh, start, end, calls, options)
+    return compare(COMM, cut, mesh, start, end, calls, options, motion)
 
 
 def cloth_over_sphere():
@@ -353,6 +353,41 @@ def kinematic_bodies():
     check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
 
 
+def bodies_that_turn():
+    """Boxes that tumble over a static one and a ground, under a sheet that falls: less than a slice, and several."""
+    box, rng = trimesh.creation.box((1, 1, 1)).subdivide(), np.random.default_rng(3)
+    sheet, faces = scenes.sheet(6)
+    bodies = [(box.vertices, box.faces)] * 4 + [(2 * sheet - [1, 1, -1.5], faces)]
+    bodies.append(ccd.HalfSpace([0, 0, 0], [0, 0, 1]))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], rigid=[0, 1, 2, 3])
+    poses = np.hstack([[[0, 0, 0.6], [1.4, 0, 0.9], [-1.3, 0.5, 0.9], [0.2, 1.5, 1.0]], rng.standard_normal((4, 4))])
+    poses[0, 3:] = [0, 0, 0, 1]
+    twist = np.hstack([rng.uniform(-0.5, 0.5, (4, 3)) - [0, 0, 0.5], 1.2 * rng.standard_normal((4, 3))])
+    twist[0] = 0.0
+    end = mesh.vertices + np.where(mesh.rigid[mesh.vertex_body], 0.0, 1.0)[:, None] * [0.1, 0, -0.9]
+    motion = ccd.RigidMotion(poses, twist=twist)
+    calls = [*ALL_CALLS, "line_search scene", "line_search body", "line_search vertex"]
+    check((mesh, mesh.vertices, end), interleaved, calls, motion=motion)
+    calls = ["mesh_ccd", "line_search body"]
+    check((mesh, mesh.vertices, end), in_blocks, calls, motion=motion, minimum_distance=0.02)
+    screw = ccd.RigidMotion(poses, motion.shortened(0.1).poses_t1, path="screw")
+    pipeline = check((mesh, mesh.vertices, mesh.vertices), interleaved, ["find_candidates", "mesh_ccd"], motion=screw)
+    assert not pipeline.work.is_planned  # the boxes of the first call hold those of the second
+    rows = pipeline.mesh.vertices
+    joint = ccd.Joint("turn", "base", "arm", "revolute", axis=[0, 0, 1])
+    for refused, words in (
+        (motion.shortened(0.5 if RANK == SIZE - 1 else 1.0), "motion differs between ranks"),
+        (ccd.JointMotion([joint], [0.0], [1.0]), "expected a RigidMotion, the same on all ranks"),
+        (ccd.RigidMotion(poses[:2], poses[:2]), "2 rows for 4 rigid bodies"),
+    ):
+        try:
+            pipeline.mesh_ccd(rows, rows, motion=refused)
+        except ValueError as error:
+            assert words in str(error), error
+        else:
+            assert SIZE == 1 and words == "motion differs between ranks"
+
+
 def what_starts_within_its_distance():
     """Sheets at their thickness, one above the other, which slide, part and press; in both norms."""
     vertices, faces = scenes.sheet(14)
@@ -551,6 +586,7 @@ CASES = [
     half_spaces,
     kinematic_bodies,
     what_starts_within_its_distance,
+    bodies_that_turn,
     planes_and_nothing_else,
     copies_of_a_body_that_moves_alone,
     in_the_plane,
