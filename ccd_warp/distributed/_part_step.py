@@ -67,9 +67,8 @@ class StepTogether(StepOnPart):
         filled = np.flatnonzero((lower <= upper).all(axis=1))
         radius = self.together.whole.body_radius
         if self.arcs is not None:
-            radius = np.zeros(self.mesh.num_bodies)
+            radius = np.zeros(self.mesh.num_bodies)  # of the vertices here, as the pairs of this rank have no others
             np.maximum.at(radius, self.mesh.vertex_body, self.arcs.radius.numpy())
-            radius = self.ranks.most(radius)
         of_filled = None if radius is None else radius[filled]
         boxes = lower[filled], upper[filled]
         near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)

@@ -388,6 +388,37 @@ def bodies_that_turn():
             assert SIZE == 1 and words == "motion differs between ranks"
 
 
+def bar_that_sweeps_the_regions_of_all_ranks():
+    """A turn of a bar to where it began, over a point on the other side that its tip barely reaches in a slice."""
+    x = np.linspace(0.5, 2.0, 41)
+    corners = np.concatenate([np.stack([x, 0.0 * x, np.full(41, z)], axis=1) for z in (-0.05, 0.05)])
+    k = np.arange(40)
+    faces = np.concatenate([np.stack([k, k + 1, k + 41], axis=1), np.stack([k + 1, k + 42, k + 41], axis=1)])
+    begins = np.pi - 3.1
+    at_rest = [0, 0, 0, 0, 0, np.sin(0.5 * begins), np.cos(0.5 * begins)]
+    twist = np.array([[0.0, 0, 0, 0, 0, 6.2]])
+    tip = [-1.998, 0.0, 0.0]  # in the middle of a slice, whose chord ends at 1.99
+    for points in ([tip], [tip, [0.8 * np.cos(begins + 0.5), 0.8 * np.sin(begins + 0.5), 0.01]]):
+        bodies = [(corners, faces), *((np.array([p]), scenes.NO_FACES) for p in points)]
+        static = range(1, len(bodies))
+        mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=[0], static=static)
+        motion = ccd.RigidMotion([at_rest], twist=twist)
+        calls = ["mesh_ccd", "collision_free_step", "line_search vertex"]
+        for rank_of_face in (interleaved, in_blocks):
+            check((mesh, mesh.vertices, mesh.vertices), rank_of_face, calls, motion=motion)
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu").body_toi
+    assert 0.49 < toi[1] < 0.5 and abs(toi[2] - 0.5 / 6.2) < 1e-9
+
+
+def spheres_that_roll_on_each_other():
+    """Thousands of candidates, some of which end at a coordinate of their boxes."""
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    mesh = ccd.CollisionMesh.from_arrays([(sphere.vertices, sphere.faces)] * 3, rigid=[0, 1, 2])
+    poses = [[0, 0, 0, 0, 0, 0, 1], [1.02, 0, 0, 0, 0, 0, 1], [0.5, 0.9, 3.0, 0, 0, 0, 1]]
+    twist = [[0.01, 0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.1, 0.3], [0, 0, -2.1, 0.4, 0, 0]]
+    check((mesh, mesh.vertices, mesh.vertices), interleaved, ALL_CALLS, motion=ccd.RigidMotion(poses, twist=twist))
+
+
 def what_starts_within_its_distance():
     """Sheets at their thickness, one above the other, which slide, part and press; in both norms."""
     vertices, faces = scenes.sheet(14)
@@ -587,6 +618,8 @@ CASES = [
     kinematic_bodies,
     what_starts_within_its_distance,
     bodies_that_turn,
+    bar_that_sweeps_the_regions_of_all_ranks,
+    spheres_that_roll_on_each_other,
     planes_and_nothing_else,
     copies_of_a_body_that_moves_alone,
     in_the_plane,
