@@ -664,7 +664,7 @@ class CollisionPipeline:
             return None
         from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
 
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         if check_start:
             raise ValueError(
                 f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "

@@ -66,7 +66,6 @@ READ = {
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
-    "docs/rigid.md": "body_fraction",
     "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
     "parameters point points primitives struck touching vertex_contact weights world_contact",
     "examples/bullet_2d.py": "gap parameters",
