@@ -68,6 +68,7 @@ class VirtualMesh:
         self.static = np.zeros(self.num_bodies, dtype=bool)
         self.static[list(scene.static)] = True
         self.kinematic = np.zeros(self.num_bodies, dtype=bool)
+        self.rigid = self.kinematic
         self.end = np.where(self.static[self.bodies][:, None], self.start, self.end)
         self.self_collision = np.full(self.num_bodies, scene.self_collision)
         first, last = worlds_of_bodies(self.bodies, self.worlds, self.num_bodies)

@@ -214,18 +214,8 @@ class CollisionPipeline:
             return motion
         check_instance("motion", motion, RigidMotion)
         assert isinstance(motion, RigidMotion)
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         return MeshPaths.of(self.mesh, motion._body_paths)
-
-    def _check_arc_options(self) -> None:
-        """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
-        options = self._options
-        if not options.is_clipping:
-            raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
-        if options.start_gap_share > 0.0:
-            raise ValueError(
-                f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
-            )
 
     def _run(
         self,
@@ -675,7 +665,7 @@ class CollisionPipeline:
             return None
         from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
 
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         if check_start:
             raise ValueError(
                 f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
@@ -693,7 +683,7 @@ class CollisionPipeline:
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions at both ends where joints move links, checked."""
-        self._check_arc_options()
+        check_options_on_arcs(self._options)
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
         return start, end
@@ -986,6 +976,16 @@ class CollisionPipeline:
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
         found = DistanceInEdges.of(self._topology, start, separation)
         return found is not None and found.is_many
+
+
+def check_options_on_arcs(options: Options) -> None:
+    """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
+    if not options.is_clipping:
+        raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
+    if options.start_gap_share > 0.0:
+        raise ValueError(
+            f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
+        )
 
 
 def validated_distance(distance: float) -> float:

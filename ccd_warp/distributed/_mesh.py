@@ -19,6 +19,7 @@ from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._input.mesh_checks import (
     validated_body_pairs,
     validated_flags,
+    validated_rigid,
     validated_rings,
     validated_static,
 )
@@ -75,6 +76,7 @@ class DistributedMesh:
         bodies: ArrayLike | None = None,
         static: Iterable[int] = (),
         kinematic: Iterable[int] = (),
+        rigid: Iterable[int] = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         body_pairs: ArrayLike | None = None,
@@ -101,6 +103,8 @@ class DistributedMesh:
             static: Bodies that do not move; the same on all ranks, as all that follows but ``vertex_world``,
                 ``radius`` and ``owned``.
             kinematic: Bodies that move as they are told, as of :class:`ccd_warp.CollisionMesh`; no half-spaces.
+            rigid: Bodies that keep their shape, as of :class:`ccd_warp.CollisionMesh`; calls with a ``motion`` take
+                their vertices in the bodies' own frames. A body may lie on several ranks.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
                 codimensional points: one flag for all bodies or one for each.
@@ -132,6 +136,7 @@ class DistributedMesh:
                 self._take_tables(
                     given,
                     (static, kinematic),
+                    rigid,
                     self_collision,
                     codimensional_points,
                     body_pairs,
@@ -241,6 +246,7 @@ class DistributedMesh:
         self,
         given: HandedIn,
         prescribed: tuple[Iterable[int], Iterable[int]],
+        rigid: Iterable[int],
         self_collision: bool | Sequence[bool],
         codimensional_points: bool | Sequence[bool],
         body_pairs: ArrayLike | None,
@@ -262,7 +268,8 @@ class DistributedMesh:
         self.static[self.planes.bodies] = True
         self._is_static = self.static[self.bodies]
         self._has_static = bool(self._is_static.any())
-        self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision")
+        self.rigid = validated_rigid(rigid, names, np.isin(np.arange(self.num_bodies), self.planes.bodies))
+        self.self_collision = validated_flags(self_collision, self.num_bodies, "self_collision") & ~self.rigid
         self.moves_alone = self._move_alone()
         self._with_points = validated_flags(codimensional_points, self.num_bodies, "codimensional_points")
         self.body_pairs = validated_body_pairs(body_pairs, names)
@@ -281,7 +288,7 @@ class DistributedMesh:
         is_self = excluded_bodies[:, 0] == excluded_bodies[:, 1]
         self.self_collision[excluded_bodies[is_self, 0]] = False
         self.exclude_pairs = ExcludedPairs({"bodies": excluded_bodies[~is_self]})
-        same: list[NDArray[Any]] = [self.static, self.kinematic, self.self_collision, self._with_points]
+        same: list[NDArray[Any]] = [self.static, self.kinematic, self.rigid, self.self_collision, self._with_points]
         same += [self.exclude_pairs.get("bodies", np.zeros(0))]
         same += [np.zeros(0) if self.body_pairs is None else self.body_pairs, *vars(self.planes).values()]
         excluded = _pairs_of_ids((exclude_pairs or {}).get("vertices", ()))
@@ -290,8 +297,8 @@ class DistributedMesh:
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
             raise ValueError(
-                "static, kinematic, self_collision, codimensional_points, body_pairs, exclusion_rings, exclude_pairs "
-                "or half_spaces differs between ranks; expected the same on all"
+                "static, kinematic, rigid, self_collision, codimensional_points, body_pairs, exclusion_rings, "
+                "exclude_pairs or half_spaces differs between ranks; expected the same on all"
             )
         if self.dimension == 2:
             has_edges = np.zeros(self.num_bodies, dtype=np.int64)

@@ -85,7 +85,7 @@ def part_mesh(
         body_vertex_range=begin,
         static=whole.static,
         kinematic=whole.kinematic,
-        rigid=np.zeros(len(whole.static), dtype=bool),
+        rigid=whole.rigid,
         self_collision=whole.self_collision,
         moving_vertices=np.flatnonzero(~whole.static[vertex_body]).astype(np.int32),
         body_pairs=whole.body_pairs,

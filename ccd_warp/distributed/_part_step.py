@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.body_boxes import bodies_near_boxes
-from ccd_warp._engine.host.arcs import Slice
 from ccd_warp._engine.host.line_search import OneProcess
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
-from ccd_warp._engine.plan import Goal
 from ccd_warp._status import PairKind
 from ccd_warp.distributed._part import TogetherIn
 from ccd_warp.distributed._ranks import Ranks
@@ -57,11 +55,10 @@ class StepOnPart(Step):
 class StepTogether(StepOnPart):
     """What steps share with those of the other ranks: the quantization, and which bodies are near."""
 
-    def begin(self, goal: Goal, t_end: float, inflation: float | None = None, part: Slice | None = None) -> HostPlan:
-        """Compute the boxes, in the quantized coordinates of the whole mesh."""
+    def share_positions(self) -> None:
+        """Bring the samples of the whole mesh, from which its quantized coordinates follow, to all ranks."""
         with self.timed("reductions"):
             self.together.collect_samples(self.positions)
-        return super().begin(goal, t_end, inflation, part)
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         if not self.topology.may_have_inactive_bodies:
@@ -69,6 +66,9 @@ class StepTogether(StepOnPart):
         lower, upper = self.together.body_boxes(self.positions)
         filled = np.flatnonzero((lower <= upper).all(axis=1))
         radius = self.together.whole.body_radius
+        if self.arcs is not None:
+            radius = np.zeros(self.mesh.num_bodies)  # of the vertices here, as the pairs of this rank have no others
+            np.maximum.at(radius, self.mesh.vertex_body, self.arcs.radius.numpy())
         of_filled = None if radius is None else radius[filled]
         boxes = lower[filled], upper[filled]
         near = bodies_near_boxes(self.topology, filled, boxes, of_filled, self.inflation, self.execution)

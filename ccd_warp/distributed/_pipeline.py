@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, NamedTuple, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
 import warp as wp
@@ -28,8 +28,9 @@ from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._input.arguments import check_count, check_instance
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import naming, options_of, resolve_device
-from ccd_warp._mesh_paths import moved
-from ccd_warp._pipeline import validated_distance, validated_search_radius
+from ccd_warp._mesh_paths import MeshPaths, moved
+from ccd_warp._motion import RigidMotion
+from ccd_warp._pipeline import check_options_on_arcs, validated_distance, validated_search_radius
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
@@ -62,6 +63,9 @@ from ccd_warp.distributed._results import (
 _MOST_IMBALANCE = 1.3
 _IMPROVED = 0.9
 _WORSE = 1.1
+
+if TYPE_CHECKING:
+    from ccd_warp.distributed._motion import LocalPaths
 
 _T = TypeVar("_T")
 
@@ -111,6 +115,8 @@ class DistributedPipeline:
         self._work: NDArray[np.float64] | None = None  # by the vertices that this rank owns, when it last mattered
         self._wants_plan = False
         self._last_imbalance = np.inf  # of the first step of the plan before
+        self._local: LocalPaths | None = None  # the motion of the call
+        self._paths: MeshPaths | None = None
 
     def __repr__(self) -> str:
         return f"DistributedPipeline({self.mesh!r}, on {self._device})"
@@ -126,13 +132,17 @@ class DistributedPipeline:
                 "options differ between ranks; expected the same on all, but for device, num_threads and memory_limit"
             )
 
-    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> DistributedResult:
+    def mesh_ccd(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: RigidMotion | None = None
+    ) -> DistributedResult:
         """Earliest times of impact of a step of the whole mesh; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
                 Rows of ghosts are ignored: the positions of the owners count.
             vertices_t1: End positions, of the same shape. Static bodies are where they start.
+            motion: How the rigid bodies of the whole mesh turn, a row each, the same on all ranks; the rows of their
+                vertices are in the bodies' own frames at both ends, as for :func:`ccd_warp.mesh_ccd`.
 
         Returns:
             What concerns this rank, and the toi of the whole mesh.
@@ -147,7 +157,7 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedResult:
             plan = self._planned
-            result: MeshResult = self._run(plan.start, plan.end, PartStep.contacts)
+            result: MeshResult = self._run(*self._ends, PartStep.contacts, paths=self._paths)
             with self._timed("results"):
                 vertex_toi = self._to_local(result.vertex_toi)
                 least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
@@ -158,11 +168,13 @@ class DistributedPipeline:
                 float(least[0]), vertex_toi, least[1:body], least[body:], contacts, num_contacts, self._finished()
             )
 
-        with self._together("mesh_ccd"):
-            return self._collectively(vertices_t0, vertices_t1, self._inflation, work)
+        with self._together_on("mesh_ccd", motion):
+            return self._collectively(vertices_t0, vertices_t1, self._inflation, work, motion=motion)
 
     @text_completed_by(mesh_ccd)
-    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+    def collision_free_step(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: RigidMotion | None = None
+    ) -> float:
         """Largest fraction of a step of the whole mesh certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -170,10 +182,12 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
-        return min(self._least_toi(vertices_t0, vertices_t1), self._options.t_max)
+        return min(self._least_toi(vertices_t0, vertices_t1, motion), self._options.t_max)
 
     @text_completed_by(mesh_ccd)
-    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+    def is_step_collision_free(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: RigidMotion | None = None
+    ) -> bool:
         """Whether a step of the whole mesh is certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -181,9 +195,16 @@ class DistributedPipeline:
 
         Guarantee: True is certain.
         """
-        return self._least_toi(vertices_t0, vertices_t1, any_suffices=True) == np.inf
+        return self._least_toi(vertices_t0, vertices_t1, motion, any_suffices=True) == np.inf
 
-    def _least_toi(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, any_suffices: bool = False) -> float:
+    def _least_toi(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | None,
+        *,
+        any_suffices: bool = False,
+    ) -> float:
         holds = self._options.holds and not any_suffices
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
@@ -192,22 +213,31 @@ class DistributedPipeline:
             def least(step: PartStep) -> float:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
-            toi = self._run(plan.start, plan.end, least)
+            toi = self._run(*self._ends, least, paths=self._paths)
             if holds and toi <= 0.0 and self._holds_pairs:
                 everywhere = AcrossRanks(plan.together)
                 of_vertices = everywhere.least_of_vertices(self._holds(plan.start))
                 if not everywhere.all(not np.isfinite(of_vertices).any()):
-                    toi = self._run(plan.start, plan.end, lambda step: step.holding(of_vertices).held_toi())
+
+                    def held(step: PartStep) -> float:
+                        return step.holding(of_vertices).held_toi()
+
+                    toi = self._run(*self._ends, held, paths=self._paths)
             self._finished()
             return toi
 
-        with self._together("is_step_collision_free" if any_suffices else "collision_free_step"):
+        with self._together_on("is_step_collision_free" if any_suffices else "collision_free_step", motion):
             inflation = self._holding_inflation if holds else self._inflation
-            return self._collectively(vertices_t0, vertices_t1, inflation, work)
+            return self._collectively(vertices_t0, vertices_t1, inflation, work, motion=motion)
 
     @text_completed_by(mesh_ccd)
     def find_candidates(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        inflation: float = 0.0,
+        *,
+        motion: RigidMotion | None = None,
     ) -> DistributedCandidates:
         """Find the pairs of the whole mesh whose swept boxes overlap; all ranks call it together.
 
@@ -222,16 +252,16 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
-            found = self._run(plan.start, plan.end, lambda step: step.candidates(inflation))
+            found = self._run(*self._ends, lambda step: step.candidates(inflation), paths=self._paths)
             candidates = candidates_of(plan.part, plan.topology, found, self._ranks)
             self._finished()
             return candidates
 
-        with self._together("find_candidates"):
+        with self._together_on("find_candidates", motion):
             with naming("find_candidates"):
                 inflation = validated_inflation(inflation)
             self._check_same_length("inflation", inflation)
-            return self._collectively(vertices_t0, vertices_t1, inflation, work)
+            return self._collectively(vertices_t0, vertices_t1, inflation, work, motion=motion)
 
     @text_completed_by(mesh_ccd)
     def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedProximities:
@@ -336,6 +366,7 @@ class DistributedPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
+        motion: RigidMotion | None = None,
     ) -> DistributedLineSearch:
         """Shorten a step of the whole mesh until it is free of collisions; all ranks call it together.
 
@@ -345,6 +376,7 @@ class DistributedPipeline:
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; this and what follows the same on all ranks.
             safety: Fraction of its toi by which a vertex in contact may move.
             max_rounds: Largest number of steps that are checked.
+            motion: How the rigid bodies turn, as in :meth:`mesh_ccd`; each goes as far as it may, on all ranks.
 
         Returns:
             End positions and fractions of the vertices on this rank, ghosts too.
@@ -357,37 +389,50 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
+            everywhere = AcrossRanks(plan.together)
+            course, solver = None, self._solver
+            if self._paths is not None:
+                from ccd_warp.distributed._motion import PartCourse
+
+                course = PartCourse(everywhere, plan.part.mesh, *self._ends, self._paths)
+                solver = self._solver_on_arcs
             found = search_step(
                 plan.part.mesh,
-                plan.start,
-                plan.end,
-                self._solver,
+                *self._ends,
+                solver,
                 per=per,
                 safety=safety,
                 max_rounds=max_rounds,
-                everywhere=AcrossRanks(plan.together),
+                everywhere=everywhere,
+                course=course,
             )
             fraction = np.full(len(start), np.inf)
             plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
             vertices, own = np.empty_like(start), self.mesh.owned_rows
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
             vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
+            if self._local is not None and found.num_rounds > 1:
+                self._local.turn(vertices, fraction)
+            shortened = None
+            if course is not None and motion is not None:
+                of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
+                shortened = motion.shortened(of_bodies.reshape(motion.turns.shape))
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
             touching, struck = (
                 of_part(DistributedContacts, plan.part, c, self._ranks) for c in (found.touching, found.struck)
             )
             self._finished()
             return DistributedLineSearch(
-                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited, struck
+                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited, struck, shortened
             )
 
-        with self._together("line_search"):
+        with self._together_on("line_search", motion):
             with naming("line_search"):
                 check_step_is_whole(self._options.t_max)
                 per, safety = validated_line_search(per, safety)
                 max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
-            return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work)
+            return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work, motion=motion)
 
     @property
     def _solver(self) -> Solver:
@@ -404,6 +449,22 @@ class DistributedPipeline:
             self._worlds_near if self._holds_pairs else None,
             self._holds,
         )
+
+    @property
+    def _solver_on_arcs(self) -> Solver:
+        """The steps of a line search in which bodies turn."""
+        start = self._ends[0]
+
+        def strict(_: Any, end: Any, *holds: Any) -> MeshResult:
+            return self._run(start, end.vertices, PartStep.contacts, paths=end.paths)
+
+        def holding(_: Any, end: Any, holds: NDArray[np.float64] | None) -> MeshResult:
+            work: Callable[[PartStep], MeshResult] = lambda step: step.holding(holds).contacts()  # noqa: E731
+            return self._run(start, end.vertices, work, paths=end.paths)
+
+        if not self._options.holds:
+            return Solver(strict, strict, None, self._holds)
+        return Solver(strict, holding, self._worlds_near if self._holds_pairs else None, self._holds)
 
     @property
     def _holds_pairs(self) -> bool:
@@ -436,6 +497,10 @@ class DistributedPipeline:
     def _together(self, call: str) -> AbstractContextManager[None]:
         return self._ranks.together(self._named(call))
 
+    def _together_on(self, call: str, motion: RigidMotion | None) -> AbstractContextManager[None]:
+        """The same for a call on which all ranks have a motion, or none has."""
+        return self._together(call if motion is None else f"{call} with a motion")
+
     def _name_call(self, call: str) -> None:
         self._ranks.name_call(self._named(call))
 
@@ -460,13 +525,23 @@ class DistributedPipeline:
         work: Callable[[NDArray[np.float64], NDArray[np.float64]], _T],
         *,
         name_t0: str = "vertices_t0",
+        motion: RigidMotion | None = None,
     ) -> _T:
-        """Bring positions to the parts, and run ``work``, given the positions on this rank."""
+        """Bring positions to the parts, and run ``work``, given the positions on this rank, in the world."""
         self._seconds: dict[str, float] = {}
         self._begin, self._sent_before = time.perf_counter(), self._ranks.bytes_sent
         plan = self._plan
         is_kept = is_same = False
         start, end = self.mesh.frames(vertices_t0, vertices_t1, name_t0)
+        self._local, self._paths = None, None
+        if motion is not None:
+            from ccd_warp.distributed._motion import LocalPaths  # few programs need it
+
+            check_options_on_arcs(self._options)
+            self._local = LocalPaths(self.mesh, motion, start, end)
+            self._paths = self._local.paths
+            inflation = sum_up(inflation, self._local.reach())
+            start, end = self._local.at(0.0), self._local.at(1.0)
         if plan is not None and not self._wants_plan:
             is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in (start, end))
             # by their bits, as the sign of a 0 shows in where contacts are
@@ -481,6 +556,7 @@ class DistributedPipeline:
             self._work = None
         try:
             self._bring(start, end, inflation, is_kept=kept > 0.0, is_same=same > 0.0)
+            self._ends = self._own_frames()
             return work(start, end)
         except BaseException:
             # whatever was half done is not used again, on no rank
@@ -510,17 +586,29 @@ class DistributedPipeline:
                 plan.part.everything.forward([(start, plan.start), (end, plan.end)])
                 plan.static_start = start[plan.static_rows]
 
+    def _own_frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The positions of the part that a step takes: of rigid bodies, where a call has a motion, in their frames."""
+        plan = self._planned
+        if self._local is None:
+            return plan.start, plan.end
+        with self._timed("positions"):
+            ends = np.empty_like(plan.start), np.empty_like(plan.end)
+            plan.part.everything.forward(list(zip(self._local.given, ends, strict=True)))
+        return ends
+
     def _run(
         self,
         start: NDArray[np.float64],
         end: NDArray[np.float64],
         work: Callable[[Any], _T],
         kind: type[StepOnPart] = PartStep,
+        paths: MeshPaths | None = None,
     ) -> _T:
         """Run ``work`` on a step of the part."""
         assert self._workspace
         ends = in_space(start), in_space(end)
-        self._step = step = kind(self._planned.together, self._workspace, ends, self._options)
+        further = {} if paths is None else {"paths": paths}
+        self._step = step = kind(self._planned.together, self._workspace, ends, self._options, **further)
         result = work(step)
         if "total" not in step.timings:
             step.finish_timings()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._display import counted
 from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._intersections import Intersections
+from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts
 from ccd_warp._status import IntersectionKind, PairKind, primitives_of
@@ -197,6 +198,7 @@ class DistributedLineSearch:
         num_rounds: Number of steps that were checked.
         is_limited: As of :class:`ccd_warp.LineSearchResult`.
         struck: Pairs of a kinematic body and vertices that stay in its way, as there, each on one rank.
+        motion: The motion of the rigid bodies up to the end of the step, the same on all ranks; None without one.
     """
 
     vertices: NDArray[np.float64]
@@ -206,6 +208,7 @@ class DistributedLineSearch:
     num_rounds: int
     is_limited: bool
     struck: DistributedContacts
+    motion: RigidMotion | None = None
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"

@@ -90,7 +90,7 @@ def interrupted(pipeline, x, y):
                 strike()
 
     struck = Struck(pipeline.mesh)
-    struck._run = lambda *_: 1 / (RANK != 0)
+    struck._run = lambda *_, **__: 1 / (RANK != 0)
     try:
         struck.mesh_ccd(x, y)
         raise AssertionError("no error")
@@ -156,7 +156,7 @@ def together():
     everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.find_intersections(x))
     everywhere(ValueError, [f"rank {LAST}: memory_limit is 1000 bytes"], lambda: limited.collision_free_step(x, y))
 
-    def unforeseen(*_):
+    def unforeseen(*_, **options):
         raise KeyError("unforeseen")
 
     pipeline._run = unforeseen if RANK == 0 else type(pipeline)._run.__get__(pipeline)

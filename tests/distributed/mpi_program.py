@@ -47,11 +47,11 @@ def in_blocks(mesh):
     return np.arange(mesh.num_faces) * SIZE // max(mesh.num_faces, 1)
 
 
-def check(scene, rank_of_face, calls, *, with_owners=False, **options):
+def check(scene, rank_of_face, calls, *, with_owners=False, motion=None, **options):
     mesh, start, end = scene
     mesh = whole_mesh(mesh)
     cut = Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
-    return compare(COMM, cut, mesh, start, end, calls, options)
+    return compare(COMM, cut, mesh, start, end, calls, options, motion)
 
 
 def cloth_over_sphere():
@@ -353,6 +353,70 @@ def kinematic_bodies():
     check((mesh, mesh.vertices, mesh.vertices + speed[mesh.vertex_body]), in_blocks, calls)
 
 
+def bodies_that_turn():
+    """Boxes that tumble over a static one and a ground, under a sheet that falls: less than a slice, and several."""
+    box, rng = trimesh.creation.box((1, 1, 1)).subdivide(), np.random.default_rng(3)
+    sheet, faces = scenes.sheet(6)
+    bodies = [(box.vertices, box.faces)] * 4 + [(2 * sheet - [1, 1, -1.5], faces)]
+    bodies.append(ccd.HalfSpace([0, 0, 0], [0, 0, 1]))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], rigid=[0, 1, 2, 3])
+    poses = np.hstack([[[0, 0, 0.6], [1.4, 0, 0.9], [-1.3, 0.5, 0.9], [0.2, 1.5, 1.0]], rng.standard_normal((4, 4))])
+    poses[0, 3:] = [0, 0, 0, 1]
+    twist = np.hstack([rng.uniform(-0.5, 0.5, (4, 3)) - [0, 0, 0.5], 1.2 * rng.standard_normal((4, 3))])
+    twist[0] = 0.0
+    end = mesh.vertices + np.where(mesh.rigid[mesh.vertex_body], 0.0, 1.0)[:, None] * [0.1, 0, -0.9]
+    motion = ccd.RigidMotion(poses, twist=twist)
+    check((mesh, mesh.vertices, end), interleaved, [*ALL_CALLS, "line_search vertex"], motion=motion)
+    calls = ["collision_free_step", "line_search body"]
+    check((mesh, mesh.vertices, end), in_blocks, calls, motion=motion, minimum_distance=0.02)
+    screw = ccd.RigidMotion(poses, motion.shortened(0.1).poses_t1, path="screw")
+    pipeline = check((mesh, mesh.vertices, mesh.vertices), interleaved, ["find_candidates", "mesh_ccd"], motion=screw)
+    assert not pipeline.work.is_planned  # the boxes of the first call hold those of the second
+    rows = pipeline.mesh.vertices
+    joint = ccd.Joint("turn", "base", "arm", "revolute", axis=[0, 0, 1])
+    for refused, words in (
+        (motion.shortened(0.5 if RANK == SIZE - 1 else 1.0), "motion differs between ranks"),
+        (ccd.JointMotion([joint], [0.0], [1.0]), "expected a RigidMotion, the same on all ranks"),
+        (ccd.RigidMotion(poses[:2], poses[:2]), "2 rows for 4 rigid bodies"),
+    ):
+        try:
+            pipeline.mesh_ccd(rows, rows, motion=refused)
+        except ValueError as error:
+            assert words in str(error), error
+        else:
+            assert SIZE == 1 and words == "motion differs between ranks"
+
+
+def bar_that_sweeps_the_regions_of_all_ranks():
+    """A turn of a bar to where it began, over a point on the other side that its tip barely reaches in a slice."""
+    x = np.linspace(0.5, 2.0, 41)
+    corners = np.concatenate([np.stack([x, 0.0 * x, np.full(41, z)], axis=1) for z in (-0.05, 0.05)])
+    k = np.arange(40)
+    faces = np.concatenate([np.stack([k, k + 1, k + 41], axis=1), np.stack([k + 1, k + 42, k + 41], axis=1)])
+    begins = np.pi - 3.1
+    at_rest = [0, 0, 0, 0, 0, np.sin(0.5 * begins), np.cos(0.5 * begins)]
+    twist = np.array([[0.0, 0, 0, 0, 0, 6.2]])
+    tip = [-1.998, 0.0, 0.0]  # in the middle of a slice, whose chord ends at 1.99
+    for points in ([tip], [tip, [0.8 * np.cos(begins + 0.5), 0.8 * np.sin(begins + 0.5), 0.01]]):
+        bodies = [(corners, faces), *((np.array([p]), scenes.NO_FACES) for p in points)]
+        static = range(1, len(bodies))
+        mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=[0], static=static)
+        motion = ccd.RigidMotion([at_rest], twist=twist)
+        calls = ["mesh_ccd", "line_search vertex"][: len(points)]
+        check((mesh, mesh.vertices, mesh.vertices), interleaved, calls, motion=motion)
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu").body_toi
+    assert 0.49 < toi[1] < 0.5 and abs(toi[2] - 0.5 / 6.2) < 1e-9
+
+
+def spheres_that_roll_on_each_other():
+    """Thousands of candidates, some of which end at a coordinate of their boxes."""
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    mesh = ccd.CollisionMesh.from_arrays([(sphere.vertices, sphere.faces)] * 3, rigid=[0, 1, 2])
+    poses = [[0, 0, 0, 0, 0, 0, 1], [1.02, 0, 0, 0, 0, 0, 1], [0.5, 0.9, 3.0, 0, 0, 0, 1]]
+    twist = [[0.01, 0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.1, 0.3], [0, 0, -2.1, 0.4, 0, 0]]
+    check((mesh, mesh.vertices, mesh.vertices), interleaved, ALL_CALLS, motion=ccd.RigidMotion(poses, twist=twist))
+
+
 def what_starts_within_its_distance():
     """Sheets at their thickness, one above the other, which slide, part and press; in both norms."""
     vertices, faces = scenes.sheet(14)
@@ -551,6 +615,9 @@ CASES = [
     half_spaces,
     kinematic_bodies,
     what_starts_within_its_distance,
+    bodies_that_turn,
+    bar_that_sweeps_the_regions_of_all_ranks,
+    spheres_that_roll_on_each_other,
     planes_and_nothing_else,
     copies_of_a_body_that_moves_alone,
     in_the_plane,

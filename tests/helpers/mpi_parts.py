@@ -87,6 +87,7 @@ class Cut:
             bodies=mesh.vertex_body[self.rows],
             static=np.setdiff1d(np.flatnonzero(mesh.static), mesh.planes.bodies).tolist(),
             kinematic=np.flatnonzero(mesh.kinematic).tolist(),
+            rigid=np.flatnonzero(mesh.rigid).tolist(),
             self_collision=mesh.self_collision,
             codimensional_points=with_points,
             body_pairs=mesh.body_pairs,
@@ -121,13 +122,13 @@ def assert_same_bits(name, found, expected):
     assert len(differs) == 0, f"{name} differs in {len(differs)} of {len(found)}, first at {differs[0]}"
 
 
-def compare(comm, cut, mesh, start, end, calls, options):
+def compare(comm, cut, mesh, start, end, calls, options, motion=None):
     """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
     start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
     pipeline = DistributedPipeline(cut.mesh, **options)
     one = ccd.CollisionPipeline(mesh, **options)
     for call in calls:
-        compare_call(comm, cut, pipeline, one, start, end, call)
+        compare_call(comm, cut, pipeline, one, start, end, call, motion)
     return pipeline
 
 
@@ -138,8 +139,9 @@ def wait_for_all(comm):
         time.sleep(1e-3)
 
 
-def compare_call(comm, cut, pipeline, one, start, end, call):
+def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
     """Make one call on all ranks and in one process, and compare."""
+    moves = {} if motion is None else {"motion": motion}
     is_root = comm.Get_rank() == 0
 
     def of_root(make):
@@ -150,9 +152,9 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
 
     here = cut.local(start), cut.local(end)
     if call == "mesh_ccd":
-        found = pipeline.mesh_ccd(*here)
+        found = pipeline.mesh_ccd(*here, **moves)
         every = found.contacts.to_root()
-        expected = of_root(lambda: one.mesh_ccd(start, end))
+        expected = of_root(lambda: one.mesh_ccd(start, end, **moves))
         assert found.toi == expected.toi, f"toi {found.toi} in place of {expected.toi}"
         assert_same_bits("vertex_toi", found.vertex_toi, expected.vertex_toi[cut.rows])
         assert_same_bits("body_toi", found.body_toi, expected.body_toi)
@@ -161,9 +163,9 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
         if is_root:
             compare_contacts(every, expected.contacts)
     elif call == "find_candidates":
-        every = pipeline.find_candidates(*here, 0.01).to_root()
+        every = pipeline.find_candidates(*here, 0.01, **moves).to_root()
         if is_root:
-            for name, pairs in vars(one.find_candidates(start, end, 0.01).sorted()).items():
+            for name, pairs in vars(one.find_candidates(start, end, 0.01, **moves).sorted()).items():
                 assert_same_bits(name, getattr(every, name), pairs)
     elif call == "find_proximity":
         distance = 0.05 * cut.mesh.length_scale
@@ -186,19 +188,21 @@ def compare_call(comm, cut, pipeline, one, start, end, call):
             assert found.num_intersections == every.num_intersections == len(expected)
             assert (num_crossing, every.num_touching) == (expected.num_crossing, expected.num_touching)
     elif call.startswith("line_search"):
-        found = pipeline.line_search(*here, per=call.partition(" ")[2])
-        expected = of_root(lambda: one.line_search(start, end, per=call.partition(" ")[2]))
+        found = pipeline.line_search(*here, per=call.partition(" ")[2], **moves)
+        expected = of_root(lambda: one.line_search(start, end, per=call.partition(" ")[2], **moves))
         assert_same_bits("vertices", found.vertices, expected.vertices[cut.rows])
         assert_same_bits("vertex_fraction", found.vertex_fraction, expected.vertex_fraction[cut.rows])
         assert (found.fraction, found.num_rounds) == (expected.fraction, expected.num_rounds)
         assert found.is_limited == expected.is_limited
+        if motion is not None:
+            assert_same_bits("poses", found.motion.poses_t1, expected.motion.poses_t1)
         for name in ("touching", "struck"):
             every = getattr(found, name).to_root()
             if is_root:
                 compare_contacts(every, getattr(expected, name))
     else:
-        found = getattr(pipeline, call)(*here)
-        expected = of_root(lambda: getattr(one, call)(start, end))
+        found = getattr(pipeline, call)(*here, **moves)
+        expected = of_root(lambda: getattr(one, call)(start, end, **moves))
         assert found == expected, f"{call} is {found} in place of {expected}"
     wait_for_all(comm)
 

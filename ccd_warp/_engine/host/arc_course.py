@@ -54,12 +54,15 @@ class ArcCourse(Course):
 
     def of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least fraction of the vertices of each body, 1 of those without any."""
-        least = np.ones(self._mesh.num_bodies)
-        np.minimum.at(least, self._mesh.vertex_body, fraction)
-        return least
+        return self.least_of_bodies(fraction, 1.0)
 
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which the vertices of a rigid body share."""
-        of_body = np.full(self._mesh.num_bodies, np.inf)
-        np.minimum.at(of_body, self._mesh.vertex_body, least)
+        of_body = self.least_of_bodies(least, np.inf)
         return np.where(self._is_rigid, of_body[self._mesh.vertex_body], least)
+
+    def least_of_bodies(self, values: NDArray[np.float64], start: float) -> NDArray[np.float64]:
+        """The least value of the vertices of each body, and no more than ``start``."""
+        least = np.full(self._mesh.num_bodies, start)
+        np.minimum.at(least, self._mesh.vertex_body, values)
+        return least

@@ -139,6 +139,8 @@ class Step:
             if part is not None and self.arcs is not None:
                 self.arcs.place(part, self.execution, *self._given_on_device)
                 t_end, self.positions = 1.0, self.arcs.positions()
+        self.share_positions()
+        with self.timed("input"):
             self.vertices_t0, self.vertices_t1 = plan.set_positions(self.positions)
             if inflation is None:
                 self.length_scale = length_scale_of(self.mesh, self.options)
@@ -150,6 +152,9 @@ class Step:
             goes_on = part is not None and part.t_begin > 0.0
             plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=goes_on)
         return plan
+
+    def share_positions(self) -> None:
+        """Let other processes that share the step have what they need of the positions; here there are none."""
 
     def bind_options(self, plan: HostPlan, part: "Slice | None") -> None:
         """Let the kernels have the options, and how bodies turn in a slice."""
