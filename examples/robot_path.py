@@ -101,9 +101,8 @@ class Roadmap:
 
     def check(self) -> NDArray[np.float64]:
         """The toi of every edge, inf where it is certain to be free and something is left between surfaces."""
-        motion = self.motion(*self.nodes[self.edges.T])
-        worlds = self.mesh.replicate(len(self.edges))
-        return ccd.mesh_ccd(worlds, worlds.vertices, worlds.vertices, motion=motion, minimum_distance=KEPT).world_toi
+        motion, vertices = self.motion(*self.nodes[self.edges.T]), self.mesh.vertices
+        return ccd.mesh_ccd(self.mesh, vertices, vertices, motion=motion, minimum_distance=KEPT).world_toi
 
     def path(self, is_free: NDArray[np.bool_]) -> list[int]:
         """The shortest path from the first configuration to the second over free edges (Dijkstra); empty if none."""
