@@ -101,7 +101,7 @@ PLANTED = [
         "ccd_warp/_engine/device/arc_step.py",
         "counts = self._no_count, self._flag.array",
         "counts = self.result.contacts.count, self._flag.array",
-        ("calls/test_rigid.py::test_launches_find_what_the_host_does",),
+        ("calls/test_tumbling.py::test_launches_find_what_the_host_does",),
     ),
     # --- boxes ---
     Fault(
