@@ -5,8 +5,8 @@ further world costs its rows of the motion, and what is found in it.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import ContactPlace
 from ccd_warp._contacts import Contacts
+from ccd_warp._engine.host.near_worlds import NearWorlds
+from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.world_results import result_of, sizes_of
+from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._joint_motion import JointMotion
 from ccd_warp._mesh_paths import MeshPaths, check_rest, check_rows
 from ccd_warp._motion import RigidMotion
@@ -24,6 +28,8 @@ from ccd_warp._status import PairKind, primitives_of
 _T = TypeVar("_T")
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
 _PRIMITIVES = 1 << 19
+# Faces from which, and bodies up to which, it pays to look for parts that may touch.
+_LARGE, _MOST_BODIES = 2000, 64
 
 
 class MotionWorlds:
@@ -85,32 +91,72 @@ class MotionWorlds:
                 found = call(pipeline, start, end, of_batch, is_searched)
             yield worlds, found
 
-    def least_toi(self, call: Callable[..., float], is_enough: Callable[[float], Any]) -> float:
-        """The least toi that a call finds in any world, at most up to one that is enough."""
+    def least_toi(self, *, any_suffices: bool = False) -> float:
+        """The least toi of all worlds, or that of any contact, inf if there is none."""
         near = self._near_search()
         if near is not None:
             return float(near.world_toi.min())
-        least = np.inf
-        for _, toi in self._each(call):
-            least = min(least, toi)
-            if is_enough(least):
-                break
-        return least
+
+        def least_of(tois: Iterator[float]) -> float:
+            least = np.inf
+            for toi in tois:
+                least = min(least, toi)
+                if least <= 0.0 or (any_suffices and least < np.inf):
+                    break
+            return least
+
+        parts, pipeline = self._near_worlds(), self._pipeline
+        if parts is not None:
+            found = parts.each(lambda own, paths: self._on_parts(own, paths).least_toi(any_suffices=any_suffices))
+            least = least_of(toi for *_, toi in found)
+            if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
+                return least
+        call = type(pipeline)._any_toi if any_suffices else type(pipeline)._least_toi
+        return least_of(toi for _, toi in self._each(call))
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
         near = self._near_search()
         if near is not None:
             return near.result()
-        found = list(self._each(type(self._pipeline)._contacts))
-        timings: Counter[str] = Counter()
-        for _, result in found:
+        world_toi, contacts, counts, timings = np.full(self.num_worlds, np.inf), [], [], Counter[str]()
+        hidden = ""
+        for worlds, result, of_one in self._results():
+            world_toi[worlds] = result.world_toi[: len(worlds)]
+            contacts.append(of_one)
+            counts.append(result.counts)
             timings.update(result.timings)
-        counts = _total([result.counts for _, result in found], sizes_of(self._mesh, self.num_worlds))
-        contacts = [self._in_one_world(result.contacts, worlds) for worlds, result in found]
-        world_toi = np.concatenate([result.world_toi[: len(worlds)] for worlds, result in found])
-        hidden = next((result.hidden_gaps for _, result in found if result.hidden_gaps), "")
-        return replace(result_of(self._mesh, world_toi, contacts, counts, dict(timings)), hidden_gaps=hidden)
+            hidden = hidden or result.hidden_gaps
+        kinds = possible_kinds(self._mesh, self._pipeline._options)
+        total = _total(counts, kinds, sizes_of(self._mesh, self.num_worlds))
+        return replace(result_of(self._mesh, world_toi, contacts, total, dict(timings)), hidden_gaps=hidden)
+
+    def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
+        """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
+        parts = self._near_worlds()
+        if parts is None:
+            for worlds, result in self._each(type(self._pipeline)._contacts):
+                yield worlds, result, self._in_one_world(result.contacts, worlds)
+            return
+        mesh = self._mesh
+        for worlds, of_parts, result in parts.each(lambda own, paths: self._on_parts(own, paths).contacts()):
+            yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
+
+    def _near_worlds(self) -> NearWorlds | None:
+        """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
+        mesh, pipeline = self._mesh, self._pipeline
+        if isinstance(self._motion, JointMotion) or mesh.num_faces < _LARGE or mesh.num_bodies > _MOST_BODIES:
+            return None
+        parts = pipeline._near_parts(*self._given)
+        if parts is None:
+            return None
+        return NearWorlds(parts, self._motion, pipeline._options.t_max, pipeline._reach_of_parts)
+
+    def _on_parts(self, parts: PartMesh, paths: MeshPaths) -> Step:
+        """A step of a mesh of parts."""
+        x = parts.mesh.vertices
+        step: Step = self._pipeline._step_of(parts)(x, x, paths)
+        return step
 
     def _near_search(self) -> Any:
         """A search that needs no copies, where links alone move, at its end; None where there has to be a mesh."""
@@ -136,13 +182,13 @@ class MotionWorlds:
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)
 
 
-def _total(parts: list[Counts], sizes: dict[str, int]) -> Counts:
+def _total(parts: list[Counts], kinds: Sequence[PairKind], sizes: dict[str, Any]) -> Counts:
     """What all batches did; sizes are those of all worlds."""
     total: dict[str, Any] = {}
     for each in fields(Counts):
         values = [getattr(part, each.name) for part in parts]
-        if isinstance(values[0], dict):
-            total[each.name] = {key: sum(value[key] for value in values) for key in values[0]}
+        if each.default is MISSING:
+            total[each.name] = {kind: sum(value[kind] for value in values) for kind in kinds}
         else:
             total[each.name] = sum(values)
     return Counts(**(total | sizes))

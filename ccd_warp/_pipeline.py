@@ -51,7 +51,9 @@ from ccd_warp._runtime.progress import Progress
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
     from ccd_warp._engine.host.joint_search import JointSearch
+    from ccd_warp._engine.host.near_parts import NearParts
     from ccd_warp._engine.host.near_search import NearSearch
+    from ccd_warp._engine.host.part_mesh import PartMesh
     from ccd_warp._motion_worlds import MotionWorlds
 
 DEFAULT_NUM_ROUNDS = 8
@@ -729,26 +731,48 @@ class CollisionPipeline:
         """A search of the parts of links that may touch, at its end; None where whole bodies have to be searched."""
         from ccd_warp._engine.host.joint_search import Solve  # few programs need them
         from ccd_warp._engine.host.near_search import NearSearch
-        from ccd_warp._engine.host.part_mesh import PartMesh, world_alone
 
-        mesh, options = self.mesh, self._options
-        # radii may be others on the device than those of the mesh
-        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
-        is_plain = is_plain and (start is end or np.array_equal(start, end))
-        world = world_alone(mesh, start) if is_plain else None
-        if world is None:
+        mesh, options, parts = self.mesh, self._options, self._near_parts(start, end)
+        if parts is None:
             return None
-        length_scale = length_scale_of(mesh, options)
-        of_pass = replace(options, t_max=1.0, length_scale=length_scale)
 
         def solver(parts: PartMesh) -> Solve:
-            workspace = Workspace(parts.mesh, self._topology.device)
-            workspace.topology.vertex_rank = parts.rank
-            return lambda x, y, paths: Step(workspace, (x, y), of_pass, paths=paths).contacts()
+            step = self._step_of(parts, t_max=1.0)
+            return lambda begin, end, paths: step(begin, end, paths).contacts()
 
-        near = NearSearch(mesh, world, motion, options.t_max, possible_kinds(mesh, options))
-        near.run(solver, 2.0 * options.separation(length_scale))
+        near = NearSearch(mesh, parts, motion, options.t_max, possible_kinds(mesh, options))
+        near.run(solver, self._reach_of_parts)
         return near
+
+    def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
+        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
+        from ccd_warp._engine.host.near_parts import NearParts  # few programs need them
+        from ccd_warp._engine.host.part_mesh import world_alone
+
+        # radii may be others on the device than those of the mesh
+        mesh, kept = self.mesh, MeshCache.of(self.mesh).parts
+        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
+        if not is_plain or not (start is end or np.array_equal(start, end)):
+            return None
+        positions, parts = kept.get("parts", (None, None))
+        if positions is None or not np.array_equal(positions, start):
+            world = world_alone(mesh, start)
+            parts = None if world is None else NearParts(world, world.vertices)
+            kept["parts"] = start.copy(), parts
+        found: NearParts | None = parts
+        return found
+
+    @property
+    def _reach_of_parts(self) -> float:
+        """A Euclidean distance beyond which parts do not come within the separation of a pair."""
+        return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
+
+    def _step_of(self, parts: PartMesh, **changes: Any) -> Callable[..., Step]:
+        """What makes steps of a mesh of parts, between positions and along paths, with other options."""
+        options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
+        workspace = Workspace(parts.mesh, self._topology.device)
+        workspace.topology.vertex_rank = parts.rank
+        return lambda start, end, paths: Step(workspace, (start, end), options, paths=paths)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
@@ -784,7 +808,7 @@ class CollisionPipeline:
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is not None:
-            least = worlds.least_toi(CollisionPipeline._least_toi, is_enough=lambda toi: toi <= 0.0)
+            least = worlds.least_toi()
         else:
             least = self._least_toi(vertices_t0, vertices_t1, motion)
         toi = min(least, self._options.t_max)
@@ -850,7 +874,7 @@ class CollisionPipeline:
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is not None:
-            least = worlds.least_toi(CollisionPipeline._any_toi, is_enough=np.isfinite)
+            least = worlds.least_toi(any_suffices=True)
         else:
             least = self._any_toi(vertices_t0, vertices_t1, motion)
         if not check_start:

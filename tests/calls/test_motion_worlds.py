@@ -168,3 +168,55 @@ def test_bad_motions_of_worlds_are_refused_by_name():
         ccd.line_search(mesh, x, x, motion=motion, device="cpu")
     with pytest.raises(ValueError, match=r"method is 'bisection'"):
         ccd.mesh_ccd(mesh, x, x, motion=motion, method="bisection", device="cpu")
+
+
+@pytest.mark.parametrize("options", [{}, {"minimum_distance": 0.05}, {"minimum_separation": 0.1}])
+@pytest.mark.parametrize("path", ["linear", "screw"])
+def test_parts_that_may_touch_have_the_bits_of_whole_bodies(path, options, monkeypatch):
+    """Balls that turn about points beside them, a rod without faces and a board; in some worlds nothing meets."""
+    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    ball = trimesh.creation.icosphere(2)
+    rod = np.array([[0.0, 0, -1], [0, 0, 0], [0, 0, 1]])
+    bodies = [(ball.vertices, ball.faces)] * 2 + [(rod, NO_FACES, [[0, 1], [1, 2]])]
+    bodies += [(trimesh.creation.box((6, 6, 0.1)).vertices - [0, 0, 1.6], BOX.faces)]
+    rng = np.random.default_rng(2)
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies,
+        rigid=[0, 1, 2],
+        static=[3],
+        exclude_pairs={"bodies": [(0, 2)]},
+        radius=None if "minimum_separation" in options else [0.01] * 2 * len(ball.vertices) + [0.02] * 11,
+    )
+    poses = np.concatenate([np.empty((WORLDS, 3, 3)), rng.normal(size=(WORLDS, 3, 4))], axis=2)
+    poses[..., :3] = [[-1.2, 0, 0], [1.2, 0, 0], [0, 2.5, 0]] + 0.2 * rng.normal(size=(WORLDS, 3, 3))
+    poses[2, :, 0] *= 20  # where nothing comes near but the board
+    poses[3, :, 2] += 50 * np.arange(3)
+    twist = np.concatenate([0.4 * rng.normal(size=(WORLDS, 3, 3)), 0.5 * rng.normal(size=(WORLDS, 3, 3))], axis=2)
+    twist[:, 2, 1] -= 1.5
+    pivot = {} if path == "screw" else {"pivot": [0.2, -0.1, 0.3]}
+    motion = ccd.RigidMotion(poses, twist=twist, path=path, **pivot)
+    x = mesh.vertices
+    options = options | {"motion": motion, "device": "cpu"}
+    result, least = ccd.mesh_ccd(mesh, x, x, **options), ccd.collision_free_step(mesh, x, x, **options)
+    free = ccd.is_step_collision_free(mesh, x, x, **options)
+    monkeypatch.setattr(_motion_worlds, "_LARGE", 10**9)
+    expected = ccd.mesh_ccd(mesh, x, x, **options)
+    assert 1 < np.isfinite(expected.world_toi).sum() < WORLDS and len({*expected.contacts.kind.tolist()}) > 1
+    names = ("world_toi", "vertex_toi", "body_toi", "vertex_contact", "body_contact", "world_contact")
+    assert [name for name in names if not np.array_equal(getattr(result, name), getattr(expected, name))] == []
+    names = ("kind", "primitives", "toi", "parameters", "normal", "gap", "points", "relative_velocity", "world")
+    of, other = result.contacts, expected.contacts
+    assert [name for name in names if not np.array_equal(getattr(of, name), getattr(other, name))] == []
+    assert least == ccd.collision_free_step(mesh, x, x, **options) and not free
+
+
+def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
+    """A wall that stands elsewhere in a later call is met there."""
+    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX], rigid=[0], static=[1])
+    poses = np.tile([0.0, 0, 0, 0, 0, 0, 1], (WORLDS, 1, 1))
+    motion = ccd.RigidMotion(poses, twist=np.tile([4.0, 0, 0, 0, 0, 0.1], (WORLDS, 1, 1)))
+    for place in (2.0, 3.0, 2.0, 9.0):
+        x = mesh.vertices + np.where(mesh.vertex_body[:, None] == 1, [place, 0, 0], 0.0)
+        toi = ccd.mesh_ccd(mesh, x, x, motion=motion, device="cpu").world_toi
+        assert (toi == toi[0]).all() and (toi[0] == np.inf if place == 9.0 else abs(4.0 * toi[0] - place + 1) < 0.1)

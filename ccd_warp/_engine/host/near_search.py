@@ -42,14 +42,14 @@ class NearSearch:
     def __init__(
         self,
         mesh: CollisionMesh,
-        world: CollisionMesh,
+        parts: NearParts,
         motion: "JointMotion",
         t_max: float,
         kinds: Sequence[PairKind],
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
-        self._mesh, self._world, self._motion, self._t_max, self._kinds = mesh, world, motion, t_max, kinds
-        self._parts = NearParts(world, world.vertices)
+        self._mesh, self._parts, self._motion, self._t_max, self._kinds = mesh, parts, motion, t_max, kinds
+        world = self._world = parts.mesh
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
         self._spheres = one.centre, one.reach
         self.world_toi = np.full(motion.num_worlds, np.inf)

@@ -14,10 +14,12 @@ class MeshCache:
     Attributes:
         topologies: Topologies by name of the device.
         idle_workspaces: Workspaces that no call uses, by name of the device.
+        parts: Under "parts" the positions for which bodies have last been divided, and their parts.
     """
 
     topologies: dict[str, Any] = field(default_factory=dict)
     idle_workspaces: dict[str, list[Any]] = field(default_factory=dict)
+    parts: dict[str, Any] = field(default_factory=dict)
 
     @staticmethod
     def of(mesh: Any) -> "MeshCache":

@@ -1,0 +1,79 @@
+"""Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
+
+Slices of all worlds are tested by spheres (`near_parts`), and the parts that may touch in some slice of a world are the
+bodies of this world in a mesh of parts (`part_mesh`), along the paths of the whole bodies: so the answers are those of
+whole bodies, in every bit.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._body_sweeps import BodySweeps
+from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
+from ccd_warp._engine.host.near_parts import NearParts
+from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._mesh_paths import MeshPaths
+
+if TYPE_CHECKING:
+    from ccd_warp._motion import RigidMotion
+
+_T = TypeVar("_T")
+# Primitives, and worlds, of a mesh of parts.
+_MOST_ROWS, _MOST_WORLDS = 1 << 19, 1 << 12
+
+
+class NearWorlds:
+    """The parts of all worlds of a motion, for a mesh of one, that may touch.
+
+    Attributes:
+        parts: Those of the mesh.
+    """
+
+    def __init__(self, parts: NearParts, motion: "RigidMotion", t_max: float, reach: float) -> None:
+        """Find those of the parts that may come within a distance in a step up to a time."""
+        self._motion, self._turn = motion, motion._body_paths.largest_turn
+        self.parts = parts
+        turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
+        each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
+        of_slice = np.repeat(np.arange(len(each)), each)
+        number = np.arange(len(of_slice)) - np.repeat(np.cumsum(each) - each, each)
+        begin, end = (t_max * (number + k) / each[of_slice] for k in (0, 1))
+        end = np.where(number + 1 == each[of_slice], t_max, end)
+        slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach)
+        count = len(self.parts.levels[-1].body)
+        of_pair = of_slice[slices] * count
+        self._world, self._part = np.divmod(np.unique(np.concatenate([of_pair + a, of_pair + b])), count)
+
+    def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
+        """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""
+        first = self.parts.levels[-1].first
+        sizes = first[self._part + 1] - first[self._part]
+        worlds, start = np.unique(self._world, return_index=True)
+        bounds = np.append(start, len(self._world))
+        before = np.append(0, np.cumsum(sizes))[bounds]
+        k = 0
+        while k < len(worlds):
+            last = max(k + 1, int(np.searchsorted(before, before[k] + _MOST_ROWS, side="right")) - 1)
+            last = min(last, k + _MOST_WORLDS, len(worlds))
+            chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
+            of_part = np.searchsorted(chosen, self._world[rows])
+            own, counts = self._part[rows], sizes[rows]
+            primitives = np.repeat(first[own] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), primitives)
+            given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
+            yield chosen, parts, work(parts, replace(MeshPaths.of(parts.mesh, given), turn=self._turn))
+            k = last
+
+
+class _OfWorlds:
+    """The bodies of a motion in slices of worlds."""
+
+    def __init__(self, motion: "RigidMotion") -> None:
+        self._motion = motion
+
+    def _of_worlds(self, worlds: NDArray[np.intp]) -> Any:
+        return BodySweeps(self._motion._of_worlds(worlds), len(worlds))
