@@ -296,7 +296,7 @@ class CollisionMesh(ReadOnly):
                 f"bodies hold {offsets[-1]} vertices; expected at most {MOST_WITH_PLANES} with half-spaces"
             )
         mesh = cls(
-            vertices=joined.vertices,
+            vertices=np.ascontiguousarray(joined.vertices),  # of points, joined by columns
             faces=joined.faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
             static=static_bodies | (is_half_space & ~kinematic_bodies),

@@ -44,6 +44,7 @@ class MeshPaths(BodyPaths):
             raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
         bodies = np.flatnonzero(mesh.rigid)
         check_rows(mesh, bodies, len(given))
+        check_worlds(mesh)
         check_rest(mesh, bodies, given)
         rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
@@ -131,6 +132,26 @@ def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> 
         raise ValueError(
             f"motion has {counted(num_rows, 'row', 'rows')} for "
             f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+        )
+
+
+def check_worlds(mesh: CollisionMesh) -> None:
+    """Check that no rigid body has vertices in several worlds, which may have to stop it at different times.
+
+    Raises:
+        ValueError: If one has.
+    """
+    if mesh.num_worlds == 1:
+        return
+    first = np.zeros(mesh.num_bodies, dtype=np.int32)
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    first[filled] = mesh.vertex_world[mesh.body_vertex_range[filled]]
+    differs = (mesh.vertex_world != first[mesh.vertex_body]) & mesh.rigid[mesh.vertex_body]
+    for vertex in np.flatnonzero(differs)[:1].tolist():
+        body = int(mesh.vertex_body[vertex])
+        raise ValueError(
+            f"motion is given, and {body_label(body, mesh.names)}, which is rigid, has vertices in worlds "
+            f"{first[body]} and {mesh.vertex_world[vertex]}; expected a body for each world"
         )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
-from ccd_warp._engine.device.input import LineSearch
+from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
 from ccd_warp._engine.host.line_search import (
@@ -124,6 +124,7 @@ class CollisionPipeline:
         self._layout = self.mesh._vertices_in_space
         self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
         self._is_placing = False  # whether that launch may have moved some of the static bodies
+        self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._radius: wp.array | None = None
         self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
         norm_of(self.mesh, options)
@@ -300,6 +301,7 @@ class CollisionPipeline:
 
         before = self._device_step or self._interrupted
         placed = self._layout if before is None else before.static_positions()
+        is_new_layout = layout is not None
         if layout is not None:
             placed = layout
         layout = self._layout if layout is None else layout
@@ -317,6 +319,10 @@ class CollisionPipeline:
             ) from error
         if placed is layout:
             self._is_placing = False
+        if is_new_layout:
+            self._placed_by = None
+        elif self._placed_by is not None and not self._placed_by.on_arcs:
+            self._placed_by = step
         self._capacities, self._layout, self._device_step = capacities, layout, step
         self._at_one_time.clear()
         self._arc_step = None
@@ -473,9 +479,20 @@ class CollisionPipeline:
             layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
             step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
+        self._check_places(step, prepared)
         step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
         return step.result
+
+    def _check_places(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
+        """Check that a step knows where static bodies stand; launches with and without a motion keep places apart."""
+        if prepared.places_static:
+            self._placed_by = step
+        elif self._placed_by is not None and self._placed_by is not step:
+            raise RuntimeError(
+                "static bodies were placed by a launch with a motion, and now there is none, or the other way round; "
+                "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
+            )
 
     def _launch(
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
@@ -499,6 +516,7 @@ class CollisionPipeline:
                     "a launch was interrupted while it placed static bodies; "
                     "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
                 )
+            self._check_places(step, prepared)
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
             step.launch(prepared)

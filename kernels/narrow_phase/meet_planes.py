@@ -4,7 +4,7 @@ import warp as wp
 
 from ..atomics import atomic_min_int32, atomic_min_int64, claim, claim_int
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ROUNDING_LIMIT
-from ..pair.turns import Turns
+from ..pair.turns import Turns, turns_anywhere
 from ..pair_key import pair_key
 from ..pair_kind import VERTEX_PLANE
 from ..step.minima import (
@@ -75,6 +75,8 @@ def meet_planes(
     x0 = step.vertices_t0[v]
     x1 = step.vertices_t1[v]
     is_struck = only_moving != 0 and x0 == x1
+    if turns.velocity.shape[0] > 0:
+        is_struck = is_struck and not turns_anywhere(wp.vec3i(v, v, v), turns)
     if is_struck and planes.vertex.shape[0] == 0:
         return
     radius = _ZERO

@@ -18,6 +18,7 @@ from ..pair.query import Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import is_stationary, points_of, row_points
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from ..pair.turns import turns_anywhere
 from ..pair_key import pair_of
 from ..parameters import norm, real, width
 from ..step.minima import ANY_OPEN, FOUND, OPEN, Minima
@@ -257,7 +258,12 @@ def solve_pairs(
                 a = points_of(kind, first, second, vertices_t0)
                 b = points_of(kind, first, second, vertices_t1)
                 if only_moving != 0:
-                    if is_stationary(a, b):
+                    stays = is_stationary(a, b)
+                    if wp.static(on_arcs):
+                        stays = stays and not (
+                            turns_anywhere(first, options.turns) or turns_anywhere(second, options.turns)
+                        )
+                    if stays:
                         continue
                 if not is_contact:
                     so_far = wp.int32(simd64.lane_of(answer.iterations, lane))

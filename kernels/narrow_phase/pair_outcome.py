@@ -11,6 +11,7 @@ from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points, corners, largest, points_of, relative_motion
 from ..pair.start_gap import LEAST_TOLERANCE, is_near
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION, STATUS_ROUNDING_LIMIT
+from ..pair.turns import turns_anywhere
 from ..parameters import norm, on_warp, real, width
 from ..step.contact_normal import ContactGap, contact_at
 from ..step.minima import CONTACTS_OVERFLOW, ROUNDING_LIMIT, STRUCK, Minima, flag_world, is_kinematic, lower_pair
@@ -228,6 +229,7 @@ def is_struck(
     second: wp.vec3i,
     vertices_t0: wp.array[wp.vec3d],
     vertices_t1: wp.array[wp.vec3d],
+    options: Options,
     minima: Minima,
 ) -> bool:
     """Whether of a pair only what is kinematic moves."""
@@ -239,6 +241,8 @@ def is_struck(
     for k in range(3):
         if not (vertices_t0[free[k]] == vertices_t1[free[k]]):
             return False
+    if wp.static(on_arcs):
+        return not turns_anywhere(free, options.turns)
     return True
 
 
@@ -280,7 +284,7 @@ def record_contact(
         motion = motion_of(kind, first, second, vertices_t0, vertices_t1)
         if gaps_moved * outcome.gap < motion:
             toi = wp.max(toi, gaps_moved * outcome.gap / motion)
-    if only_moving != 0 and is_struck(first, second, vertices_t0, vertices_t1, minima):
+    if only_moving != 0 and is_struck(first, second, vertices_t0, vertices_t1, options, minima):
         flag_world(minima, first[0], STRUCK)
     else:
         lower_pair(minima, first, second, wp.cast(toi, wp.int64))

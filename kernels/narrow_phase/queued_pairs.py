@@ -22,6 +22,7 @@ from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import is_stationary, row_points
 from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
+from ..pair.turns import turns_anywhere
 from ..pair_key import pair_of
 from ..parameters import norm, real
 from ..step.minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
@@ -212,6 +213,12 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             is_needed = bool(True)
             if wp.static(is_listed):
                 is_needed = only_moving == 0 or not is_stationary(a, b)
+                if wp.static(on_arcs):
+                    if not is_needed:
+                        staying = pair_of(wp.where(pairs[k] < wp.int64(0), ~pairs[k], pairs[k]))
+                        is_needed = turns_anywhere(first_corners[staying[0]], options.turns) or turns_anywhere(
+                            second_corners[staying[1]], options.turns
+                        )
             outcome = Outcome()
             if wp.static(is_last):
                 if wp.static(is_table):

@@ -13,3 +13,13 @@ class Turns:
     vertex_body: wp.array[wp.int32]
     t_begin: wp.float64  # the slice as part of the step
     t_length: wp.float64
+
+
+@wp.func
+def turns_anywhere(vertices: wp.vec3i, turns: Turns) -> bool:
+    """Whether a vertex of a primitive turns: then it moves, also where it is at one place at both ends of a slice."""
+    for k in range(3):
+        v = turns.velocity[vertices[k]]
+        if v[0] != wp.float64(0.0) or v[1] != wp.float64(0.0) or v[2] != wp.float64(0.0):
+            return True
+    return False

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import ccd_warp as ccd
-from ccd_warp._engine.host import near_search, part_mesh
+from ccd_warp._engine.host import near_search
 
 NO_FACES = np.zeros((0, 3), dtype=int)
 BLADE = np.array([[0.0, 0, -0.1], [1, 0, -0.1], [1, 0, 0.1]])
@@ -258,8 +258,8 @@ def test_parts_alone_touch_as_whole_bodies_do(blocks, options, monkeypatch):
         for name, few in (("_MOST_ROWS", 1000), ("_MOST_SLICES", 4), ("_FEW_SLICES", 1)):
             monkeypatch.setattr(near_search, name, few)
     results = []
-    for world_alone in (part_mesh.world_alone, lambda *_: None):
-        monkeypatch.setattr(part_mesh, "world_alone", world_alone)
+    for near_parts in (ccd.CollisionPipeline._near_parts, lambda *_: None):
+        monkeypatch.setattr(ccd.CollisionPipeline, "_near_parts", near_parts)
         results.append(ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu", **options))
     of_parts, of_bodies = results
     touches = np.isfinite(of_bodies.world_toi)

@@ -208,4 +208,9 @@ def test_bad_motions_are_refused_by_name():
             ccd.mesh_ccd(*arguments, device="cpu", **options)
     with pytest.raises(ValueError, match="rigid holds body 5, a half-space"):
         ccd.CollisionMesh.from_arrays([(BLADE, [[0, 1, 2]])] * 5 + [GROUND], rigid=[5])
+    worlds = ccd.CollisionMesh.from_arrays(
+        [(BLADE, NO_FACES)], rigid=[0], codimensional_points=True, vertex_world=[0, 0, 1]
+    )
+    with pytest.raises(ValueError, match="body 0, which is rigid, has vertices in worlds 0 and 1"):
+        ccd.mesh_ccd(worlds, BLADE, BLADE, motion=one, device="cpu")
     assert len(result_of(mesh, end, motion).contacts)

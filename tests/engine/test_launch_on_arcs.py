@@ -192,3 +192,72 @@ def test_launch_after_a_line_search_says_what_starts_within_its_distance(moves, 
     assert found.toi == np.inf
     assert pipeline.launch(start, ends[0], motion=ends[1]).to_host().toi == 0.0
     assert pipeline.mesh_ccd(start, ends[0], motion=ends[1]).toi == 0.0
+
+
+def rolling(count, wall, **options):
+    """Points that roll out to x = 1 and back to where they were, each through a wall at 0.998."""
+    rng = np.random.default_rng(0)
+    turns = rng.uniform(0.19, 0.199, count)  # within one slice
+    places = np.arange(count)[:, None] * [0.0, 0, 3]
+    bodies = [(np.array([[1.0, 0, 0]]), NO_FACES)] * count + [wall(place) for place in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=range(count), **options)
+    none = np.zeros(count)
+    poses = np.column_stack([places, none, none, np.sin(-turns / 4), np.cos(turns / 4)])
+    twist = np.column_stack([none, -2 * np.sin(turns / 2), none, none, none, turns])
+    return mesh, ccd.RigidMotion(poses, twist=twist)
+
+
+def face_at(place):
+    return np.array([[0.998, -1, -1], [0.998, 1, -1], [0.998, 0, 1]]) + place, [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("wall", ["static", "kinematic", "half-space"])
+def test_points_that_roll_out_and_come_back_within_a_slice_do_not_stay(wall, precision):
+    """Their places at both ends of the slice are often equal in every bit."""
+    count = 40
+    if wall == "half-space":
+        _, motion = rolling(count, face_at)
+        points = [(np.array([[1.0, 0, 0]]), NO_FACES)] * count
+        bodies = [*points, ccd.HalfSpace([0.998, 0, 0], [-1, 0, 0])]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=range(count))
+    else:
+        mesh, motion = rolling(count, face_at, **{wall: range(count, 2 * count)})
+    x = mesh.vertices
+    ends = [motion._body_paths.positions(np.tile([1.0, 0, 0], (count, 1)), np.arange(count), t) for t in (0.0, 1.0)]
+    assert (ends[0] == ends[1]).all(axis=1).sum() > 3
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, device="cpu")
+    found = pipeline.launch_line_search(x, x.copy(), per="body", motion=motion).to_host()
+    assert (found.body_fraction[:count] < 0.5).all() and not found.flags & LaunchFlag.STRUCK
+    of_host = pipeline.line_search(x, x, per="body", motion=motion)
+    assert (of_host.vertex_fraction[:count] < 0.5).all() and len(of_host.struck) == 0
+    assert ccd.is_step_collision_free(mesh, x, x, motion=of_host.motion, device="cpu")
+    assert ccd.is_step_collision_free(mesh, x, x, motion=found.motion, device="cpu")
+
+
+def test_walls_that_one_kind_of_launch_has_placed_are_not_forgotten_by_the_other():
+    """A launch with a motion and one without know each where static bodies stand; rows of moving ones do not say it."""
+    box = trimesh.creation.box((1, 1, 1))
+    mesh = ccd.CollisionMesh.from_arrays([(box.vertices, box.faces)] * 2, static=[0], rigid=[1])
+    motion = ccd.RigidMotion([[3.0, 0, 0, 0, 0, 0, 1]], twist=[[4.0, 0, 0, 0, 0, 0.3]])
+    placed = mesh.vertices + np.where(mesh.vertex_body[:, None] == 0, [5.5, 0, 0], 0.0)
+    own = mesh.vertices[8:]
+    start, end = own + [3.0, 0, 0], own + [7.0, 0, 0]
+    on_arcs, straight = {"motion": motion}, {}
+    for first, second, rows in ((straight, on_arcs, (own, own)), (on_arcs, straight, (start, end))):
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+        pipeline.launch(placed, placed, **first)
+        with pytest.raises(RuntimeError, match="pass vertices_t0 with a row for every vertex"):
+            pipeline.launch(rows[0], rows[1].copy(), **second)
+        whole = [np.concatenate([placed[:8], part]) for part in rows]
+        toi = pipeline.launch(*whole, **second).to_host().toi
+        assert 0.3 < toi < 0.4
+        assert pipeline.launch(rows[0], rows[1].copy(), **second).to_host().toi == toi
+        pipeline.reserve(max_pairs=5000)
+        if second is on_arcs:
+            with pytest.raises(RuntimeError, match="reserve"):
+                pipeline.launch(rows[0], rows[1].copy(), **second)
+        else:
+            assert pipeline.launch(rows[0], rows[1].copy(), **second).to_host().toi == toi
+        pipeline.reserve(vertices=placed)
+        assert pipeline.launch(rows[0], rows[1].copy(), **second).to_host().toi == toi

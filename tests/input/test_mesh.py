@@ -33,6 +33,12 @@ def test_bodies_are_joined_in_order():
     assert mesh.moving_vertices.tolist() == [0, 1, 2]
 
 
+def test_points_joined_to_a_mesh_are_rows_that_launches_take():
+    mesh = CollisionMesh.from_arrays([(np.zeros((1, 3)), np.zeros((0, 3), int))] * 5, codimensional_points=True)
+    assert mesh.vertices.flags.c_contiguous
+    CollisionPipeline(mesh, device="cpu").launch(mesh.vertices, mesh.vertices)
+
+
 def test_edges_are_unique_pairs_sorted_by_max_then_min():
     rng = np.random.default_rng(0)
     faces = rng.integers(0, 30, (200, 3))

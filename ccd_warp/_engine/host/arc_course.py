@@ -52,6 +52,13 @@ class ArcCourse(Course):
         own_frames = np.where(self._is_rigid[:, None], self._given[0], vertices)
         return ArcEnd(own_frames, self._paths.shortened(self.of_bodies(fraction)))
 
+    def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vertices have not moved; on an arc one may come back to where it was."""
+        paths = self._paths
+        stays = ~(paths.omega.any(axis=1) | paths.velocity.any(axis=1) | paths.turning.any(axis=1))
+        of_rigid: NDArray[np.bool_] = (fraction == 0.0) | np.asarray(stays)[self._mesh.vertex_body]
+        return np.where(self._is_rigid, of_rigid, super().are_at_start(vertices, fraction))
+
     def of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least fraction of the vertices of each body, 1 of those without any."""
         return self.least_of_bodies(fraction, 1.0)

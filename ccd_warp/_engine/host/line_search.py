@@ -148,6 +148,11 @@ class Course:
         """What a solver takes as the end of the step to positions that are those at a fraction of each."""
         return vertices
 
+    def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vertices have not moved on the way to positions that are those at a fraction of each, shape [V]."""
+        found: NDArray[np.bool_] = (vertices == self.start).all(axis=1)
+        return found
+
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which vertices share that have one fraction whatever is asked for."""
         return least
@@ -276,7 +281,7 @@ def search_step(
         if driven.is_any:  # what the last round has stopped may be struck
             contacts = solver.holding(start, course.step_to(vertices, fraction), holds).contacts
             num_rounds += 1
-    is_at_start = (vertices == start).all(axis=1)
+    is_at_start = course.are_at_start(vertices, fraction)
     return LineSearchResult(
         vertices=vertices,
         vertex_fraction=fraction,
@@ -284,7 +289,7 @@ def search_step(
         touching=_stationary_contacts(mesh, stopping, is_at_start),
         num_rounds=num_rounds,
         is_limited=is_limited,
-        struck=_chosen(contacts, driven.is_any & ~is_at_start[_vertices_of(mesh, contacts)].all(axis=1)),
+        struck=_chosen(contacts, driven.is_any & ~np.asarray(is_at_start[_vertices_of(mesh, contacts)].all(axis=1))),
     )
 
 
@@ -319,10 +324,10 @@ class _Driven:
         """Which of the contacts are of a kinematic body and vertices that have no motion to shorten."""
         if not self.is_any:
             return np.zeros(len(contacts), dtype=bool)
-        is_still = (self._course.start[corners] == self._course.end[corners]).all(axis=2) | self._mesh.kinematic[
-            self._mesh.vertex_body[corners]
-        ]
-        found: NDArray[np.bool_] = is_still.all(axis=1)
+        course = self._course
+        stays = course.are_at_start(course.end, np.ones(len(course.end)))
+        is_still = stays[corners] | self._mesh.kinematic[self._mesh.vertex_body[corners]]
+        found: NDArray[np.bool_] = np.asarray(is_still.all(axis=1))
         return found & self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
 
     def among(self, contacts: Contacts) -> NDArray[np.bool_]:

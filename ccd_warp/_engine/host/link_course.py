@@ -55,6 +55,11 @@ class LinkCourse(Course):
         own_frames = np.where(self._is_link, self._given, vertices)
         return LinkEnd(own_frames, self.shortened(fraction))
 
+    def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vertices have not moved; a link may come back to where it was."""
+        of_links: NDArray[np.bool_] = (fraction == 0.0) | self._mesh.static[self._mesh.vertex_body]
+        return np.where(self._is_link[:, 0], of_links, super().are_at_start(vertices, fraction))
+
     def shortened(self, fraction: NDArray[np.float64]) -> "JointMotion":
         """The motion up to fractions of the vertices."""
         return self._motion.shortened(self.of_worlds(fraction))
