@@ -150,7 +150,8 @@ class MotionWorlds:
         parts = pipeline._near_parts(*self._given)
         if parts is None:
             return None
-        return NearWorlds(parts, self._motion, pipeline._options.t_max, pipeline._reach_of_parts)
+        options = pipeline._options
+        return NearWorlds(parts, self._motion, options.t_max, pipeline._reach_of_parts, options.memory_limit)
 
     def _on_parts(self, parts: PartMesh, paths: MeshPaths) -> Step:
         """A step of a mesh of parts."""

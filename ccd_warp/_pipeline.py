@@ -370,6 +370,8 @@ class CollisionPipeline:
             ValueError: If an array or the motion is not as described, or if both or neither of ``vertices_t1`` and
                 ``displacements`` are given.
             RuntimeError: If a CUDA graph is being captured, and there was no earlier call with arrays of these types.
+                If there are rows of moving vertices alone, after static bodies were placed by a launch with a motion
+                where there is none now, or the other way round.
 
         References:
             As for :func:`ccd_warp.mesh_ccd`.
@@ -758,7 +760,8 @@ class CollisionPipeline:
             step = self._step_of(parts, t_max=1.0)
             return lambda begin, end, paths: step(begin, end, paths).contacts()
 
-        near = NearSearch(mesh, parts, motion, options.t_max, possible_kinds(mesh, options))
+        kinds = possible_kinds(mesh, options)
+        near = NearSearch(mesh, parts, motion, options.t_max, kinds, options.memory_limit)
         near.run(solver, self._reach_of_parts)
         return near
 

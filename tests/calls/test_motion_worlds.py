@@ -220,3 +220,30 @@ def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
         x = mesh.vertices + np.where(mesh.vertex_body[:, None] == 1, [place, 0, 0], 0.0)
         toi = ccd.mesh_ccd(mesh, x, x, motion=motion, device="cpu").world_toi
         assert (toi == toi[0]).all() and (toi[0] == np.inf if place == 9.0 else abs(4.0 * toi[0] - place + 1) < 0.1)
+
+
+def test_slides_as_short_as_squares_that_vanish_do_not_lose_a_face():
+    """A point at the end of six slides of 1.4e-162 each, whose squares are 0, comes to a face after nine tenths."""
+    count, size = 6, 1.4e-162
+    slides = [ccd.Joint(f"s{k}", f"l{k}", f"l{k + 1}", "prismatic", axis=[1, 0, 0]) for k in range(count)]
+    face = size * (np.array([[0.0, -1, -1], [0, 1, -1], [0, 0, 1]]) + [0.9 * count, 0, 0])
+    bodies = [(np.zeros((1, 3)), NO_FACES), (face, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], codimensional_points=True)
+    motion = ccd.JointMotion(slides, np.zeros(count), np.full(count, size), links=[f"l{count}"])
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu").toi
+    assert toi == pytest.approx(0.9, abs=1e-6) and toi <= 0.9
+
+
+@pytest.mark.parametrize("limit", [1 << 21, 1 << 24])
+def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
+    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    ball = trimesh.creation.icosphere(3)
+    mesh = ccd.CollisionMesh.from_trimesh([ball] * 2, rigid=[0, 1])
+    rng = np.random.default_rng(3)
+    poses = np.concatenate([np.zeros((60, 2, 3)), rng.normal(size=(60, 2, 4))], axis=2)
+    poses[:, 1, 0] = 2.3
+    motion = ccd.RigidMotion(poses, twist=np.tile([[0.2, 0, 0, 0, 0, 0.3], [-0.2, 0, 0, 0, 0, -0.3]], (60, 1, 1)))
+    x = mesh.vertices
+    free = ccd.mesh_ccd(mesh, x, x, motion=motion, device="cpu")
+    kept = ccd.mesh_ccd(mesh, x, x, motion=motion, memory_limit=limit, device="cpu")
+    assert np.array_equal(free.vertex_toi, kept.vertex_toi) and np.isfinite(free.toi)

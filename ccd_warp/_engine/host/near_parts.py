@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 PART, GROUPS = 12, (32, 4)
 _UP = 1.0 + 64.0 * EPS
 _ERROR = 64.0 * EPS  # of places and distances, relative to the coordinates of both
+_UNDERFLOW = 1e-150  # of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154
 # Slices whose links are placed at once, and tests of pairs of bodies: so few that arrays stay in the cache.
 _MOST_SLICES, _MOST_AT_ONCE = 1 << 12, 1 << 15
 
@@ -152,7 +153,7 @@ class _Slices:
         length, first, second = self._against
         goes[moves] = length[number, moved] + first[number, moved] * level.arm[a[moves]]
         goes[moves] += second[number, moved] * level.arm[b[moves]]
-        most = (goes + level.radius[a] + level.rest[b] + self._reach) * _UP + _ERROR * (size + 1e-280)
+        most = (goes + level.radius[a] + level.rest[b] + self._reach) * _UP + _ERROR * size + _UNDERFLOW
         may: NDArray[np.bool_] = ~(distance > most)  # also where a number is none
         return may
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, slices_of_worlds
 from ccd_warp._engine.host.near_parts import NearParts
-from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._engine.host.part_mesh import BYTES_OF_A_ROW, PartMesh
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
@@ -46,8 +46,10 @@ class NearSearch:
         motion: "JointMotion",
         t_max: float,
         kinds: Sequence[PairKind],
+        memory_limit: int | None = None,
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
+        self._most_rows = _MOST_ROWS if memory_limit is None else min(_MOST_ROWS, memory_limit // BYTES_OF_A_ROW)
         self._mesh, self._parts, self._motion, self._t_max, self._kinds = mesh, parts, motion, t_max, kinds
         world = self._world = parts.mesh
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
@@ -106,7 +108,7 @@ class NearSearch:
         rank = np.arange(len(left)) - np.searchsorted(self._of[left], self._of[left])
         ordered = left[np.argsort(rank, kind="stable")]
         sizes = self._sizes(ordered)
-        fits = max(1, int(np.searchsorted(np.cumsum(sizes), _MOST_ROWS)))
+        fits = max(1, int(np.searchsorted(np.cumsum(sizes), self._most_rows)))
         return np.sort(ordered[: min(fits, _MOST_SLICES)])
 
     def _sizes(self, slices: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
 from ccd_warp._engine.host.near_parts import NearParts
-from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._engine.host.part_mesh import BYTES_OF_A_ROW, PartMesh
 from ccd_warp._mesh_paths import MeshPaths
 
 if TYPE_CHECKING:
@@ -33,10 +33,13 @@ class NearWorlds:
         parts: Those of the mesh.
     """
 
-    def __init__(self, parts: NearParts, motion: "RigidMotion", t_max: float, reach: float) -> None:
+    def __init__(
+        self, parts: NearParts, motion: "RigidMotion", t_max: float, reach: float, memory_limit: int | None = None
+    ) -> None:
         """Find those of the parts that may come within a distance in a step up to a time."""
         self._motion, self._turn = motion, motion._body_paths.largest_turn
         self.parts = parts
+        self._most_rows = _MOST_ROWS if memory_limit is None else min(_MOST_ROWS, memory_limit // BYTES_OF_A_ROW)
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
         each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
         of_slice = np.repeat(np.arange(len(each)), each)
@@ -57,7 +60,7 @@ class NearWorlds:
         before = np.append(0, np.cumsum(sizes))[bounds]
         k = 0
         while k < len(worlds):
-            last = max(k + 1, int(np.searchsorted(before, before[k] + _MOST_ROWS, side="right")) - 1)
+            last = max(k + 1, int(np.searchsorted(before, before[k] + self._most_rows, side="right")) - 1)
             last = min(last, k + _MOST_WORLDS, len(worlds))
             chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
             of_part = np.searchsorted(chosen, self._world[rows])

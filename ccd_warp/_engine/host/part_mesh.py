@@ -16,6 +16,9 @@ from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind, primitives_of
 
+# Memory of a primitive of a mesh of parts, with its boxes and pairs, about.
+BYTES_OF_A_ROW = 1024
+
 
 def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> CollisionMesh | None:
     """The world that all worlds of a mesh, and their vertices at these positions, are copies of; None where none is.
