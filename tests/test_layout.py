@@ -115,6 +115,7 @@ LAYERS = [
         "_joint_sweeps",
         "_joints",
         "_body_paths",
+        "_body_sweeps",
         "_mesh_paths",
     ],
     ["_engine", "_files"],
