@@ -631,7 +631,7 @@ CASES = [
 
 
 # Says something of the benchmarks, whose simulation it runs.
-LONG = [simulation_of_ranks]
+LONG = [simulation_of_ranks, bar_that_sweeps_the_regions_of_all_ranks, spheres_that_roll_on_each_other]
 
 
 def main(names):
