@@ -23,6 +23,7 @@ class BodySweeps:
 
     def __init__(self, paths: BodyPaths, num_slices: int) -> None:
         self._paths, self._shape = paths, (num_slices, len(paths) // max(num_slices, 1))
+        self._found: Sweeps | None = None  # of the last slices
 
     def _sweeps(self, t_begin: NDArray[np.float64], t_end: NDArray[np.float64]) -> Sweeps:
         """Bodies against the world.
@@ -42,17 +43,18 @@ class BodySweeps:
             moved = (half * speed + _ERROR * (1.0 + turn) * size) * _UP
             turned = (half * turn + _ERROR * (1.0 + turn)) * _UP
         n, count = self._shape
-        return Sweeps(
+        self._found = Sweeps(
             position.reshape(n, count, 3).transpose(1, 2, 0),
             rotation.reshape(n, count, 4).transpose(1, 2, 0),
             moved.reshape(n, count).T,
             turned.reshape(n, count).T,
         )
+        return self._found
 
     def _relative_sweeps(
         self, pairs: list[tuple[int, int]], t_begin: NDArray[np.float64], t_end: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Pairs of bodies against each other: each goes as far as against the world."""
-        found = self._sweeps(t_begin, t_end)
+        """Pairs of bodies against each other: each goes as far as against the world, as has mostly been computed."""
+        found = self._found or self._sweeps(t_begin, t_end)
         first, second = (np.array([pair[k] for pair in pairs], dtype=np.intp) for k in (0, 1))
         return found.moved[first] + found.moved[second], found.turned[first], found.turned[second]

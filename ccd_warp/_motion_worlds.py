@@ -1,12 +1,13 @@
-"""A mesh of one world with a motion of many: its bodies stand in memory once, and worlds are searched in batches.
+"""A mesh of one world with a motion of many: its bodies stand in memory once.
 
-A batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made once. A
-further world costs its rows of the motion, and what is found in it.
+Of large bodies only the parts are searched that may touch in a world (`near_worlds`, `near_search`). Other worlds go in
+batches: a batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
+once. A further world costs its rows of the motion, and what is found in it.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from ccd_warp._contact_place import ContactPlace
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.near_worlds import NearWorlds
-from ccd_warp._engine.host.part_mesh import PartMesh
+from ccd_warp._engine.host.part_mesh import PartMesh, rows_within
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._engine.mesh.scene import possible_kinds
@@ -37,6 +38,7 @@ class MotionWorlds:
 
     Attributes:
         num_worlds: Number of worlds.
+        timings: Seconds of each stage of all that has been searched.
     """
 
     def __init__(
@@ -62,7 +64,10 @@ class MotionWorlds:
         check_rest(mesh, bodies, given)
         MeshPaths.of(mesh, given.rows(np.arange(len(bodies)))).check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
-        self._num_copies = min(self.num_worlds, max(1, _PRIMITIVES // num_primitives))
+        most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)
+        self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
+        self._counts: list[Counts] = []
+        self.timings: dict[str, float] = {}
         self._given, self._turn = (start, end), given.largest_turn
 
     def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
@@ -89,13 +94,34 @@ class MotionWorlds:
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
                 found = call(pipeline, start, end, of_batch, is_searched)
+                self._add(pipeline.counts, pipeline.timings)
             yield worlds, found
+
+    def _add(self, counts: Counts, timings: dict[str, float]) -> None:
+        """Count what a step did."""
+        self._counts.append(counts)
+        for name, seconds in timings.items():
+            self.timings[name] = self.timings.get(name, 0.0) + seconds
+
+    def counts(self) -> Counts:
+        """What all that has been searched did; sizes are those of all worlds."""
+        kinds = possible_kinds(self._mesh, self._pipeline._options)
+        total: dict[str, Any] = {}
+        for each in fields(Counts):
+            values = [getattr(counts, each.name) for counts in self._counts]
+            if each.default is MISSING:
+                total[each.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
+            else:
+                total[each.name] = sum(values)
+        return Counts(**(total | sizes_of(self._mesh, self.num_worlds)))
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
         """The least toi of all worlds, or that of any contact, inf if there is none."""
         near = self._near_search()
         if near is not None:
-            return float(near.world_toi.min())
+            result = near.result()
+            self._add(result.counts, result.timings)
+            return result.toi
 
         def least_of(tois: Iterator[float]) -> float:
             least = np.inf
@@ -107,11 +133,11 @@ class MotionWorlds:
 
         parts, pipeline = self._near_worlds(), self._pipeline
         if parts is not None:
-            found = parts.each(lambda own, paths: self._on_parts(own, paths).least_toi(any_suffices=any_suffices))
+            found = parts.each(self._on_parts(lambda step: step.least_toi(any_suffices=any_suffices)))
             least = least_of(toi for *_, toi in found)
             if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
                 return least
-        call = type(pipeline)._any_toi if any_suffices else type(pipeline)._least_toi
+        call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
         return least_of(toi for _, toi in self._each(call))
 
     def result(self) -> MeshResult:
@@ -119,17 +145,13 @@ class MotionWorlds:
         near = self._near_search()
         if near is not None:
             return near.result()
-        world_toi, contacts, counts, timings = np.full(self.num_worlds, np.inf), [], [], Counter[str]()
-        hidden = ""
+        world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
         for worlds, result, of_one in self._results():
             world_toi[worlds] = result.world_toi[: len(worlds)]
             contacts.append(of_one)
-            counts.append(result.counts)
-            timings.update(result.timings)
             hidden = hidden or result.hidden_gaps
-        kinds = possible_kinds(self._mesh, self._pipeline._options)
-        total = _total(counts, kinds, sizes_of(self._mesh, self.num_worlds))
-        return replace(result_of(self._mesh, world_toi, contacts, total, dict(timings)), hidden_gaps=hidden)
+        found = result_of(self._mesh, world_toi, contacts, self.counts(), self.timings)
+        return replace(found, hidden_gaps=hidden)
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
@@ -139,7 +161,7 @@ class MotionWorlds:
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
-        for worlds, of_parts, result in parts.each(lambda own, paths: self._on_parts(own, paths).contacts()):
+        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts())):
             yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
 
     def _near_worlds(self) -> NearWorlds | None:
@@ -153,11 +175,19 @@ class MotionWorlds:
         options = pipeline._options
         return NearWorlds(parts, self._motion, options.t_max, pipeline._reach_of_parts, options.memory_limit)
 
-    def _on_parts(self, parts: PartMesh, paths: MeshPaths) -> Step:
-        """A step of a mesh of parts."""
-        x = parts.mesh.vertices
-        step: Step = self._pipeline._step_of(parts)(x, x, paths)
-        return step
+    def _on_parts(self, work: Callable[[Step], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
+        """Some work on a step of a mesh of parts."""
+
+        def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
+            x = parts.mesh.vertices
+            step: Step = self._pipeline._step_of(parts)(x, x, paths)
+            found = work(step)
+            if "total" not in step.timings:
+                step.finish_timings()
+            self._add(step.counts, step.timings)
+            return found
+
+        return on_parts
 
     def _near_search(self) -> Any:
         """A search that needs no copies, where links alone move, at its end; None where there has to be a mesh."""
@@ -181,15 +211,3 @@ class MotionWorlds:
         place = ContactPlace(mesh, points=contacts.points, relative_velocity=contacts.relative_velocity)
         place.world = worlds[contacts.world].astype(np.int32)
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)
-
-
-def _total(parts: list[Counts], kinds: Sequence[PairKind], sizes: dict[str, Any]) -> Counts:
-    """What all batches did; sizes are those of all worlds."""
-    total: dict[str, Any] = {}
-    for each in fields(Counts):
-        values = [getattr(part, each.name) for part in parts]
-        if each.default is MISSING:
-            total[each.name] = {kind: sum(value[kind] for value in values) for kind in kinds}
-        else:
-            total[each.name] = sum(values)
-    return Counts(**(total | sizes))

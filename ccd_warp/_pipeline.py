@@ -229,8 +229,7 @@ class CollisionPipeline:
         **further: Any,
     ) -> _T:
         """Run ``work`` on a step of a kind between validated positions, with other options than those of all calls."""
-        if self._topology.device.is_capturing:
-            raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
+        self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
             start, end = map(self.mesh._in_space, frames())
@@ -246,6 +245,11 @@ class CollisionPipeline:
             self.counts = step.counts
             self._workspace = workspace
         return result
+
+    def _check_no_capture(self) -> None:
+        """Check that the device is not captured in a graph, which a call that waits for it cannot be part of."""
+        if self._topology.device.is_capturing:
+            raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
 
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self._capacities
@@ -776,10 +780,10 @@ class CollisionPipeline:
         if not is_plain or not (start is end or np.array_equal(start, end)):
             return None
         positions, parts = kept.get("parts", (None, None))
-        if positions is None or not np.array_equal(positions, start):
+        if positions is not start and (positions is None or not np.array_equal(positions, start)):
             world = world_alone(mesh, start)
             parts = None if world is None else NearParts(world, world.vertices)
-            kept["parts"] = start.copy(), parts
+            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
         found: NearParts | None = parts
         return found
 
@@ -791,9 +795,11 @@ class CollisionPipeline:
     def _step_of(self, parts: PartMesh, **changes: Any) -> Callable[..., Step]:
         """What makes steps of a mesh of parts, between positions and along paths, with other options."""
         options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
+        self._check_no_capture()
         workspace = Workspace(parts.mesh, self._topology.device)
         workspace.topology.vertex_rank = parts.rank
-        return lambda start, end, paths: Step(workspace, (start, end), options, paths=paths)
+        show = self._show_progress
+        return lambda start, end, paths: Step(workspace, (start, end), options, 0.0, show, paths=paths)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
@@ -827,15 +833,28 @@ class CollisionPipeline:
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
-        if worlds is not None:
-            least = worlds.least_toi()
-        else:
-            least = self._least_toi(vertices_t0, vertices_t1, motion)
+        least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start)
         toi = min(least, self._options.t_max)
         if check_start:
             self._checked_start(vertices_t0, motion)
         return toi
+
+    def _least_of_worlds(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | JointMotion | None,
+        *,
+        check_start: bool,
+        any_suffices: bool = False,
+    ) -> float:
+        """The earliest toi of a step, also where a motion has many worlds; inf if it is free."""
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is None:
+            return self._least_toi(vertices_t0, vertices_t1, motion, any_suffices=any_suffices)
+        least = worlds.least_toi(any_suffices=any_suffices)
+        self.counts, self.timings = worlds.counts(), worlds.timings
+        return least
 
     def _least_toi(
         self,
@@ -843,10 +862,17 @@ class CollisionPipeline:
         vertices_t1: ArrayLike,
         motion: RigidMotion | JointMotion | MeshPaths | None = None,
         is_searched: NDArray[np.bool_] | None = None,
+        *,
+        any_suffices: bool = False,
     ) -> float:
-        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held."""
+        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held.
+
+        Where any toi suffices, what starts close is a contact.
+        """
         if isinstance(motion, JointMotion):
             return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
+        if any_suffices:
+            return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
         if not self._options.holds:
             return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
         toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
@@ -893,26 +919,10 @@ class CollisionPipeline:
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
-        if worlds is not None:
-            least = worlds.least_toi(any_suffices=True)
-        else:
-            least = self._any_toi(vertices_t0, vertices_t1, motion)
+        least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start, any_suffices=True)
         if not check_start:
             return least == np.inf
         return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
-
-    def _any_toi(
-        self,
-        vertices_t0: ArrayLike,
-        vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion | MeshPaths | None = None,
-        is_searched: NDArray[np.bool_] | None = None,
-    ) -> float:
-        """A toi of a step, inf if it is free."""
-        if isinstance(motion, JointMotion):
-            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
 
     def line_search(
         self,
@@ -935,7 +945,7 @@ class CollisionPipeline:
         arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
-            found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver, **arguments)
+            found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver(self._on_step), **arguments)
         elif isinstance(motion, JointMotion):
             found = self._search_on_joints(vertices_t0, vertices_t1, motion, arguments)
         else:
@@ -983,35 +993,18 @@ class CollisionPipeline:
         paths.check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 
-        def step_to(end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
+        def step_to(_: Any, end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
             return self._on_step(start, end.vertices, work, end.paths)
 
-        solver = Solver(
-            lambda _, end: step_to(end, Step.contacts),
-            lambda _, end, holds: (
-                step_to(end, lambda step: step.holding(holds).contacts())
-                if self._options.holds
-                else step_to(end, Step.contacts)
-            ),
-            self._worlds_near if self._options.holds and self._holds_pairs else None,
-            self._holds,
-        )
         arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
-        found = search_step(self.mesh, start, end, solver, course=course, **arguments)
+        found = search_step(self.mesh, start, end, self._solver(step_to), course=course, **arguments)
         of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
         return replace(found, motion=motion.shortened(of_bodies.reshape(motion.turns.shape)))
 
-    @property
-    def _solver(self) -> Solver:
-        """The steps of a line search."""
-        if not self._options.holds:
-            return Solver(self.mesh_ccd, lambda start, end, holds: self.mesh_ccd(start, end), None, self._holds)
-        return Solver(
-            self.mesh_ccd,
-            lambda start, end, holds: self._on_step(start, end, lambda step: step.holding(holds).contacts()),
-            self._worlds_near if self._holds_pairs else None,
-            self._holds,
-        )
+    def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
+        """The steps of a line search, of what does some work on one."""
+        worlds_near = self._worlds_near if self._holds_pairs else None
+        return Solver.of(step_to, worlds_near, self._holds, holds=self._options.holds)
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""

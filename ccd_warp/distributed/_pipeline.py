@@ -390,12 +390,14 @@ class DistributedPipeline:
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
             everywhere = AcrossRanks(plan.together)
-            course, solver = None, self._solver
+            course, solver = None, self._solver(self._run)
             if self._paths is not None:
                 from ccd_warp.distributed._motion import PartCourse
 
                 course = PartCourse(everywhere, plan.part.mesh, *self._ends, self._paths)
-                solver = self._solver_on_arcs
+                solver = self._solver(
+                    lambda _, end, work: self._run(self._ends[0], end.vertices, work, paths=end.paths)
+                )
             found = search_step(
                 plan.part.mesh,
                 *self._ends,
@@ -434,37 +436,10 @@ class DistributedPipeline:
             self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
             return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work, motion=motion)
 
-    @property
-    def _solver(self) -> Solver:
-        """The steps of a line search."""
-
-        def strict(start: NDArray[np.float64], end: NDArray[np.float64]) -> MeshResult:
-            return self._run(start, end, PartStep.contacts)
-
-        if not self._options.holds:
-            return Solver(strict, lambda start, end, holds: strict(start, end), None, self._holds)
-        return Solver(
-            strict,
-            lambda start, end, holds: self._run(start, end, lambda step: step.holding(holds).contacts()),
-            self._worlds_near if self._holds_pairs else None,
-            self._holds,
-        )
-
-    @property
-    def _solver_on_arcs(self) -> Solver:
-        """The steps of a line search in which bodies turn."""
-        start = self._ends[0]
-
-        def strict(_: Any, end: Any, *holds: Any) -> MeshResult:
-            return self._run(start, end.vertices, PartStep.contacts, paths=end.paths)
-
-        def holding(_: Any, end: Any, holds: NDArray[np.float64] | None) -> MeshResult:
-            work: Callable[[PartStep], MeshResult] = lambda step: step.holding(holds).contacts()  # noqa: E731
-            return self._run(start, end.vertices, work, paths=end.paths)
-
-        if not self._options.holds:
-            return Solver(strict, strict, None, self._holds)
-        return Solver(strict, holding, self._worlds_near if self._holds_pairs else None, self._holds)
+    def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
+        """The steps of a line search, of what does some work on one."""
+        worlds_near = self._worlds_near if self._holds_pairs else None
+        return Solver.of(step_to, worlds_near, self._holds, holds=self._options.holds)
 
     @property
     def _holds_pairs(self) -> bool:

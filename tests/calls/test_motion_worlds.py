@@ -6,6 +6,7 @@ import trimesh
 
 import ccd_warp as ccd
 from ccd_warp import _motion_worlds
+from ccd_warp._engine.host import near_worlds, part_mesh
 
 WORLDS = 7
 NO_FACES = np.zeros((0, 3), dtype=int)
@@ -247,3 +248,26 @@ def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
     free = ccd.mesh_ccd(mesh, x, x, motion=motion, device="cpu")
     kept = ccd.mesh_ccd(mesh, x, x, motion=motion, memory_limit=limit, device="cpu")
     assert np.array_equal(free.vertex_toi, kept.vertex_toi) and np.isfinite(free.toi)
+
+
+@pytest.mark.parametrize("large", [0, 10**9])
+def test_meshes_of_parts_hold_no_more_bodies_than_pairs_of_them_fit(large, monkeypatch):
+    """Pairs of bodies take a byte each, so their number grows with the square of the worlds; and all steps count."""
+    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
+    monkeypatch.setattr(near_worlds, "MOST_BODIES", 5)
+    made = []
+    of = part_mesh.PartMesh.of.__func__
+    monkeypatch.setattr(part_mesh.PartMesh, "of", classmethod(lambda *given: made.append(of(*given)) or made[-1]))
+    mesh = ccd.CollisionMesh.from_trimesh([BOX] * 3, rigid=[0, 1, 2], exclude_pairs={"bodies": [(0, 2)]})
+    poses = np.zeros((WORLDS, 3, 7))
+    poses[..., 6], poses[..., 0] = 1, [-1.2, 0, 1.2]
+    twist = np.zeros((WORLDS, 3, 6))
+    twist[:, 0, 0] = np.linspace(0.1, 0.5, WORLDS)
+    x, pipeline = mesh.vertices, ccd.CollisionPipeline(mesh, device="cpu")
+    result = pipeline.mesh_ccd(x, x, motion=ccd.RigidMotion(poses, twist=twist))
+    assert np.isfinite(result.world_toi).sum() == (twist[:, 0, 0] > 0.2).sum()
+    assert large or (len(made) > 2 and max(parts.mesh.num_bodies for parts in made) <= 5)
+    assert result.counts.num_candidates[ccd.PairKind.EDGE_EDGE] > 0
+    toi = pipeline.collision_free_step(x, x, motion=ccd.RigidMotion(poses, twist=twist))
+    assert toi == result.toi and pipeline.counts is not result.counts
+    assert pipeline.counts.num_faces == WORLDS * 36 and pipeline.timings["total"] > 0.0

@@ -7,7 +7,7 @@ touches where a window ends in contacts whose excess is of the size of rounding.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
 _SHARP = 2.0**-46
 _SHORTEST = 2.0**-44
 _DOWN = 1.0 - 2.0**-50
-_NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, width
-    *(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))),
-    *(np.zeros(0, np.int32), np.zeros(0), np.zeros(0)),
-)
 _GROWTH, _LEAST = 4.0, 2.0**-10
 # Passes beyond those that the slices of a step need, after which open worlds have the toi that is proved.
 _MOST_PASSES = 1000
@@ -80,7 +76,7 @@ class Links:
         used = self.is_used.ravel()
         if used.all():
             return given, excess
-        return BodyPaths(*(getattr(given, f.name)[used] for f in fields(BodyPaths))), excess[used]
+        return given.rows(np.flatnonzero(used)), excess[used]
 
 
 class JointSearch:

@@ -124,6 +124,27 @@ class Solver:
     worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None
     find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
+    @classmethod
+    def of(
+        cls,
+        step_to: Callable[[NDArray[np.float64], Any, Callable[[Any], MeshResult]], MeshResult],
+        worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None,
+        find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        *,
+        holds: bool,
+    ) -> "Solver":
+        """Of what does some work on a step from a start to an end, and of whether what starts close may part."""
+
+        def strict(start: NDArray[np.float64], end: Any) -> MeshResult:
+            return step_to(start, end, lambda step: step.contacts())
+
+        def holding(start: NDArray[np.float64], end: Any, of_vertices: NDArray[np.float64] | None) -> MeshResult:
+            return step_to(start, end, lambda step: step.holding(of_vertices).contacts())
+
+        if not holds:
+            return cls(strict, lambda start, end, _: strict(start, end), None, find_holds)
+        return cls(strict, holding, worlds_near, find_holds)
+
 
 class Course:
     """Where vertices are at fractions of their displacements, on straight lines; what a solver takes for it.

@@ -50,6 +50,19 @@ class Parts(NamedTuple):
     first: NDArray[np.intp]
 
 
+def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+    """So many slices of [0, t_max] for each world: the world, the begin and the end of each slice."""
+    world = np.repeat(np.arange(len(each)), each)
+    number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
+    begin, end = (t_max * (number + k) / each[world] for k in (0, 1))
+    return world, begin, np.where(number + 1 == each[world], t_max, end)
+
+
+def ranges(first: NDArray[np.intp], counts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The numbers from each first one on, so many of each."""
+    return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+
+
 class NearParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
@@ -73,6 +86,11 @@ class NearParts:
         self.levels = _levels(mesh, vertices, self.primitives, begins, counts)
         self.link_of = np.cumsum(mesh.rigid) - 1
         self.pairs = _pairs(mesh)
+
+    def num_bodies(self, group: NDArray[np.intp], part: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+        """Of how many bodies the parts of each of so many groups are."""
+        keys = np.unique(group * self.mesh.num_bodies + self.levels[-1].body[part])
+        return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
     def near(
         self,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, slices_of_worlds
-from ccd_warp._engine.host.near_parts import NearParts
-from ccd_warp._engine.host.part_mesh import BYTES_OF_A_ROW, PartMesh
+from ccd_warp._engine.host.near_parts import NearParts, ranges, spans
+from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
@@ -49,7 +49,7 @@ class NearSearch:
         memory_limit: int | None = None,
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
-        self._most_rows = _MOST_ROWS if memory_limit is None else min(_MOST_ROWS, memory_limit // BYTES_OF_A_ROW)
+        self._most_rows = rows_within(memory_limit, _MOST_ROWS)
         self._mesh, self._parts, self._motion, self._t_max, self._kinds = mesh, parts, motion, t_max, kinds
         world = self._world = parts.mesh
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
@@ -91,10 +91,7 @@ class NearSearch:
         """The slices in which parts may touch, and these parts: those of a world in the order of time."""
         motion, parts = self._motion, self._parts
         each = slices_of_worlds(motion, 0.0, self._t_max).astype(np.intp)
-        world = np.repeat(np.arange(len(each)), each)
-        number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
-        begin, end = (self._t_max * (number + k) / each[world] for k in (0, 1))
-        end = np.where(number + 1 == each[world], self._t_max, end)
+        world, begin, end = spans(each, self._t_max)
         row, a, b = parts.near(motion, world, begin, end, reach)
         count = len(parts.levels[-1].body)
         keys = np.unique(np.concatenate([row * count + a, row * count + b]))
@@ -102,14 +99,19 @@ class NearSearch:
         near, self._first = np.unique(of_key, return_index=True)
         self._first = np.append(self._first, len(keys))
         self._of, self._begin, self._end_of = world[near], begin[near], end[near]
+        number = np.repeat(np.arange(len(near)), np.diff(self._first))
+        self._num_bodies = parts.num_bodies(number, self._part, len(near))
 
     def _batch(self, left: NDArray[np.intp]) -> NDArray[np.intp]:
         """Some of the slices, the first of all worlds first, that fit in one mesh."""
         rank = np.arange(len(left)) - np.searchsorted(self._of[left], self._of[left])
         ordered = left[np.argsort(rank, kind="stable")]
         sizes = self._sizes(ordered)
-        fits = max(1, int(np.searchsorted(np.cumsum(sizes), self._most_rows)))
-        return np.sort(ordered[: min(fits, _MOST_SLICES)])
+        fits = min(
+            int(np.searchsorted(np.cumsum(sizes), self._most_rows)),
+            int(np.searchsorted(np.cumsum(self._num_bodies[ordered]), MOST_BODIES)),
+        )
+        return np.sort(ordered[: min(max(1, fits), _MOST_SLICES)])
 
     def _sizes(self, slices: NDArray[np.intp]) -> NDArray[np.intp]:
         """Primitives of slices."""
@@ -120,10 +122,10 @@ class NearSearch:
         """A pass over slices: those in which something may touch, with the primitives that may."""
         counts = np.diff(self._first)[slices]
         which = np.repeat(np.arange(len(slices)), counts)
-        part = self._part[_ranges(self._first[slices], counts)]
+        part = self._part[ranges(self._first[slices], counts)]
         first = self._parts.levels[-1].first
         sizes = first[part + 1] - first[part]
-        parts = PartMesh.of(self._parts, len(slices), np.repeat(which, sizes), _ranges(first[part], sizes))
+        parts = PartMesh.of(self._parts, len(slices), np.repeat(which, sizes), ranges(first[part], sizes))
         search, solve = self._search(parts, slices, solver)
         result = search.make_pass(solve)
         touches = np.isfinite(result.world_toi)
@@ -192,8 +194,3 @@ class NearSearch:
             timings.update(each.timings)
         times = {"near parts": self._seconds, **timings, "total": timings["total"] + self._seconds}
         return result_of(mesh, self.world_toi, self._found, counts, times)
-
-
-def _ranges(first: NDArray[np.intp], counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The numbers from each first one on, so many of each."""
-    return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())

@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
-from ccd_warp._engine.host.near_parts import NearParts
-from ccd_warp._engine.host.part_mesh import BYTES_OF_A_ROW, PartMesh
+from ccd_warp._engine.host.near_parts import NearParts, ranges, spans
+from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._mesh_paths import MeshPaths
 
 if TYPE_CHECKING:
     from ccd_warp._motion import RigidMotion
 
 _T = TypeVar("_T")
-# Primitives, and worlds, of a mesh of parts.
-_MOST_ROWS, _MOST_WORLDS = 1 << 19, 1 << 12
+_MOST_ROWS = 1 << 19  # primitives of a mesh of parts
 
 
 class NearWorlds:
@@ -39,13 +38,10 @@ class NearWorlds:
         """Find those of the parts that may come within a distance in a step up to a time."""
         self._motion, self._turn = motion, motion._body_paths.largest_turn
         self.parts = parts
-        self._most_rows = _MOST_ROWS if memory_limit is None else min(_MOST_ROWS, memory_limit // BYTES_OF_A_ROW)
+        self._most_rows = rows_within(memory_limit, _MOST_ROWS)
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
         each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
-        of_slice = np.repeat(np.arange(len(each)), each)
-        number = np.arange(len(of_slice)) - np.repeat(np.cumsum(each) - each, each)
-        begin, end = (t_max * (number + k) / each[of_slice] for k in (0, 1))
-        end = np.where(number + 1 == each[of_slice], t_max, end)
+        of_slice, begin, end = spans(each, t_max)
         slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach)
         count = len(self.parts.levels[-1].body)
         of_pair = of_slice[slices] * count
@@ -58,15 +54,19 @@ class NearWorlds:
         worlds, start = np.unique(self._world, return_index=True)
         bounds = np.append(start, len(self._world))
         before = np.append(0, np.cumsum(sizes))[bounds]
+        number = np.repeat(np.arange(len(worlds)), np.diff(bounds))
+        bodies = np.append(0, np.cumsum(self.parts.num_bodies(number, self._part, len(worlds))))
         k = 0
         while k < len(worlds):
-            last = max(k + 1, int(np.searchsorted(before, before[k] + self._most_rows, side="right")) - 1)
-            last = min(last, k + _MOST_WORLDS, len(worlds))
+            fits = (
+                int(np.searchsorted(of, of[k] + most, side="right")) - 1
+                for of, most in ((before, self._most_rows), (bodies, MOST_BODIES))
+            )
+            last = min(max(k + 1, min(fits)), len(worlds))
             chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
             of_part = np.searchsorted(chosen, self._world[rows])
             own, counts = self._part[rows], sizes[rows]
-            primitives = np.repeat(first[own] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
-            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), primitives)
+            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), ranges(first[own], counts))
             given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
             yield chosen, parts, work(parts, replace(MeshPaths.of(parts.mesh, given), turn=self._turn))
             k = last

@@ -16,8 +16,14 @@ from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind, primitives_of
 
-# Memory of a primitive of a mesh of parts, with its boxes and pairs, about.
-BYTES_OF_A_ROW = 1024
+# Bodies of a mesh of parts at most, or one world's: pairs of them that may collide take a byte each.
+MOST_BODIES = 1 << 13
+_BYTES_OF_A_ROW = 1024  # of a primitive with its boxes and pairs, about
+
+
+def rows_within(memory_limit: int | None, most: int) -> int:
+    """How many primitives a mesh may have, and no more than that."""
+    return most if memory_limit is None else min(most, memory_limit // _BYTES_OF_A_ROW)
 
 
 def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> CollisionMesh | None:
