@@ -163,7 +163,7 @@ class JointSearch:
         """Search a window of each open world; the result is that of the pass, with times of the windows."""
         mesh, is_open, begin = self._mesh, self.is_open, self._begin
         end = begin + self._length
-        end = np.where(begin + (1.0 + 2.0**-20) * self._length >= self._end, self._end, end)  # and no crumb is left
+        end = np.where(begin + (1.0 + 2.0**-20) * self._length >= self._end, self._end, end)  # no rest of rounding
         end = np.where(is_open, end, begin)
         given, excess = self._links.paths(begin, end)
         paths = replace(MeshPaths.of(mesh, given, excess), active=is_open[self._world_of_body])

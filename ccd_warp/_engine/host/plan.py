@@ -195,7 +195,7 @@ class HostPlan(Plan):
     ) -> int:
         """Let vertices meet planes, by default in the narrow phase; returns the number of pairs.
 
-        One that ``is_repeated``, since there was no room for all pairs, is not counted again.
+        One that ``is_repeated``, since the capacity was less than all pairs, is not counted again.
         """
         sink = self._sink
         self._clear_counts()
