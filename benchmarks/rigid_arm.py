@@ -1,8 +1,8 @@
 """Edges of a planner: ours, and python-fcl at sampled configurations along each edge, as planners check them.
 
 Ours is one call for all edges, with a mesh of one world. The sampler has a manager for the obstacles and asks of each
-sample whether a link touches one of them or a link that is not its neighbour; where links are is not timed, as a planner
-has it anyway. It may stop at the first sample that touches, as planners do.
+sample whether a link touches one of them or a link that is not its neighbour; where links are is not timed, as
+planners have it anyway. It may stop at the first sample that touches, as planners do.
 """
 
 from __future__ import annotations
