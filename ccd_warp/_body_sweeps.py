@@ -1,4 +1,4 @@
-"""Where bodies on paths are in the middle of slices of the step, and how far their points go from there in them."""
+"""Where bodies on paths are in the middle of windows of slices of the step, and how far their points go in them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._joint_bounds import Window
 from ccd_warp._joint_courses import EPS
-from ccd_warp._joint_sweeps import Sweeps
-from ccd_warp._rotations import norms, products, quaternions_of, rotated
+from ccd_warp._joint_sweeps import Sweeps, slack
+from ccd_warp._rotations import cross, norms, products, quaternions_of, rotated
 
 if TYPE_CHECKING:
     from ccd_warp._body_paths import BodyPaths
@@ -23,38 +24,55 @@ class BodySweeps:
 
     def __init__(self, paths: BodyPaths, num_slices: int) -> None:
         self._paths, self._shape = paths, (num_slices, len(paths) // max(num_slices, 1))
-        self._found: Sweeps | None = None  # of the last slices
 
-    def _sweeps(self, t_begin: NDArray[np.float64], t_end: NDArray[np.float64]) -> Sweeps:
-        """Bodies against the world.
+    def _sweeps(
+        self,
+        t_begin: NDArray[np.float64],
+        t_end: NDArray[np.float64],
+        middles: NDArray[np.float64],
+        pairs: list[tuple[int, int]],
+    ) -> Sweeps:
+        """Bodies against the world, and pairs of them, of which each goes as far as against the world.
 
-        The origin of a body moves by no more than |velocity| + |turning| + |ω| |pivot| in all of the step.
+        The origin of a body moves by no more than |velocity| + |turning| + |ω| |pivot| in all of the step, and the
+        acceleration of a point is no more than |ω| |turning| + |ω|² times its distance from the pivot.
         """
-        paths = self._paths
-        begin, end = (np.repeat(t, self._shape[1]) for t in (t_begin, t_end))
-        middle, half = 0.5 * begin + 0.5 * end, (0.5 * end - 0.5 * begin) * _UP
+        paths, (n, count) = self._paths, self._shape
+        window = Window.of(t_begin, t_end)
+        duration, off = (np.repeat(x, count) for x in (window.duration, slack(window)))
+        half = np.repeat(window.half, count) * duration
+        fields = [np.empty((n, len(middles), count, size)) for size in (3, 4, 3, 3)]
         with np.errstate(all="ignore"):
-            arms = rotated(paths.rotation, -paths.pivot)
-            position = paths.pivot_t0 + arms + paths.displacements(arms, np.arange(len(paths)), middle)
-            rotation = products(quaternions_of(paths.omega, middle), paths.rotation)
-            turn, arm = norms(paths.omega), norms(paths.pivot)
-            speed = norms(paths.velocity) + norms(paths.turning) + turn * arm
-            size = norms(paths.pivot_t0) + norms(position) + speed + arm
-            moved = (half * speed + _ERROR * (1.0 + turn) * size) * _UP
-            turned = (half * turn + _ERROR * (1.0 + turn)) * _UP
-        n, count = self._shape
-        self._found = Sweeps(
-            position.reshape(n, count, 3).transpose(1, 2, 0),
-            rotation.reshape(n, count, 4).transpose(1, 2, 0),
-            moved.reshape(n, count).T,
-            turned.reshape(n, count).T,
-        )
-        return self._found
-
-    def _relative_sweeps(
-        self, pairs: list[tuple[int, int]], t_begin: NDArray[np.float64], t_end: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Pairs of bodies against each other: each goes as far as against the world, as has mostly been computed."""
-        found = self._found or self._sweeps(t_begin, t_end)
-        first, second = (np.array([pair[k] for pair in pairs], dtype=np.intp) for k in (0, 1))
-        return found.moved[first] + found.moved[second], found.turned[first], found.turned[second]
+            arms, rows = rotated(paths.rotation, -paths.pivot), np.arange(len(paths))
+            for k, middle in enumerate(middles):
+                t = np.repeat(middle, count)
+                turn = quaternions_of(paths.omega, t)
+                around = rotated(turn, paths.turning) + cross(paths.omega, rotated(turn, arms))
+                values = (
+                    paths.pivot_t0 + arms + paths.displacements(arms, rows, t),
+                    products(turn, paths.rotation),
+                    half[:, None] * (paths.velocity + around),
+                    half[:, None] * paths.omega,
+                )
+                for field, own in zip(fields, values, strict=True):
+                    field[:, k] = own.reshape(n, count, -1)
+            turn, arm, turning = norms(paths.omega), norms(paths.pivot), norms(paths.turning)
+            speed = norms(paths.velocity) + turning + turn * arm
+            size = 2.0 * norms(paths.pivot_t0) + 4.0 * (speed + arm)
+            wrong, off = _ERROR * (1.0 + turn), off * duration
+            bends = 0.5 * half * half
+            reach = np.stack(
+                [
+                    half * speed,
+                    wrong * (size + speed) + off * speed,
+                    half * turn,
+                    wrong * (1.0 + turn) + off * turn,
+                    bends * turn * (turning + turn * arm),
+                    bends * turn * turn,
+                ],
+                axis=1,
+            )
+            reach = (reach * _UP).reshape(n, count, 6)
+            first, second = (reach[:, [pair[k] for pair in pairs]] for k in (0, 1))
+            lengths = first[..., :2] + second[..., :2]
+        return Sweeps(*fields, reach, np.concatenate([lengths, first[..., 2:4], second[..., 2:4]], axis=2))

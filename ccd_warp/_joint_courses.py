@@ -139,6 +139,14 @@ def value(coefficients: Array, t: Array) -> Array:
     return total
 
 
+def slope(coefficients: Array, t: Array) -> Array:
+    """The derivative of a polynomial at times of the worlds."""
+    total = (len(coefficients) - 1) * coefficients[-1]
+    for k in range(len(coefficients) - 2, 0, -1):
+        total = total * t + k * coefficients[k]
+    return total
+
+
 def turning(course: JointCourse, t: Array) -> Array:
     """The quaternion of the angle of a joint that turns, shape [4, W]."""
     assert course.angle is not None and course.axis is not None

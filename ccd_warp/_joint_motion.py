@@ -17,7 +17,7 @@ from ccd_warp._input.poses import checked_fractions, read_only, read_values
 from ccd_warp._joint_bounds import Window, motions
 from ccd_warp._joint_courses import courses_of, poses, product, turning, value
 from ccd_warp._joint_paths import slices
-from ccd_warp._joint_sweeps import Sweeps, relative_sweeps, sweeps
+from ccd_warp._joint_sweeps import Sweeps, sweeps
 from ccd_warp._joints import Joint, JointTree
 from ccd_warp._motion import RigidMotion
 from ccd_warp._read_only import ReadOnly
@@ -307,16 +307,11 @@ class JointMotion(ReadOnly):
         window = self._window(t_begin, t_end)
         return slices(self._courses, self._tree.order, self._rows, window, reaches, centres)
 
-    def _sweeps(self, t_begin: ArrayLike, t_end: ArrayLike) -> Sweeps:
-        """Where links are in the middle of a slice of each world, and how far their points go from there in it."""
-        return sweeps(self._courses, self._tree.order, self._rows, self._window(t_begin, t_end))
-
-    def _relative_sweeps(
-        self, pairs: list[tuple[int, int]], t_begin: ArrayLike, t_end: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """How far points of pairs of rows go against each other in a slice of each world (`relative_sweeps`)."""
+    def _sweeps(self, t_begin: ArrayLike, t_end: ArrayLike, middles: Any, pairs: list[tuple[int, int]]) -> Sweeps:
+        """Where links are in the middles of windows of a slice of each world, and how far they go (`sweeps`)."""
         links = [(self._rows[a], self._rows[b]) for a, b in pairs]
-        return relative_sweeps(self._courses, links, self._window(t_begin, t_end))
+        window = self._window(t_begin, t_end)
+        return sweeps(self._courses, self._tree.order, self._rows, window, middles, links)
 
     def _window(self, t_begin: ArrayLike, t_end: ArrayLike) -> Window:
         begin, end = (np.broadcast_to(np.asarray(t, np.float64), self.num_worlds) for t in (t_begin, t_end))

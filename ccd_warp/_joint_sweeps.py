@@ -1,9 +1,10 @@
-"""Where links of a motion of joints are in the middle of a slice, and how far their points go from there in it.
+"""Where links of a motion of joints are in the middle of windows of a slice, and how far their points go in it.
 
 A point at an arm c of a link, whose origin moves by V(o) and that turns by ω, goes at most h (|V(o)| + |ω| |c|) from
-its place in the middle of a slice, h half of its duration (`_joint_bounds`). Seen from a link that carries it, only the
-joints between the two move it, each by no more than its own rates times the length of the chain from it to the point:
-links far out on an arm, which go fast together, hardly move against each other.
+its place in the middle of a window, h half of its duration (`_joint_bounds`). Seen from a link that carries it, only
+the joints between the two move it, each by no more than its own rates times the length of the chain from it to the
+point: links far out on an arm, which go fast together, hardly move against each other. Rates are bounds on all of a
+slice, so they hold in each of its windows.
 """
 
 from __future__ import annotations
@@ -13,72 +14,171 @@ from typing import NamedTuple
 import numpy as np
 
 from ccd_warp._joint_bounds import Window, _rates, motions
-from ccd_warp._joint_courses import EPS, Array, JointCourse, length, offset_error, turn_error
+from ccd_warp._joint_courses import (
+    EPS,
+    Array,
+    JointCourse,
+    cross,
+    length,
+    offset_error,
+    rotated,
+    slope,
+    step,
+    turn_error,
+)
 
 _UP = 1.0 + 1024.0 * EPS  # rounding of a bound itself
-_PLACE_ERROR = 64.0 * EPS  # of a place computed from a link's pose, relative to its coordinates
+_PLACE_ERROR = 128.0 * EPS  # of a place computed from a link's pose, relative to its coordinates
+_VELOCITY_ERROR = 16.0  # of a velocity, relative to errors of turns and rates and to the lengths it is a sum of
+_TIME_ERROR = 16.0 * EPS  # of the times of windows, which are 1 at most
 
 
 class Sweeps(NamedTuple):
-    """Links in slices, each slice a column.
+    """Bodies in the windows of slices, and how far they go; m windows a slice.
+
+    Velocities and turns are those of half a slice: in a window of half its length what is not rounding is the half,
+    and what the path bends the quarter.
 
     Attributes:
-        position: Places of their origins in the middle, shape [L, 3, n].
-        rotation: Their unit quaternions, shape [L, 4, n].
-        moved: How far the origin goes from there at most, with the rounding of all of this, shape [L, n].
-        turned: By how many radians the link turns from there at most, shape [L, n]: a point goes as far as ``moved``
-            and this times the length of its arm.
+        position: Places of their origins in the middle of each window, shape [n, m, L, 3].
+        rotation: Their unit quaternions, shape [n, m, L, 4].
+        velocity: Velocities of their origins in the middle of each window, shape [n, m, L, 3].
+        omega: Rotation vectors, shape [n, m, L, 3].
+        reach: Of each body in a slice at most, shape [n, L, 6]: how far its origin goes from the middle, and by how
+            much rounding may move it, and its velocity; the same of its turn, in radians. A point goes as far as the
+            origin and the turn times the length of its arm. Then by how much the path of the origin bends from its
+            velocity in the middle, and what an arm adds to that, times its length.
+        relative: Of pairs of bodies, shape [n, p, 6]: points at arms a and b come by no more than the length, the first
+            turn times |a| and the second one times |b| nearer to each other than they are in the middle; each is
+            followed by what rounding adds.
     """
 
     position: Array
     rotation: Array
-    moved: Array
-    turned: Array
+    velocity: Array
+    omega: Array
+    reach: Array
+    relative: Array
 
 
-def sweeps(courses: list[JointCourse], order: list[int], rows: list[int], window: Window) -> Sweeps:
-    """Links in slices, against the world."""
-    with np.errstate(all="ignore"):
-        found = motions(courses, order, window)
-        links = [found[k] for k in rows]
-        position, rotation = (np.stack([getattr(x, name) for x in links]) for name in ("position", "rotation"))
-        moved = np.stack([window.half * x.most_velocity + x.moved + _PLACE_ERROR * length(x.position) for x in links])
-        turned = np.stack([window.half * x.most_omega + x.turned + _PLACE_ERROR for x in links])
-    return Sweeps(position, np.broadcast_to(rotation, (*rotation.shape[:2], moved.shape[1])), moved * _UP, turned * _UP)
+def slack(window: Window) -> Array:
+    """By what share of a slice the times of its windows may be wrong."""
+    return _TIME_ERROR / np.where(window.duration > 0.0, window.duration, 1.0)
 
 
-def relative_sweeps(
-    courses: list[JointCourse], pairs: list[tuple[int, int]], window: Window
-) -> tuple[Array, Array, Array]:
-    """How far points of two links go against each other in slices at most, from where they are in the middle.
+def sweeps(
+    courses: list[JointCourse],
+    order: list[int],
+    rows: list[int],
+    window: Window,
+    middles: Array,
+    pairs: list[tuple[int, int]],
+) -> Sweeps:
+    """Links in slices, against the world and against each other.
 
     Args:
         courses: What the joints do.
-        pairs: Pairs of links.
+        order: Links in an order in which each comes after the one that carries it.
+        rows: The links that are bodies.
         window: The slices.
-
-    Returns:
-        Lengths and two angles for each pair, shape [m, n] each: points at arms a and b come by no more than the length
-        and the angles times |a| and |b| nearer to each other than they are in the middle.
+        middles: The middles of their windows, shape [m, n].
+        pairs: Pairs of links.
     """
-    n = len(window.begin)
-    steps: dict[int, tuple[Array, Array, Array]] = {}
-    moved, first, second = np.zeros((len(pairs), n)), np.zeros((len(pairs), n)), np.zeros((len(pairs), n))
+    shape = len(window.begin), len(middles), len(rows)
+    fields = [np.empty((*shape, size)) for size in (3, 4, 3, 3)]
     with np.errstate(all="ignore"):
-        for row, pair in enumerate(pairs):
-            above = [_above(courses, link) for link in pair]
-            for links, other, angle in ((above[0], above[1], first), (above[1], above[0], second)):
-                chain = np.zeros(n)  # from a joint to the origin of the link
-                for link in links:
-                    if link in other:
-                        break
-                    if link not in steps:
-                        steps[link] = _step(courses[link], window)
-                    turns, slides, reach = steps[link]
-                    moved[row] += window.half * (slides + turns * chain) + _PLACE_ERROR * (chain + reach)
-                    angle[row] += window.half * turns + _PLACE_ERROR
-                    chain = chain + reach
-    return moved * _UP, first * _UP, second * _UP
+        for k, t in enumerate(middles):
+            moving = _moving(courses, order, t, window.half * window.duration)
+            for row, link in enumerate(rows):
+                for field, values in zip(fields, moving[link], strict=True):
+                    field[:, k, row] = values.T
+        steps = {link: _step(courses[link], window) for link in order if courses[link].parent >= 0}
+        return Sweeps(*fields, _reach(courses, order, rows, window, steps), _relative(courses, pairs, window, steps))
+
+
+def _moving(
+    courses: list[JointCourse], order: list[int], t: Array, pace: Array
+) -> dict[int, tuple[Array, Array, Array, Array]]:
+    """Position, rotation, velocity and rotation vector of all links at a time, the latter for so much of the step."""
+    found: dict[int, tuple[Array, Array, Array, Array]] = {}
+    none = np.zeros((3, len(t)))
+    for link in order:
+        course = courses[link]
+        if course.parent < 0:
+            found[link] = none, np.broadcast_to(course.turn, (4, len(t))), none, none
+            continue
+        position, rotation, velocity, omega = found[course.parent]
+        here = step(course, rotation, t)
+        velocity = velocity + cross(omega, here.offset)
+        if course.slide is not None:
+            velocity = velocity + rotated(here.frame, slope(course.slide, t) * pace)
+        if course.angle is not None:
+            axis = np.broadcast_to(course.axis, none.shape)  # type: ignore[arg-type]
+            omega = omega + slope(course.angle, t) * pace * rotated(here.frame, axis)
+        found[link] = position + here.offset, here.rotation, velocity, omega
+    return found
+
+
+def _reach(
+    courses: list[JointCourse], order: list[int], rows: list[int], window: Window, steps: dict[int, _Step]
+) -> Array:
+    """``Sweeps.reach``.
+
+    A velocity is a sum along the chain, whose parts may cancel: its error is relative to the sum of their lengths.
+    """
+    half, off = window.half, slack(window)
+    none = np.zeros(len(window.begin))
+    sums = {link: (none, none) for link in order}  # of lengths of velocities, and of rates of turns
+    for link in order:
+        if link in steps:
+            velocity, turn = sums[courses[link].parent]
+            own = steps[link]
+            sums[link] = velocity + turn * own.length + own.slides, turn + own.turns
+    found = motions(courses, order, window)
+    reach = np.empty((len(none), len(rows), 6))
+    for row, link in enumerate(rows):
+        x, (velocity, turn) = found[link], sums[link]
+        wrong = _VELOCITY_ERROR * (x.turned + x.relative + 8.0 * EPS)
+        place = length(x.position) + x.most_velocity
+        bend = 0.5 * half * half * (x.most_bend + x.most_omega * x.most_velocity)
+        bend_of_arm = 0.5 * half * half * (x.most_alpha + x.most_omega * x.most_omega)
+        moved = 2.0 * x.moved * (1.0 + turn) + wrong * velocity
+        reach[:, row] = np.stack(
+            [
+                half * x.most_velocity,
+                moved + _PLACE_ERROR * place + off * (x.most_velocity + 8.0 * bend),
+                half * x.most_omega,
+                2.0 * x.turned + wrong * turn + _PLACE_ERROR + off * (x.most_omega + 8.0 * bend_of_arm),
+                bend,
+                bend_of_arm,
+            ],
+            axis=1,
+        )
+    return reach * _UP
+
+
+def _relative(
+    courses: list[JointCourse], pairs: list[tuple[int, int]], window: Window, steps: dict[int, _Step]
+) -> Array:
+    """How far points of pairs of links go against each other in slices at most, shape [n, p, 6]."""
+    n = len(window.begin)
+    half, off = window.half, slack(window)
+    reach = np.zeros((len(pairs), 6, n))
+    for row, pair in zip(reach, pairs, strict=True):
+        above = [_above(courses, link) for link in pair]
+        for links, other, angle in ((above[0], above[1], 2), (above[1], above[0], 4)):
+            chain = np.zeros(n)  # from a joint to the origin of the link
+            for link in links:
+                if link in other:
+                    break
+                each = steps[link]
+                moved, wrong = each.slides + each.turns * chain, each.moved + each.turned * chain
+                row[0] += half * moved
+                row[1] += wrong + off * moved + _PLACE_ERROR * (chain + each.length)
+                row[angle] += half * each.turns
+                row[angle + 1] += each.turned + off * each.turns + _PLACE_ERROR
+                chain = chain + each.length
+    return np.ascontiguousarray(reach.transpose(2, 0, 1)) * _UP
 
 
 def _above(courses: list[JointCourse], link: int) -> list[int]:
@@ -89,16 +189,30 @@ def _above(courses: list[JointCourse], link: int) -> list[int]:
     return found
 
 
-def _step(course: JointCourse, window: Window) -> tuple[Array, Array, Array]:
-    """By how much a joint turns and slides its link in a slice at most, and how far it is from the one that carries it.
+class _Step(NamedTuple):
+    """What a joint does in a slice at most; one number a slice each.
 
-    Twice the error of rounding is in both as if it were motion, of which half of the slice has the half.
+    Attributes:
+        turns: By how many radians it turns its link.
+        slides: By how much it slides it.
+        turned: By how many radians rounding turns the link.
+        moved: By how much rounding moves it.
+        length: How far it is from the link that carries it.
     """
+
+    turns: Array
+    slides: Array
+    turned: Array
+    moved: Array
+    length: Array
+
+
+def _step(course: JointCourse, window: Window) -> _Step:
     angle, slide = _rates(course.angle, window), _rates(course.slide, window)
-    reach = np.zeros(len(window.begin)) + length(course.place)
+    none = np.zeros(len(window.begin))
+    reach = none + length(course.place)
     if course.slide is not None:
         sizes = [length(c) for c in course.slide]  # times are no larger than 1
         reach = reach + np.sum(np.broadcast_arrays(*sizes), axis=0)
-    turns = angle.most[0] + 2.0 * turn_error(course)
-    slides = slide.most[0] + 2.0 * offset_error(course, reach)
-    return np.zeros_like(reach) + turns, np.zeros_like(reach) + slides, reach
+    wrong = 2.0 * turn_error(course), 2.0 * offset_error(course, reach)
+    return _Step(none + angle.most[0], none + slide.most[0], none + wrong[0], none + wrong[1], reach)

@@ -173,7 +173,8 @@ class MotionWorlds:
         if parts is None:
             return None
         options = pipeline._options
-        return NearWorlds(parts, self._motion, options.t_max, pipeline._reach_of_parts, options.memory_limit)
+        reach, execution = pipeline._reach_of_parts, pipeline._execution
+        return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
 
     def _on_parts(self, work: Callable[[Step], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a mesh of parts."""

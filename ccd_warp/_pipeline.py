@@ -46,7 +46,9 @@ from ccd_warp._mesh_paths import MeshPaths, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.threads import StopFlag
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
@@ -765,7 +767,7 @@ class CollisionPipeline:
             return lambda begin, end, paths: step(begin, end, paths).contacts()
 
         kinds = possible_kinds(mesh, options)
-        near = NearSearch(mesh, parts, motion, options.t_max, kinds, options.memory_limit)
+        near = NearSearch(mesh, parts, motion, options.t_max, kinds, self._execution, options.memory_limit)
         near.run(solver, self._reach_of_parts)
         return near
 
@@ -786,6 +788,11 @@ class CollisionPipeline:
             kept["parts"] = start if start is mesh.vertices else start.copy(), parts
         found: NearParts | None = parts
         return found
+
+    @property
+    def _execution(self) -> Execution:
+        device = self._topology.device
+        return Execution(device, self._options.threads, StopFlag(device))
 
     @property
     def _reach_of_parts(self) -> float:

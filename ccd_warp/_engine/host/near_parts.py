@@ -1,53 +1,57 @@
-"""Which parts of bodies may touch in slices of a motion of joints, by spheres and boxes, before a vertex is placed.
+"""Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
-The faces of a body are halved until a part has a dozen of them; a part has a sphere in the frame of its link, which
-goes with it, or stands in a box. Two parts cannot touch in a slice if in the middle of it they are farther apart than
-their points can come nearer in half of it (`_joint_sweeps`). Bodies are tested as wholes, then in groups of parts, then
-part by part, each only where the test before says that they may touch.
+The faces of a body are halved until a part has a dozen of them; a part has a sphere in the frame of its body, which
+goes with it, or stands in a box. Two parts cannot touch in a window of time if in the middle of it they are farther
+apart than their points can come nearer in half of it (`_joint_sweeps`). Trees of the parts of two bodies are tested
+from the top, and a slice is halved into windows where that separates more (`kernels.search.near_parts`).
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._joint_courses import EPS, rotated
+from ccd_warp._joint_courses import EPS
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._runtime.launch import Execution
 
-# Primitives of a part at most, and parts of a group on the levels between bodies and parts.
-PART, GROUPS = 12, (32, 4)
+# Primitives of a part at most.
+PART = 12
 _UP = 1.0 + 64.0 * EPS
-_ERROR = 64.0 * EPS  # of places and distances, relative to the coordinates of both
-_UNDERFLOW = 1e-150  # of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154
-# Slices whose links are placed at once, and tests of pairs of bodies: so few that arrays stay in the cache.
-_MOST_SLICES, _MOST_AT_ONCE = 1 << 12, 1 << 15
+# Tests of pairs of bodies in a launch, numbers of links in windows, and pairs of parts for which there is room at first.
+_MOST_ITEMS, _MOST_POSES, _ROOM = 1 << 22, 1 << 17, 1 << 16
+_LONG = 1 << 14  # items from which an interrupt would have to wait
 
 
-class Parts(NamedTuple):
-    """Parts of all bodies on one level, those of a body one after another.
+class PartTree(NamedTuple):
+    """The trees of the parts of all bodies, node by node, those of a body one after another (`near_parts`).
 
     Attributes:
-        body: The body of each, shape [P].
-        centre: Centre of a sphere around it, in the frame of its body, shape [P, 3].
-        arm: Length of that, shape [P].
-        radius: Radius of the sphere, with that of the vertices, shape [P].
-        half: Half the sides of the box around the same centre, of bodies that are no links; 0 of links, shape [P, 3].
-        rest: What is around the box, the radius of the vertices, or around the centre, shape [P].
-        first: The first of its parts on the next level, shape [P + 1]; of the last level the first of its primitives.
+        first: The first node of each body, shape [B].
+        num_parts: The number of its parts, a power of two; 0 of one without primitives, shape [B].
+        first_part: The first of its parts, shape [B + 1].
+        centre: Centre of a sphere around each node, in the frame of its body, shape [N, 3].
+        arm: Length of that, shape [N].
+        radius: Radius of the sphere, shape [N].
+        axes: Directions of the sides of a box around the same centre, shape [N, 3, 3].
+        half: Half of each side, shape [N, 3].
+        thickness: The largest radius of its vertices, shape [N].
     """
 
-    body: NDArray[np.intp]
+    first: NDArray[np.int32]
+    num_parts: NDArray[np.int32]
+    first_part: NDArray[np.int32]
     centre: NDArray[np.float64]
     arm: NDArray[np.float64]
     radius: NDArray[np.float64]
+    axes: NDArray[np.float64]
     half: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    first: NDArray[np.intp]
+    thickness: NDArray[np.float64]
 
 
 def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
@@ -67,8 +71,10 @@ class NearParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
     Attributes:
-        levels: Bodies, groups of parts, and parts.
+        tree: The trees of the bodies.
         mesh: The mesh.
+        body: The body of each part, shape [P].
+        begins: The first primitive of each part, shape [P + 1].
         primitives: Vertices of all primitives in the order of the parts, one of fewer than three repeated, [n, 3].
         kind: 0 of a face, 1 of a codimensional edge, 2 of a codimensional point, shape [n].
         number: The number of each among those of its kind, shape [n].
@@ -79,17 +85,19 @@ class NearParts:
     def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
         """Divide the bodies of a mesh whose vertices, of links in their own frames, are at these places."""
         self.mesh = mesh
-        self.primitives, order, begins, counts = _halved(mesh, vertices)
+        self.primitives, order, self.begins, counts = _halved(mesh, vertices)
+        self.body = np.repeat(np.arange(mesh.num_bodies), counts)
         bounds = np.cumsum([0, mesh.num_faces, len(mesh.codimensional_edges)])
         self.kind = np.searchsorted(bounds, order, side="right") - 1
         self.number = order - bounds[self.kind]
-        self.levels = _levels(mesh, vertices, self.primitives, begins, counts)
+        self.tree = _tree(mesh, vertices, self.primitives, self.begins, counts)
         self.link_of = np.cumsum(mesh.rigid) - 1
         self.pairs = _pairs(mesh)
+        self._on_device: dict[str, tuple[Any, Any]] = {}
 
     def num_bodies(self, group: NDArray[np.intp], part: NDArray[np.intp], count: int) -> NDArray[np.intp]:
         """Of how many bodies the parts of each of so many groups are."""
-        keys = np.unique(group * self.mesh.num_bodies + self.levels[-1].body[part])
+        keys = np.unique(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
     def near(
@@ -99,105 +107,102 @@ class NearParts:
         begin: NDArray[np.float64],
         end: NDArray[np.float64],
         reach: float,
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Pairs of parts that may come within a distance in slices of the step.
+        execution: Execution,
+        halvings: int = 0,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
+        """Pairs of parts that may come within a distance in windows of slices of the step.
 
         Args:
-            motion: The ``JointMotion``, whose rows are the rigid bodies.
+            motion: The motion, whose rows are the rigid bodies.
             world: World of each slice, shape [n].
             begin: Its begin.
             end: Its end.
             reach: The distance, Euclidean, besides the radii of the vertices.
+            execution: Where to test.
+            halvings: A slice has 2^halvings windows of the same length.
 
         Returns:
-            The slice and both parts of each pair.
+            The window and both parts of each pair, in no order; windows are numbered through all slices.
 
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
-        time of a slice, on the trajectories of the motion in the mathematics of real numbers, are in such a pair.
+        time of a window, on the trajectories of the motion in the mathematics of real numbers, are in such a pair. That
+        holds for windows whose ends are off by a few units in the last place of 1.
         """
-        if len(world) == 0 or len(self.pairs) == 0:
-            return (np.zeros(0, np.intp),) * 3
-        found = []
-        each = max(1, _MOST_AT_ONCE // len(self.pairs))
-        for first in range(0, len(world), _MOST_SLICES):
-            some = slice(first, first + _MOST_SLICES)
-            slices = _Slices(self, motion._of_worlds(world[some]), begin[some], end[some], reach)
-            count = len(world[some])
-            with np.errstate(all="ignore"):  # what is no number is near
-                parts = [slices.near(np.arange(k, min(k + each, count))) for k in range(0, count, each)]
-            found += [(row + first, a, b) for row, a, b in parts]
-        row, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
-        return row, a, b
+        found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
+        if len(self.pairs):
+            num_links = int(self.mesh.rigid.sum())
+            most = min(_MOST_ITEMS // len(self.pairs), (_MOST_POSES >> halvings) // num_links)
+            room = _ROOM
+            for first in range(0, len(world), max(1, most)):
+                some = slice(first, first + max(1, most))
+                part, room = self._near(
+                    motion._of_worlds(world[some]), begin[some], end[some], reach, execution, halvings, room
+                )
+                found.append((part[0] + (first << halvings), *part[1:]))
+        window, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
+        return window, a, b
 
+    def _near(
+        self, motion: Any, begin: Any, end: Any, reach: float, execution: Execution, halvings: int, room: int
+    ) -> tuple[list[NDArray[Any]], int]:
+        """The pairs in some slices, and for how many there is room now."""
+        from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
 
-class _Slices:
-    """Slices of the step: where links are in the middle of each, and how far they go."""
+        pairs, trees, links = self._arrays(execution.device)
+        counts = 1 << np.arange(halvings + 1)
+        share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), links)
 
-    def __init__(self, parts: NearParts, motion: Any, begin: Any, end: Any, reach: float) -> None:
-        self._parts, self._reach = parts, reach
-        self._sweeps = motion._sweeps(begin, end)
-        moves = parts.mesh.rigid[parts.pairs[:, 1]]
-        self._relative = np.full(len(parts.pairs), -1)
-        self._relative[moves] = np.arange(int(moves.sum()))
-        links = [(int(parts.link_of[a]), int(parts.link_of[b])) for a, b in parts.pairs[moves].tolist()]
-        self._against = motion._relative_sweeps(links, begin, end)
+        def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
+            rows = np.ascontiguousarray(values).reshape(len(begin), -1, values.shape[-1])
+            return wp.array(rows, dtype=dtype, device=execution.device, copy=execution.is_cuda)
 
-    def near(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """The pairs of parts in some slices."""
-        parts = self._parts
-        row, pair = np.repeat(rows, len(parts.pairs)), np.tile(np.arange(len(parts.pairs)), len(rows))
-        a, b = parts.pairs[pair].T
-        for k, level in enumerate(parts.levels):
-            if k:
-                row, pair, a, b = _children(parts.levels[k - 1], row, pair, a, b)
-            may = self._may_touch(level, row, pair, a, b)
-            row, pair, a, b = (x[may] for x in (row, pair, a, b))
-        return row, a, b
+        given = kernels.PartMotion()
+        given.num_links, given.num_halvings = swept.position.shape[2], halvings
+        given.position, given.velocity, given.omega = (
+            on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
+        )
+        given.rotation = on_device(swept.rotation, wp.vec4d)
+        given.reach = on_device(swept.reach, kernels.vec6d)
+        given.relative_reach = on_device(swept.relative, kernels.vec6d)
+        while True:
+            near = kernels.NearPairs()
+            near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
+            near.window = wp.empty(room, dtype=wp.int64, device=execution.device)
+            near.a, near.b = (wp.empty(room, dtype=wp.int32, device=execution.device) for _ in range(2))
+            count, stop = len(begin) * len(self.pairs), execution.flag
+            assert stop is not None
+            execution.launch(
+                kernels.find_near_parts,
+                count,
+                inputs=[pairs, trees, given, reach, stop.array],
+                outputs=[near],
+                grain=256,
+                parts_per_thread=8,
+                is_long=lambda: count > _LONG,
+            )
+            found = int(near.count.numpy()[0, 0])
+            if found <= room:
+                return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], room
+            room = found + found // 8
 
-    def _may_touch(self, level: Parts, row: Any, pair: Any, a: Any, b: Any) -> NDArray[np.bool_]:
-        """Whether pairs of parts may come within the distance."""
-        of_a = self._placed(level, row, a)
-        relative = self._relative[pair]
-        moves = np.flatnonzero(relative >= 0)
-        of_b = level.centre[b].T.copy()
-        of_b[:, moves] = self._placed(level, row[moves], b[moves])
-        apart = np.abs(of_a - of_b)
-        size = np.abs(of_a).max(axis=0) + np.abs(of_b).max(axis=0)
-        gap = np.maximum(apart - level.half[b].T, 0.0)
-        distance = np.sqrt((gap * gap).sum(axis=0))
-        link = self._parts.link_of[level.body[a]]
-        goes = self._sweeps.moved[link, row] + self._sweeps.turned[link, row] * level.arm[a]
-        number, moved = relative[moves], row[moves]
-        length, first, second = self._against
-        goes[moves] = length[number, moved] + first[number, moved] * level.arm[a[moves]]
-        goes[moves] += second[number, moved] * level.arm[b[moves]]
-        most = (goes + level.radius[a] + level.rest[b] + self._reach) * _UP + _ERROR * size + _UNDERFLOW
-        may: NDArray[np.bool_] = ~(distance > most)  # also where a number is none
-        return may
+    def _arrays(self, device: Any) -> tuple[Any, Any, list[tuple[int, int]]]:
+        """Pairs of bodies and trees on a device, and the pairs of links among the former."""
+        if str(device) not in self._on_device:
+            from ccd_warp.kernels.search import near_parts as kernels
 
-    def _placed(self, level: Parts, row: Any, part: Any) -> NDArray[np.float64]:
-        """Centres of parts in the world, in the middle of slices, shape [3, n]."""
-        if len(row) == 0:
-            return np.zeros((3, 0))
-        first, items = int(row.min()), int(part.max()) + 1
-        num_rows = int(row.max()) + 1 - first
-        if num_rows * items < len(row):  # each is in several pairs: all of them once
-            everything = np.arange(num_rows * items)
-            placed = self._placed(level, everything // items + first, everything % items)
-            return placed[:, (row - first) * items + part]
-        link = self._parts.link_of[level.body[part]]
-        rotation, position = self._sweeps.rotation[link, :, row].T, self._sweeps.position[link, :, row].T
-        return position + rotated(rotation, level.centre[part].T)
-
-
-def _children(level: Parts, row: Any, pair: Any, a: Any, b: Any) -> tuple[NDArray[np.intp], ...]:
-    """All pairs of the parts of pairs on the next level."""
-    of_a, of_b = (level.first[x + 1] - level.first[x] for x in (a, b))
-    counts = of_a * of_b
-    which = np.repeat(np.arange(len(a)), counts)
-    number = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    first_a, first_b = level.first[a][which], level.first[b][which]
-    return row[which], pair[which], first_a + number // of_b[which], first_b + number % of_b[which]
+            moves = self.mesh.rigid[self.pairs[:, 1]]
+            rows = np.where(moves, np.cumsum(moves) - 1, -1)
+            pairs = wp.array(np.column_stack([self.pairs, rows]), dtype=wp.vec3i, device=device)
+            trees = kernels.PartTrees()
+            for name, values in self.tree._asdict().items():
+                dtype = wp.int32 if values.dtype == np.int32 else (wp.float64, wp.vec3d, wp.mat33d)[values.ndim - 1]
+                setattr(trees, name, wp.array(values, dtype=dtype, device=device))
+            link = np.where(self.mesh.rigid, self.link_of, -1)
+            trees.link = wp.array(link, dtype=wp.int32, device=device)
+            self._on_device[str(device)] = pairs, trees
+        moving = self.pairs[self.mesh.rigid[self.pairs[:, 1]]]
+        return *self._on_device[str(device)], list(map(tuple, self.link_of[moving].tolist()))
 
 
 def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
@@ -241,51 +246,64 @@ def _halves(rows: NDArray[np.intp], middle: NDArray[np.float64]) -> list[NDArray
     return [rows[sides[:half]], rows[sides[half:]]]
 
 
-def _levels(
+def _tree(
     mesh: CollisionMesh,
     vertices: NDArray[np.float64],
     primitives: NDArray[np.int32],
     begins: NDArray[np.intp],
     counts: NDArray[np.intp],
-) -> list[Parts]:
-    """Bodies, groups of parts, and parts, each with its sphere."""
-    bodies = np.arange(mesh.num_bodies)
-    parts = np.append(0, np.cumsum(counts))  # the first of each body
-    # of each level: the body of each item, and at which part it begins
-    items = [(bodies, parts)]
-    for size in GROUPS:
-        of_bodies = [np.arange(first, last, size) for first, last in pairwise(parts.tolist())]
-        items.append((np.repeat(bodies, [len(x) for x in of_bodies]), np.concatenate([*of_bodies, parts[-1:]])))
-    items.append((np.repeat(bodies, counts), np.arange(parts[-1] + 1)))
-    levels = []
-    for (body, here), (_, below) in pairwise([*items, items[-1]]):
-        first = np.searchsorted(below, here)
-        levels.append(_with_spheres(mesh, vertices, primitives, body, begins[here], first))
-    return [*levels[:-1], levels[-1]._replace(first=begins)]
+) -> PartTree:
+    """The trees of all bodies, level by level; of a node without primitives the sphere means nothing."""
+    sizes = np.maximum(2 * counts - 1, 0)
+    first, first_part = np.cumsum(sizes) - sizes, np.append(0, np.cumsum(counts))
+    num_nodes = int(sizes.sum())
+    found = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (), (3, 3), (3,), ())]
+    size = 1
+    while size <= counts.max(initial=0):
+        bodies = np.flatnonzero(counts >= size)  # those with so many nodes on a level
+        number = np.tile(np.arange(size), len(bodies))
+        body = np.repeat(bodies, size)
+        step = counts[body] // size
+        from_part = first_part[body] + number * step
+        rows = _nodes(mesh, vertices, primitives, begins[from_part], begins[from_part + step])
+        for values, own in zip(found, rows, strict=True):
+            values[first[body] + size - 1 + number] = own
+        size *= 2
+    return PartTree(first.astype(np.int32), counts.astype(np.int32), first_part.astype(np.int32), *found)
 
 
-def _with_spheres(
+def _nodes(
     mesh: CollisionMesh,
     vertices: NDArray[np.float64],
     primitives: NDArray[np.int32],
-    body: NDArray[np.intp],
-    begins: NDArray[np.intp],
-    first: NDArray[np.intp],
-) -> Parts:
-    """Parts of the primitives between the rows where they begin; of those without any the spheres mean nothing."""
-    corners = np.append(primitives.ravel(), 0)  # the last one stands for a part beyond the last
-    places = vertices[corners]
-    lower, upper = (_reduced(f, places, begins) for f in (np.minimum, np.maximum))
-    centre = 0.5 * lower + 0.5 * upper
-    part = np.append(np.repeat(np.arange(len(body)), 3 * np.diff(begins)), 0)
-    radius = _reduced(np.maximum, np.linalg.norm(places - centre[part], axis=1), begins) * _UP
-    thick = np.zeros(len(body)) if mesh.radius is None else _reduced(np.maximum, mesh.radius[corners], begins)
-    stands = ~mesh.rigid[body]
-    half = np.where(stands[:, None], np.maximum(upper - centre, centre - lower) * _UP, 0.0)
-    rest = np.where(stands, thick, radius + thick)
-    return Parts(body, centre, np.linalg.norm(centre, axis=1) * _UP, radius + thick, half, rest, first)
+    begin: NDArray[np.intp],
+    end: NDArray[np.intp],
+) -> tuple[NDArray[np.float64], ...]:
+    """Centre, arm, radius, axes, half and thickness of nodes that have the primitives of these rows, at least one.
 
-
-def _reduced(function: np.ufunc, values: NDArray[np.float64], begins: NDArray[np.intp]) -> NDArray[np.float64]:
-    """A function of the values of all corners of each part."""
-    return function.reduceat(values, 3 * begins)[:-1]
+    The sides of a box are along the axes of the frame, or along the principal axes of the corners, whichever box has
+    the smaller surface.
+    """
+    counts = 3 * (end - begin)
+    corners = primitives[ranges(begin, end - begin)].ravel()
+    places, starts = vertices[corners], np.cumsum(counts) - counts
+    from_mean = places - np.repeat(np.add.reduceat(places, starts) / counts[:, None], counts, axis=0)
+    spread = np.add.reduceat(from_mean[:, :, None] * from_mean[:, None], starts)
+    spread = np.where(np.isfinite(spread).all(axis=(1, 2))[:, None, None], spread, 0.0)
+    best: list[NDArray[np.float64]] = []
+    for axes in (np.broadcast_to(np.eye(3), spread.shape), np.linalg.eigh(spread)[1].transpose(0, 2, 1)):
+        own = np.einsum("nij,nj->ni", np.repeat(axes, counts, axis=0), places)
+        lower, upper = (f.reduceat(own, starts) for f in (np.minimum, np.maximum))
+        centre = np.einsum("nji,nj->ni", axes, 0.5 * lower + 0.5 * upper)
+        from_centre = places - np.repeat(centre, counts, axis=0)
+        sides = np.abs(np.einsum("nij,nj->ni", np.repeat(axes, counts, axis=0), from_centre))
+        half = np.maximum.reduceat(sides, starts) * _UP
+        radius = np.maximum.reduceat(np.linalg.norm(from_centre, axis=1), starts) * _UP
+        surface = half[:, 0] * half[:, 1] + half[:, 1] * half[:, 2] + half[:, 2] * half[:, 0]
+        found = [centre, np.linalg.norm(centre, axis=1) * _UP, radius, axes, half, surface]
+        if best:
+            is_less = found[-1] < best[-1]
+            found = [np.where(is_less.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in zip(found, best, strict=True)]
+        best = found
+    thickness = np.zeros(len(begin)) if mesh.radius is None else np.maximum.reduceat(mesh.radius[corners], starts)
+    return *best[:-1], thickness

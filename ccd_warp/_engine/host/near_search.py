@@ -22,6 +22,7 @@ from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._results import Counts, MeshResult
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._status import PairKind
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 # Primitives, and slices, of a mesh of parts: enough to fill a pass, and not much memory.
 _MOST_ROWS, _MOST_SLICES = 1 << 18, 1 << 10
+_HALVINGS = 2  # of a slice
 _FEW_SLICES = 32  # of which it does not pay to leave out those that are settled
 
 
@@ -46,11 +48,13 @@ class NearSearch:
         motion: "JointMotion",
         t_max: float,
         kinds: Sequence[PairKind],
+        execution: Execution,
         memory_limit: int | None = None,
     ) -> None:
         """Begin a search for pairs of some kinds in a mesh, all of whose worlds are copies of one, up to a time."""
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
         self._mesh, self._parts, self._motion, self._t_max, self._kinds = mesh, parts, motion, t_max, kinds
+        self._execution = execution
         world = self._world = parts.mesh
         one = Links.of(world, world.vertices, motion._of_worlds(np.zeros(1, dtype=np.intp)))
         self._spheres = one.centre, one.reach
@@ -91,9 +95,9 @@ class NearSearch:
         """The slices in which parts may touch, and these parts: those of a world in the order of time."""
         motion, parts = self._motion, self._parts
         each = slices_of_worlds(motion, 0.0, self._t_max).astype(np.intp)
-        world, begin, end = spans(each, self._t_max)
-        row, a, b = parts.near(motion, world, begin, end, reach)
-        count = len(parts.levels[-1].body)
+        row, a, b = parts.near(motion, *spans(each, self._t_max), reach, self._execution, _HALVINGS)
+        world, begin, end = spans(each << _HALVINGS, self._t_max)
+        count = len(parts.body)
         keys = np.unique(np.concatenate([row * count + a, row * count + b]))
         of_key, self._part = np.divmod(keys, count)
         near, self._first = np.unique(of_key, return_index=True)
@@ -115,7 +119,7 @@ class NearSearch:
 
     def _sizes(self, slices: NDArray[np.intp]) -> NDArray[np.intp]:
         """Primitives of slices."""
-        of_part = np.append(0, np.cumsum(np.diff(self._parts.levels[-1].first)[self._part]))
+        of_part = np.append(0, np.cumsum(np.diff(self._parts.begins)[self._part]))
         return of_part[self._first[slices + 1]] - of_part[self._first[slices]]
 
     def _pass(self, slices: NDArray[np.intp], solver: Callable[[PartMesh], Solve]) -> dict[int, NDArray[np.intp]]:
@@ -123,7 +127,7 @@ class NearSearch:
         counts = np.diff(self._first)[slices]
         which = np.repeat(np.arange(len(slices)), counts)
         part = self._part[ranges(self._first[slices], counts)]
-        first = self._parts.levels[-1].first
+        first = self._parts.begins
         sizes = first[part + 1] - first[part]
         parts = PartMesh.of(self._parts, len(slices), np.repeat(which, sizes), ranges(first[part], sizes))
         search, solve = self._search(parts, slices, solver)

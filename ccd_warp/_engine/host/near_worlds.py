@@ -17,6 +17,7 @@ from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
 from ccd_warp._engine.host.near_parts import NearParts, ranges, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._runtime.launch import Execution
 
 if TYPE_CHECKING:
     from ccd_warp._motion import RigidMotion
@@ -33,7 +34,13 @@ class NearWorlds:
     """
 
     def __init__(
-        self, parts: NearParts, motion: "RigidMotion", t_max: float, reach: float, memory_limit: int | None = None
+        self,
+        parts: NearParts,
+        motion: "RigidMotion",
+        t_max: float,
+        reach: float,
+        execution: Execution,
+        memory_limit: int | None = None,
     ) -> None:
         """Find those of the parts that may come within a distance in a step up to a time."""
         self._motion, self._turn = motion, motion._body_paths.largest_turn
@@ -42,14 +49,14 @@ class NearWorlds:
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
         each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
         of_slice, begin, end = spans(each, t_max)
-        slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach)
-        count = len(self.parts.levels[-1].body)
+        slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach, execution)
+        count = len(self.parts.body)
         of_pair = of_slice[slices] * count
         self._world, self._part = np.divmod(np.unique(np.concatenate([of_pair + a, of_pair + b])), count)
 
     def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
         """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""
-        first = self.parts.levels[-1].first
+        first = self.parts.begins
         sizes = first[self._part + 1] - first[self._part]
         worlds, start = np.unique(self._world, return_index=True)
         bounds = np.append(start, len(self._world))

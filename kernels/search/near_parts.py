@@ -1,0 +1,299 @@
+"""Which parts of bodies that turn may touch in a slice of the step: trees of boxes, halved in space and in time.
+
+The parts of a body are the leaves of a tree without pointers: node n of the 2^(d + 1) - 1 nodes of a body with 2^d
+parts has the children 2n + 1 and 2n + 2. A node has a sphere and an oriented box around the same centre, in the frame
+of its body. Times of a slice are halved alike: window 1 is the slice, and the windows 2m and 2m + 1 are the halves of
+window m.
+
+**Any direction is a proof.** Two nodes cannot touch in a window if in its middle they are farther apart along some
+direction d than their points come nearer along it in half of the window: no more than |d·v| h + A h²/2 + ω r h, with v
+the velocity of their centres against each other in the middle, A a bound of what the paths of the centres bend, and r
+the radii of the nodes, which turn by ω h; and no more than their points move at all. Directions are those of the
+centres and of the sides of both boxes. Otherwise what takes most in the best of them is halved: the window, or the
+larger of both nodes.
+"""
+
+import warp as wp
+
+from ..atomics import claim
+from ..interrupts import is_stopped
+from ..pair.rounding import UNIT_ROUNDOFF
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MOST_DEPTH = 28  # of the tree of a body: its vertices are numbered in 31 bits
+MOST_HALVINGS = 6  # of a slice
+# A traversal keeps the second halves of what it has halved.
+_STACK = wp.constant(64)
+_TWO = wp.constant(wp.float64(2.0))
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+_HALF = wp.constant(wp.float64(0.5))
+# Of places, lengths and distances, relative to the coordinates of both.
+_ERROR = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
+# Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154.
+_UNDERFLOW = wp.constant(wp.float64(1e-150))
+
+vec64i = wp.types.vector(length=64, dtype=wp.int32)
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
+
+@wp.struct
+class PartTrees:
+    """The trees of all bodies, those of a body one after another."""
+
+    first: wp.array[wp.int32]  # node of each body
+    num_parts: wp.array[wp.int32]  # of each body, a power of two
+    first_part: wp.array[wp.int32]
+    link: wp.array[wp.int32]  # the row of a motion that a body is; -1 of one that stands
+    centre: wp.array[wp.vec3d]  # of each node
+    arm: wp.array[wp.float64]  # its length
+    radius: wp.array[wp.float64]  # of a sphere around the node
+    axes: wp.array[wp.mat33d]  # directions of the sides of a box around it, row by row
+    half: wp.array[wp.vec3d]  # half of each side
+    thickness: wp.array[wp.float64]  # the largest radius of its vertices, around both
+
+
+@wp.struct
+class PartMotion:
+    """Where bodies are in slices of the step, and how far they go."""
+
+    num_links: int
+    num_halvings: int  # of a slice
+    # of each link in the middle of each window: [slice, (window - 1) * links + link]
+    position: wp.array2d[wp.vec3d]
+    rotation: wp.array2d[wp.vec4d]  # unit quaternions
+    velocity: wp.array2d[wp.vec3d]  # of the origin, times half the slice
+    omega: wp.array2d[wp.vec3d]  # rotation in half the slice
+    # How far the origin of a link goes from the middle of a slice at most, what rounding adds, and both of its turn in
+    # radians: points go as far as the first and the turn times their arm. Then how far the path of the origin bends
+    # from its velocity in the middle at most, and what an arm adds to that, times its length.
+    reach: wp.array2d[vec6d]
+    # The first four of a pair of links against each other, with the turns that go with the arms of both.
+    relative_reach: wp.array2d[vec6d]
+
+
+@wp.struct
+class NearPairs:
+    """Pairs of parts that may touch, in no order; more than there is room for are counted, but not kept."""
+
+    count: wp.array2d[wp.int64]  # [1, 1]
+    window: wp.array[wp.int64]  # the slice, times the windows it is halved into, plus the number of one of them
+    a: wp.array[wp.int32]
+    b: wp.array[wp.int32]
+
+
+@wp.struct
+class PlacedNode:
+    """A node in the world, in the middle of a window."""
+
+    centre: wp.vec3d
+    velocity: wp.vec3d  # of the centre
+    axes: wp.mat33d
+    bend: wp.float64  # how far points may be from where the velocity of the centre takes it
+
+
+@wp.func
+def placed(
+    trees: PartTrees, motion: PartMotion, row: int, window: int, share: wp.float64, link: int, n: int
+) -> PlacedNode:
+    """Node n of a link, or of a body that stands."""
+    r = PlacedNode()
+    r.centre = trees.centre[n]
+    r.axes = trees.axes[n]
+    if link >= 0:
+        k = (window - 1) * motion.num_links + link
+        turn = rotation_of(motion.rotation[row, k])
+        reach = motion.reach[row, link]
+        arm = turn * r.centre
+        r.centre = motion.position[row, k] + arm
+        r.velocity = motion.velocity[row, k] + wp.cross(motion.omega[row, k], arm)
+        r.axes = r.axes * wp.transpose(turn)
+        bent = (reach[4] + reach[5] * trees.arm[n]) * (share * share) + (reach[2] * share + reach[3]) * trees.radius[n]
+        r.bend = bent + reach[1] + reach[3] * trees.arm[n]
+    return r
+
+
+@wp.func
+def rotation_of(q: wp.vec4d) -> wp.mat33d:
+    """The matrix of a unit quaternion."""
+    x = _TWO * q[0]
+    y = _TWO * q[1]
+    z = _TWO * q[2]
+    return wp.mat33d(
+        _ONE - y * q[1] - z * q[2], x * q[1] - z * q[3], x * q[2] + y * q[3],
+        x * q[1] + z * q[3], _ONE - x * q[0] - z * q[2], y * q[2] - x * q[3],
+        x * q[2] - y * q[3], y * q[2] + x * q[3], _ONE - x * q[0] - y * q[1],
+    )  # fmt: skip
+
+
+@wp.func
+def largest(x: wp.vec3d) -> wp.float64:
+    """The largest magnitude of a coordinate."""
+    return wp.max(wp.max(wp.abs(x[0]), wp.abs(x[1])), wp.abs(x[2]))
+
+
+@wp.func
+def along(size: wp.vec3d, d: wp.vec3d) -> wp.float64:
+    """How far a box reaches along a direction in its own axes."""
+    return size[0] * wp.abs(d[0]) + size[1] * wp.abs(d[1]) + size[2] * wp.abs(d[2])
+
+
+@wp.struct
+class Separation:
+    """How far two nodes stay apart in a window along the best direction, and what takes how much of that."""
+
+    least: wp.float64
+    moves: wp.float64
+    of_a: wp.float64
+    of_b: wp.float64
+
+
+@wp.func
+def better(best: Separation, apart: wp.float64, moves: wp.float64, of_a: wp.float64, of_b: wp.float64) -> Separation:
+    """The better one of a separation and that along another direction."""
+    r = best
+    least = apart - moves - of_a - of_b
+    if least > best.least:
+        r.least = least
+        r.moves = moves
+        r.of_a = of_a
+        r.of_b = of_b
+    return r
+
+
+@wp.func
+def separation(
+    trees: PartTrees,
+    a: PlacedNode,
+    b: PlacedNode,
+    m: int,
+    n: int,
+    share: wp.float64,
+    most: wp.float64,
+    turns: wp.float64,
+) -> Separation:
+    """How far two nodes, m and n, stay apart: their centres come by ``most`` nearer to each other, or points by more.
+
+    Spheres turn into themselves; the points of a box do not, and have longer arms than the centre.
+    """
+    apart = b.centre - a.centre
+    speed = share * (b.velocity - a.velocity)
+    bend = a.bend + b.bend
+    radius_a = trees.radius[m]
+    radius_b = trees.radius[n]
+    half_a = trees.half[m]
+    half_b = trees.half[n]
+    distance = wp.length(apart)
+    r = Separation()
+    r.least = distance - most - radius_a - radius_b
+    r.moves = most
+    r.of_a = radius_a
+    r.of_b = radius_b
+    most += turns
+    apart_a = a.axes * apart
+    apart_b = b.axes * apart
+    speed_a = a.axes * speed
+    speed_b = b.axes * speed
+    if distance > _ZERO:
+        moves = wp.min(most, wp.abs(wp.dot(apart, speed)) / distance + bend)
+        of_a = wp.min(radius_a, along(half_a, apart_a) / distance)
+        of_b = wp.min(radius_b, along(half_b, apart_b) / distance)
+        r = better(r, distance, moves, of_a, of_b)
+    cosines = a.axes * wp.transpose(b.axes)
+    for k in range(3):
+        of_b = wp.min(radius_b, along(half_b, cosines[k]))
+        r = better(r, wp.abs(apart_a[k]), wp.min(most, wp.abs(speed_a[k]) + bend), half_a[k], of_b)
+    cosines = wp.transpose(cosines)
+    for k in range(3):
+        of_a = wp.min(radius_a, along(half_a, cosines[k]))
+        r = better(r, wp.abs(apart_b[k]), wp.min(most, wp.abs(speed_b[k]) + bend), of_a, half_b[k])
+    return r
+
+
+@wp.kernel
+def find_near_parts(
+    begin: int,
+    # in
+    pairs: wp.array[wp.vec3i],  # two bodies, the first a link, and the row of ``relative_reach``, or -1
+    trees: PartTrees,
+    motion: PartMotion,
+    reach: wp.float64,
+    stop: wp.array[wp.int32],
+    # out
+    near: NearPairs,
+):
+    """List the pairs of parts of a pair of bodies that may come within ``reach`` in a slice."""
+    item = begin + wp.tid()
+    num_pairs = pairs.shape[0]
+    row = item / num_pairs
+    pair = pairs[item % num_pairs]
+    link_a = trees.link[pair[0]]
+    link_b = trees.link[pair[1]]
+    first_a = trees.first[pair[0]]
+    first_b = trees.first[pair[1]]
+    inner_a = trees.num_parts[pair[0]] - 1  # so many nodes of the body have children
+    inner_b = trees.num_parts[pair[1]] - 1
+    last = wp.int32(1) << motion.num_halvings  # the first of the shortest windows
+    goes = motion.reach[row, link_a]
+    goes[4] = _ZERO
+    goes[5] = _ZERO
+    if pair[2] >= 0:
+        goes = motion.relative_reach[row, pair[2]]
+    nodes_a = vec64i()
+    nodes_b = vec64i()
+    windows = vec64i()
+    windows[0] = 1
+    size = wp.int32(1)
+    while size > 0:
+        if is_stopped(stop):
+            return
+        size -= 1
+        a = nodes_a[size]
+        b = nodes_b[size]
+        window = windows[size]
+        share = wp.float64(1.0)  # of half the slice that half the window is
+        w = window
+        while w > 1:
+            w = w >> 1
+            share = share * _HALF
+        m = first_a + a
+        n = first_b + b
+        of_a = placed(trees, motion, row, window, share, link_a, m)
+        of_b = placed(trees, motion, row, window, share, link_b, n)
+        turn_a = goes[2] * share + goes[3]
+        turn_b = goes[4] * share + goes[5]
+        most = goes[0] * share + goes[1] + turn_a * trees.arm[m] + turn_b * trees.arm[n]
+        turns = turn_a * trees.radius[m] + turn_b * trees.radius[n]
+        found = separation(trees, of_a, of_b, m, n, share, most, turns)
+        lengths = reach + trees.thickness[m] + trees.thickness[n] + found.moves + found.of_a + found.of_b
+        rounding = _ERROR * (largest(of_a.centre) + largest(of_b.centre) + trees.radius[m] + trees.radius[n] + lengths)
+        if found.least > reach + trees.thickness[m] + trees.thickness[n] + rounding + _UNDERFLOW:
+            continue  # not where a number is none, which is near
+        splits_a = a < inner_a
+        splits_b = b < inner_b
+        if window < last and (not (splits_a or splits_b) or found.moves > wp.max(found.of_a, found.of_b)):
+            for k in range(2):
+                nodes_a[size] = a
+                nodes_b[size] = b
+                windows[size] = 2 * window + 1 - k
+                size += 1
+        elif splits_a and (not splits_b or trees.radius[m] >= trees.radius[n]):
+            for k in range(2):
+                nodes_a[size] = 2 * a + 2 - k
+                nodes_b[size] = b
+                windows[size] = window
+                size += 1
+        elif splits_b:
+            for k in range(2):
+                nodes_a[size] = a
+                nodes_b[size] = 2 * b + 2 - k
+                windows[size] = window
+                size += 1
+        else:
+            place = claim(near.count, 0, 0, 1)
+            if place < wp.int64(near.a.shape[0]):
+                k = wp.int32(place)
+                near.window[k] = wp.int64(row) * wp.int64(last) + wp.int64(window - last)
+                near.a[k] = trees.first_part[pair[0]] + a - inner_a
+                near.b[k] = trees.first_part[pair[1]] + b - inner_b
